@@ -1,0 +1,19 @@
+"""What the planner raises: one sentence that names what was wrong, what was expected and what exists."""
+
+from __future__ import annotations
+
+
+class PlannerError(ValueError):
+    """Wrong input. The message is one sentence; the command line prints it and exits with code 2."""
+
+
+class FileError(PlannerError):
+    """A file that cannot be read, written or understood."""
+
+
+class ModelError(PlannerError):
+    """A model (MJCF text) that cannot be used."""
+
+
+class RenderingUnavailable(PlannerError):
+    """No headless OpenGL library was found; the message says what to install."""

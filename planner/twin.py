@@ -1,0 +1,63 @@
+"""Twin: the machine in MuJoCo, and how the plan's state reads there. Data only, stored in every plan.npz.
+
+The simulator's physical state is w = (qpos, qvel, act), nw numbers. The plan's state is an affine function of it,
+
+    x = to_x @ w + to_x_offset,
+
+and back, where a unilateral contact makes a coordinate the lesser of several affine functions (a leg is as long
+as its spring at rest, or as the ground lets it be),
+
+    w = min over k of (to_sim[k] @ x + to_sim_offset[k]).
+
+The control is MuJoCo's ctrl. So replay and render know no machine: they know a text and two maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.errors import PlannerError
+
+
+@dataclass(frozen=True)
+class Twin:
+    """An MJCF model and the maps between its state and the plan's.
+
+    Attributes:
+        mjcf: The XML text, includes resolved.
+        to_x: (nx, nw).
+        to_x_offset: (nx,).
+        to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
+        to_sim_offset: (K, nw).
+    """
+
+    mjcf: str
+    to_x: np.ndarray
+    to_x_offset: np.ndarray
+    to_sim: np.ndarray
+    to_sim_offset: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("to_x", "to_x_offset", "to_sim", "to_sim_offset"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        nx, nw = self.to_x.shape
+        K = self.to_sim.shape[0]
+        expected = {"to_x_offset": (nx,), "to_sim": (K, nw, nx), "to_sim_offset": (K, nw)}
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise PlannerError(f"Twin: {name} has shape {getattr(self, name).shape}, expected {shape}.")
+
+    def x_of(self, w: np.ndarray) -> np.ndarray:
+        """The plan's state (..., nx) of simulator states w (..., nw)."""
+        return w @ self.to_x.T + self.to_x_offset
+
+    def sim_of(self, x: np.ndarray) -> np.ndarray:
+        """The simulator's state (..., nw) of plan states x (..., nx)."""
+        return np.min(np.einsum("kwx,...x->...kw", self.to_sim, x) + self.to_sim_offset, axis=-2)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The maps (not the text) as JSON values."""
+        return {name: getattr(self, name).tolist() for name in ("to_x", "to_x_offset", "to_sim", "to_sim_offset")}
