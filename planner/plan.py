@@ -14,7 +14,9 @@ import functools
 import json
 import math
 import platform
-from dataclasses import dataclass, field
+import zipfile
+import zlib
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
@@ -155,3 +157,127 @@ class Plan:
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
 
     __repr__ = __str__
+
+    def save(self, path: str | Path) -> Path:
+        """Write the plan as .npz, atomically and without pickle.
+
+        Raises:
+            FileError: The file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
+        meta = {
+            "format_version": FORMAT_VERSION,
+            "case": self.case,
+            "parameters": self.parameters,
+            "status": self.status.name,
+            "cost": _json_number(self.cost),
+            "gradient_norm": _json_number(self.gradient_norm),
+            "iterations": self.nit,
+            "versions": self.versions,
+            "twin": None if self.twin is None else self.twin.to_dict(),
+            "mjcf": None if self.twin is None else self.twin.mjcf,
+        }
+        history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
+        text = np.array(json.dumps(meta, allow_nan=False))
+        with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
+            np.savez(file, t=self.t, xs=self.xs, us=self.us, K=self.K, history=history, meta=text)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Read a plan.npz. The problem is rebuilt when it is one of planner.cases.
+
+        Raises:
+            FileError: No such file, not a plan, damaged, or written by a newer version.
+        """
+        arrays, meta = _read(Path(path))
+        t, xs, us, K, history = (arrays[name] for name in ("t", "xs", "us", "K", "history"))
+        twin = meta["twin"]
+        plan = cls(
+            t, xs, us, K,
+            cost=math.nan if meta["cost"] is None else float(meta["cost"]),
+            gradient_norm=math.nan if meta["gradient_norm"] is None else float(meta["gradient_norm"]),
+            status=Status[meta["status"]],
+            history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in history),
+            case=meta["case"], parameters=meta["parameters"],
+            twin=None if twin is None else Twin(mjcf=meta["mjcf"], **twin),
+            made_with=meta["versions"],
+        )  # fmt: skip
+        if plan.case is None:
+            return plan
+        from planner import cases  # a case builds on everything above it; only a file's name leads back here
+
+        try:
+            problem = cases.build(plan.case, **plan.parameters)
+        except PlannerError as error:
+            raise FileError(f"{path} holds a plan of a case that cannot be rebuilt: {error}") from None
+        if xs.shape[1:] != (problem.dynamics.nx,) or us.shape != (problem.N, problem.dynamics.nu):
+            raise FileError(f"{path} is damaged: its arrays do not fit its case {plan.case!r}.")
+        return replace(plan, problem=problem)
+
+
+def _json_number(value: float) -> float | None:
+    """JSON has no NaN and no infinity: null."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and meta of a plan file, checked against each other."""
+    if not path.is_file():
+        raise FileError(f"{path} is not a file, expected a plan.npz.")
+    foreign = FileError(f"{path} is not a plan: expected an .npz with t, xs, us, K, history and meta.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in ("t", "xs", "us", "K", "history", "meta")}
+    except OSError as error:
+        if error.errno is not None:
+            raise FileError(f"cannot read {path}: {error.strerror}.") from None
+        raise foreign from None
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, TypeError):
+        raise foreign from None
+    try:
+        meta = json.loads(str(arrays.pop("meta")))
+        version = int(meta["format_version"])
+    except (ValueError, KeyError, TypeError):
+        raise foreign from None
+    if version > FORMAT_VERSION:
+        made = meta.get("versions", {}).get("planner", "a newer version")
+        raise FileError(
+            f"{path} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
+        )
+    N, nx, nu = len(arrays["us"]), arrays["xs"].shape[-1], arrays["us"].shape[-1]
+    shapes = {
+        "t": (N + 1,), "xs": (N + 1, nx), "us": (N, nu), "K": (N, nu, nx),
+        "history": (len(arrays["history"]), len(Iteration._fields)),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype != np.float64:
+            raise FileError(
+                f"{path} is damaged: {name} is {arrays[name].dtype} {arrays[name].shape}, expected float64 {shape}."
+            )
+    expected = {
+        "case": (str, type(None)), "parameters": dict, "status": str, "cost": (int, float, type(None)),
+        "gradient_norm": (int, float, type(None)), "versions": dict, "twin": (dict, type(None)),
+        "mjcf": (str, type(None)),
+    }  # fmt: skip
+    for name, kind in expected.items():
+        if name not in meta or not isinstance(meta[name], kind):
+            raise FileError(f"{path} is damaged: its meta has no usable {name!r}.")
+    if meta["status"] not in Status.__members__:
+        raise FileError(f"{path} is damaged: {meta['status']!r} is no status.")
+    return arrays, meta
+
+
+@functools.cache
+def installed_versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on."""
+    names = {"planner": "slq-planner", "mujoco": "mujoco", "numpy": "numpy", "numba": "numba", "scipy": "scipy"}
+    versions = {"python": platform.python_version()}
+    for name, distribution in names.items():
+        try:
+            versions[name] = metadata.version(distribution)
+        except metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions

@@ -1,16 +1,28 @@
-"""Run a plan in MuJoCo. Nothing here plans: MuJoCo computes every state of a replay from the MJCF text alone."""
+"""Run a plan in MuJoCo. Nothing here plans: MuJoCo computes every state of a replay from the MJCF text alone.
+
+The simulator's step is refined: the smaller of dt/20 and the model's own timestep, and a whole fraction of the
+plan's stage. A replay at the plan's own step agrees to rounding and proves nothing, since it repeats the plan's
+integration error.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from planner.arguments import count
+from planner.errors import ModelError, PlannerError
+from planner.gl import load_mujoco
 from planner.plan import Plan
 from planner.twin import Twin
 
+REFINEMENT = 20  # simulator steps per stage, at least
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Replay:
     """What MuJoCo did with a plan's controls, sampled at every simulator step.
 
@@ -47,3 +59,146 @@ class Replay:
     contact_point: np.ndarray
     substeps: int
     warnings: tuple[str, ...] = ()
+
+    @property
+    def timestep(self) -> float:
+        """The simulator's step, s."""
+        return self.plan.dt / self.substeps
+
+    @property
+    def error(self) -> np.ndarray:
+        """(M+1, nx) simulated minus planned state."""
+        return self.xs - self.plan_xs
+
+    @property
+    def cost(self) -> float:
+        """J of the simulated trajectory at the knots, with each stage's mean control; NaN without a problem."""
+        if self.plan.problem is None:
+            return math.nan
+        us = self.ctrl.reshape(self.plan.N, self.substeps, -1).mean(axis=1)
+        return self.plan.problem.cost.value(self.xs[:: self.substeps], us)
+
+
+def compile_model(mjcf: str) -> Any:
+    """MuJoCo's model of an MJCF text.
+
+    Raises:
+        ModelError: MuJoCo refuses it; the message is MuJoCo's own, in one line.
+    """
+    mujoco = load_mujoco()
+    try:
+        return mujoco.MjModel.from_xml_string(mjcf)
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+
+
+def matching_model(twin: Twin, nu: int) -> Any:
+    """The twin's MuJoCo model, when it fits its maps and a control of size nu.
+
+    Raises:
+        ModelError: The model has other joints, activations or controls than the twin maps.
+    """
+    model = compile_model(twin.mjcf)
+    nw = twin.to_x.shape[1]
+    have = (model.nq + model.nv + model.na, model.nu)
+    if have != (nw, nu):
+        raise ModelError(
+            f"the model has nq + nv + na = {have[0]} states and {have[1]} controls, expected {nw} and {nu}: "
+            "it is not the machine that the plan was made for."
+        )
+    return model
+
+
+def replay(plan: Plan, *, feedback: bool = False, twin: Twin | None = None, substeps: int | None = None) -> Replay:
+    """Replay a plan in MuJoCo at a refined step.
+
+    Args:
+        plan: What to replay.
+        feedback: Apply u = us[n] + K[n] @ (x - x_plan(t)) at every simulator step instead of us[n].
+        twin: Another model in place of the plan's own.
+        substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
+
+    Raises:
+        PlannerError: The plan has no twin or is not finite, or feedback without the problem to interpolate it.
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    """
+    twin = twin or plan.twin
+    if twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    if plan.problem is None:
+        raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
+    if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
+        raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
+    model = matching_model(twin, plan.us.shape[1])
+    if substeps is None:
+        substeps = max(REFINEMENT, math.ceil(plan.dt / model.opt.timestep - 1e-9))
+    n = count("substeps", substeps)
+    model.opt.timestep = plan.dt / n
+    mujoco = load_mujoco()
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)  # MuJoCo's own would write a file into the user's folder
+    try:
+        return _run(plan, twin, model, feedback, n)
+    finally:
+        mujoco.set_mju_user_warning(handler)
+
+
+def between_knots(plan: Plan, substeps: int) -> np.ndarray:
+    """The plan at every simulator step (N * substeps + 1, nx): its own integrator over parts of each stage."""
+    assert plan.problem is not None
+    N, nx = plan.N, plan.xs.shape[1]
+    parts = np.tile(plan.dt / substeps * np.arange(substeps), N)
+    xs, us = np.repeat(plan.xs[:-1], substeps, axis=0), np.repeat(plan.us, substeps, axis=0)
+    inside = plan.problem.dynamics.step(xs, us, parts).reshape(N, substeps, nx)
+    inside[:, 0] = plan.xs[:-1]
+    return np.concatenate([inside.reshape(-1, nx), plan.xs[-1:]])
+
+
+def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> Replay:
+    mujoco = load_mujoco()
+    data, probe = mujoco.MjData(model), mujoco.MjData(model)
+    nq, nv, M = model.nq, model.nv, plan.N * substeps
+    plan_xs = between_knots(plan, substeps)
+    w = np.empty((M + 1, nq + nv + model.na))
+    ctrl = np.empty((M, model.nu))
+    force, point = np.zeros(M + 1), np.full((M + 1, 3), np.nan)
+    w[0] = twin.sim_of(plan.xs[0])
+    data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
+    for i in range(M):
+        u = plan.us[i // substeps]
+        if feedback:
+            u = u + plan.K[i // substeps] @ (twin.x_of(w[i]) - plan_xs[i])
+        data.ctrl[:] = ctrl[i] = u
+        force[i], point[i] = _contact(mujoco, model, data, probe)
+        mujoco.mj_step(model, data)
+        w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
+    force[M], point[M] = _contact(mujoco, model, data, probe)
+    return Replay(
+        plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
+        t=plan.dt / substeps * np.arange(M + 1), qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :],
+        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
+        warnings=_warnings(mujoco, data),
+    )  # fmt: skip
+
+
+def _contact(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.ndarray]:
+    """Total normal contact force and where it acts, at the current state and not at a stage of the last step."""
+    probe.qpos[:], probe.qvel[:], probe.act[:], probe.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
+    probe.qacc_warmstart[:] = data.qacc_warmstart
+    mujoco.mj_forward(model, probe)
+    total, moment, wrench = 0.0, np.zeros(3), np.zeros(6)
+    for c in range(probe.ncon):
+        mujoco.mj_contactForce(model, probe, c, wrench)
+        total += wrench[0]
+        moment += wrench[0] * probe.contact.pos[c]
+    return total, moment / total if total > 0.0 else np.full(3, np.nan)
+
+
+def _warnings(mujoco: Any, data: Any) -> tuple[str, ...]:
+    """MuJoCo's own warnings, e.g. about an unstable simulation."""
+    kinds = mujoco.mjtWarning
+    names = [kinds(k).name[7:].lower() for k in range(int(kinds.mjNWARNING))]
+    return tuple(
+        f"MuJoCo warned of {name} {data.warning[k].number} times." for k, name in enumerate(names)
+        if data.warning[k].number
+    )  # fmt: skip

@@ -32,12 +32,14 @@ class Stage:
         ghost_offset: Where the ghost of the plan stands, relative to the simulated machine.
         goal_line: Two end points of a line that marks the goal, or None.
         goal_label: Written beside that line.
+        labels: Words written at points of the scene, e.g. along a ruler.
         look_at: The point the camera looks at.
         follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
         distance: From the camera to its point.
         azimuth: Of the camera, degrees (MuJoCo's convention).
         elevation: Of the camera, degrees (negative looks down).
         force_scale: Length of the contact force arrow per unit of force; 0 draws none.
+        force_offset: From the contact point to where the arrow begins, so that the machine does not hide it.
         speed: Playback speed; 0.25 is four times slow motion.
     """
 
@@ -46,12 +48,14 @@ class Stage:
     ghost_offset: Point = (0.0, 0.0, 0.0)
     goal_line: tuple[Point, Point] | None = None
     goal_label: str = "goal"
+    labels: tuple[tuple[Point, str], ...] = ()
     look_at: Point = (0.0, 0.0, 0.0)
     follow: tuple[int, float] | None = None
     distance: float = 5.0
     azimuth: float = 90.0
     elevation: float = -10.0
     force_scale: float = 0.0
+    force_offset: Point = (0.0, 0.0, 0.0)
     speed: float = 1.0
     plots: tuple[Panel, ...] = field(default=())
 

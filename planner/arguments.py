@@ -1,0 +1,69 @@
+"""Checks of what a caller hands in. Each returns the value in the form the kernels need, or raises one sentence."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from planner.errors import PlannerError
+
+
+def number(name: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
+    """A finite float, greater than `above` or at least `least` where given."""
+    expected = "a finite number"
+    if above is not None:
+        expected += f" greater than {above:g}"
+    if least is not None:
+        expected += f" of at least {least:g}"
+    try:
+        result = float(value)
+    except (TypeError, ValueError):
+        raise PlannerError(f"{name} is {value!r}, expected {expected}.") from None
+    too_small = (above is not None and result <= above) or (least is not None and result < least)
+    if not math.isfinite(result) or too_small:
+        raise PlannerError(f"{name} is {value!r}, expected {expected}.")
+    return result
+
+
+def count(name: str, value: Any, *, least: int = 1) -> int:
+    """An integer of at least `least`."""
+    try:
+        result = operator.index(value)
+    except TypeError:
+        result = None
+    if result is None or isinstance(value, bool) or result < least:
+        raise PlannerError(f"{name} is {value!r}, expected a whole number of at least {least}.")
+    return result
+
+
+def choice(name: str, value: Any, choices: Iterable[str]) -> str:
+    """One of some names; the message lists them and guesses what was meant."""
+    known = list(choices)
+    if isinstance(value, str) and value in known:
+        return value
+    near = difflib.get_close_matches(str(value), known, n=1)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise PlannerError(f"{name} is {value!r}, expected one of: {', '.join(known)}.{hint}")
+
+
+def array(name: str, value: Any, shape: tuple[int | str, ...]) -> np.ndarray:
+    """A finite float64 array in C order. Sizes in `shape` that are letters match anything."""
+    wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+    try:
+        result = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise PlannerError(f"{name} is not an array of numbers, expected shape {wanted}.") from None
+    fits = result.ndim == len(shape) and all(
+        isinstance(want, str) or have == want for have, want in zip(result.shape, shape, strict=True)
+    )
+    if not fits:
+        raise PlannerError(f"{name} has shape {result.shape}, expected {wanted}.")
+    if not np.isfinite(result).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
+        raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
+    return result

@@ -1,0 +1,30 @@
+"""The machines of the paper, one file each. A case is a function of plain numbers that returns a Problem."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from planner.arguments import choice
+from planner.cases.hopper import hopper
+from planner.errors import PlannerError
+from planner.problem import Problem
+
+CASES: dict[str, Callable[..., Problem]] = {"hopper": hopper}
+
+__all__ = ["CASES", "build", "hopper"]
+
+
+def build(name: str, **parameters: Any) -> Problem:
+    """The Problem of a case by name.
+
+    Raises:
+        PlannerError: No such case, no such parameter, or a value that is out of range.
+    """
+    case = CASES[choice("case", name, CASES)]
+    known = inspect.signature(case).parameters
+    for parameter in parameters:
+        if parameter not in known:
+            raise PlannerError(f"{name} has no parameter {parameter!r}, expected some of: {', '.join(known)}.")
+    return case(**parameters)

@@ -1,0 +1,137 @@
+"""FunctionDynamics: a user's own dx/dt = f(x, u) in plain Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from planner.arguments import array, choice, count, number
+from planner.dynamics.protocol import INTEGRATORS
+from planner.errors import PlannerError
+
+Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Jacobian = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+# Central differences: the error eps/h + h^2 is least near the cube root of the rounding unit.
+_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
+
+
+class FunctionDynamics:
+    """Discrete dynamics from a plain Python function.
+
+    The function may take one state at a time, x (nx,) and u (nu,), or many, x (K, nx) and u (K, nu): which it is
+    gets found out by trying, and a batched one is much faster.
+
+    Args:
+        f: dx/dt = f(x, u), or x(n+1) = f(x, u) with integrator="discrete".
+        nx: Size of the state.
+        nu: Size of the control.
+        dt: Length of a stage, s.
+        integrator: "euler", "semi-implicit-euler" (x is positions, then as many velocities), "rk4", "discrete".
+        jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), batched if f is; central differences by default.
+
+    Raises:
+        PlannerError: A wrong argument, or an f that does not return finite numbers of the right shape.
+    """
+
+    def __init__(
+        self, f: Function, nx: int, nu: int, dt: float, integrator: str = "rk4", jacobian: Jacobian | None = None
+    ) -> None:
+        if not callable(f):
+            raise PlannerError(f"f is {f!r}, expected a function f(x, u).")
+        self.nx, self.nu = count("nx", nx), count("nu", nu)
+        self.dt = number("dt", dt, above=0.0)
+        self.integrator = choice("integrator", integrator, (*INTEGRATORS, "discrete"))
+        if self.integrator == "semi-implicit-euler" and self.nx % 2:
+            raise PlannerError(
+                f"nx is {nx}, expected an even number for semi-implicit-euler: positions, then velocities."
+            )
+        self._f, self._jacobian = f, jacobian
+        self.batched = self._try_out()
+
+    def _try_out(self) -> bool:
+        # A batch of three different states: a function of one state cannot return the same for it by chance.
+        rng = np.random.default_rng(0)
+        xs, us = rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
+        single = [np.asarray(self._f(x.copy(), u.copy()), dtype=float) for x, u in zip(xs, us, strict=True)]
+        for value in single:
+            if value.shape != (self.nx,):
+                raise PlannerError(f"f(x, u) has shape {value.shape}, expected ({self.nx},).")
+        try:
+            many = np.asarray(self._f(xs.copy(), us.copy()), dtype=float)
+        except Exception:  # whatever a function of one state does with a batch
+            return False
+        return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
+
+    def _rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        if self.batched:
+            return np.asarray(self._f(xs, us), dtype=float)
+        return np.array([self._f(x, u) for x, u in zip(xs, us, strict=True)], dtype=float)
+
+    def _rate_jacobians(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        nx, nu = self.nx, self.nu
+        if self._jacobian is not None:
+            if self.batched:
+                fx, fu = self._jacobian(xs, us)
+            else:
+                pairs = [self._jacobian(x, u) for x, u in zip(xs, us, strict=True)]
+                fx, fu = np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+            K = len(xs)
+            return array("jacobian's df/dx", fx, (K, nx, nx)), array("jacobian's df/du", fu, (K, nx, nu))
+        z = np.concatenate([xs, us], axis=1)
+        h = _DIFFERENCE * np.maximum(1.0, np.abs(z))
+        moved = z[:, None, :] + h[:, None, :] * np.concatenate([np.eye(nx + nu), -np.eye(nx + nu)])
+        flat = moved.reshape(-1, nx + nu)
+        values = self._rates(flat[:, :nx], flat[:, nx:]).reshape(len(xs), 2, nx + nu, nx)
+        J = np.swapaxes((values[:, 0] - values[:, 1]) / (2.0 * h[:, :, None]), 1, 2)
+        return J[:, :, :nx], J[:, :, nx:]
+
+    def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
+        """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu); see Dynamics.step."""
+        if self.integrator == "discrete":
+            if dt is not None and not np.allclose(dt, self.dt):
+                raise PlannerError("a discrete map has no parts of a stage: dt must be the stage's.")
+            return self._rates(xs, us)
+        h = np.full((len(xs), 1), self.dt) if dt is None else np.asarray(dt, dtype=float)[:, None]
+        k1 = self._rates(xs, us)
+        if self.integrator == "euler":
+            return xs + h * k1
+        if self.integrator == "semi-implicit-euler":
+            half = self.nx // 2
+            velocities = xs[:, half:] + h * k1[:, half:]
+            return np.concatenate([xs[:, :half] + h * velocities, velocities], axis=1)
+        k2 = self._rates(xs + 0.5 * h * k1, us)
+        k3 = self._rates(xs + 0.5 * h * k2, us)
+        k4 = self._rates(xs + h * k3, us)
+        return xs + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+    def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, nx, nx) and B (N, nx, nu) along xs (N+1, nx), us (N, nu), by the chain rule through the step."""
+        x, h, nx = xs[: len(us)], self.dt, self.nx
+        fx, fu = self._rate_jacobians(x, us)
+        if self.integrator == "discrete":
+            return fx, fu
+        eye = np.eye(nx)
+        if self.integrator == "euler":
+            return eye + h * fx, h * fu
+        if self.integrator == "semi-implicit-euler":
+            half = nx // 2
+            A, B = eye + h * fx, h * fu
+            A[:, :half], B[:, :half] = eye[:half] + h * A[:, half:], h * B[:, half:]
+            return A, B
+        # d k_i / d(x, u): each stage's Jacobian times the change of its argument.
+        k1 = self._rates(x, us)
+        K1x, K1u = fx, fu
+        k2, K2x, K2u = self._stage(x, us, k1, K1x, K1u, 0.5 * h)
+        k3, K3x, K3u = self._stage(x, us, k2, K2x, K2u, 0.5 * h)
+        _, K4x, K4u = self._stage(x, us, k3, K3x, K3u, h)
+        A = eye + h / 6.0 * (K1x + 2.0 * K2x + 2.0 * K3x + K4x)
+        return A, h / 6.0 * (K1u + 2.0 * K2u + 2.0 * K3u + K4u)
+
+    def _stage(
+        self, x: np.ndarray, us: np.ndarray, k: np.ndarray, Kx: np.ndarray, Ku: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        y = x + h * k
+        fx, fu = self._rate_jacobians(y, us)
+        return self._rates(y, us), fx @ (np.eye(self.nx) + h * Kx), fx @ (h * Ku) + fu

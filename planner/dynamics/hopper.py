@@ -1,0 +1,79 @@
+"""HopperDynamics: the paper's hopping machine (section 2.4), compiled. x = (height, rate, piston), u = flow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.arguments import array, choice, number
+from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels import hopper as kernels
+from planner.kernels.jit import announce
+from planner.kernels.lanes import WIDTH, lane_array
+from planner.kernels.workspace import Workspace
+
+
+class HopperDynamics:
+    """A mass on a pneumatic spring that can leave the ground.
+
+    Args:
+        dt: Length of a stage, s.
+        integrator: One of INTEGRATORS.
+        stiffness: k/m, 1/s^2 (the paper's 100).
+        smoothing: alpha of section 2.4, the compression over which the spring sets in, in.
+        gravity: g, in/s^2 (the paper's 386.4).
+
+    Raises:
+        PlannerError: A parameter that is not finite or not positive.
+    """
+
+    nx = 3
+    nu = 1
+
+    def __init__(
+        self, dt: float, integrator: str = "rk4", *, stiffness: float = 100.0, smoothing: float = 0.1,
+        gravity: float = 386.4,
+    ) -> None:  # fmt: skip
+        self.dt = number("dt", dt, above=0.0)
+        self.integrator = choice("integrator", integrator, INTEGRATORS)
+        self.stiffness = number("stiffness", stiffness, above=0.0)
+        self.smoothing = number("smoothing", smoothing, above=0.0)
+        self.gravity = number("gravity", gravity, above=0.0)
+        self._code = INTEGRATORS.index(self.integrator)
+        self._parameters = np.array([self.stiffness, self.smoothing, self.gravity])
+
+    def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
+        """The ends (K, 3) of K stages from xs (K, 3) with us (K, 1); see Dynamics.step."""
+        xs, us = array("xs", xs, ("K", 3)), array("us", us, ("K", 1))
+        dt = np.full(len(xs), self.dt) if dt is None else array("dt", dt, ("K",))
+        ends = np.empty_like(xs)
+        kernels.steps(self._code, self._parameters, xs, us, dt, ends)
+        return ends
+
+    def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """dx/dt (K, 3) at xs (K, 3) with us (K, 1), section 2.4."""
+        xs, us = array("xs", xs, ("K", 3)), array("us", us, ("K", 1))
+        rates = np.empty_like(xs)
+        kernels.rates(self._parameters, xs, us, rates)
+        return rates
+
+    def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Exact A (N, 3, 3) and B (N, 3, 1) along xs (N+1, 3), us (N, 1)."""
+        xs, us = array("xs", xs, ("N+1", 3)), array("us", us, ("N", 1))
+        F = lane_array(len(us), 3, WIDTH)
+        kernels.linearize(self._code, self.dt, self._parameters, xs, us, lane_array(7, WIDTH), F)
+        return F[:, :, 1:4].copy(), F[:, :, :1].copy()
+
+    def start(self, w: Workspace) -> float:
+        """Roll out w.us from w.xs[0]; the cost."""
+        announce(kernels.iterate)
+        return kernels.start(self._code, self.dt, self._parameters, w)
+
+    def iterate(
+        self, w: Workspace, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> int:  # fmt: skip
+        """One SLQ iteration; the outcome, with w.out filled."""
+        return kernels.iterate(
+            self._code, self.dt, self._parameters, w, rule, feedback, mu, fresh, cost,
+            gradient_tolerance, decrease_tolerance,
+        )  # fmt: skip

@@ -1,0 +1,60 @@
+"""The two faces of a machine: Dynamics, which every machine has, and CompiledDynamics, which fast ones have too."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from planner.kernels.workspace import Workspace
+
+INTEGRATORS = ("euler", "semi-implicit-euler", "rk4")
+"""explicit Euler (the paper's), velocities first then positions with the new ones, classic Runge-Kutta; the
+control is held over a stage."""
+
+
+class Dynamics(Protocol):
+    """Discrete dynamics with a control that is held over each stage.
+
+    Attributes:
+        nx: Size of the state.
+        nu: Size of the control.
+        dt: Length of a stage, s.
+    """
+
+    @property
+    def nx(self) -> int: ...  # noqa: D102
+    @property
+    def nu(self) -> int: ...  # noqa: D102
+    @property
+    def dt(self) -> float: ...  # noqa: D102
+
+    def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
+        """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu).
+
+        Args:
+            xs: (K, nx).
+            us: (K, nu).
+            dt: (K,) s, for parts of a stage; a whole stage by default.
+        """
+        ...
+
+    def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, nx, nx) and B (N, nx, nu) along xs (N+1, nx), us (N, nu)."""
+        ...
+
+
+@runtime_checkable
+class CompiledDynamics(Protocol):
+    """Dynamics whose whole iteration is one compiled call on a Workspace (see kernels)."""
+
+    def start(self, w: Workspace) -> float:
+        """Roll out w.us from w.xs[0]; the cost."""
+        ...
+
+    def iterate(
+        self, w: Workspace, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> int:  # fmt: skip
+        """One SLQ iteration; the outcome, with w.out filled."""
+        ...

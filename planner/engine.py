@@ -1,0 +1,211 @@
+"""Engine: the memory and the arithmetic of one solve. solve() drives it and decides.
+
+`CompiledEngine` makes one compiled call per iteration. `NumpyEngine` does the same steps over the protocols of
+dynamics and cost, for a user's own Python. Both use the line search of kernels.search.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from planner import lq
+from planner.cost import TrackingCost
+from planner.dynamics import CompiledDynamics
+from planner.kernels import search
+from planner.kernels.jit import announce
+from planner.kernels.lanes import WIDTH
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, workspace
+from planner.problem import Problem
+
+
+class Outcome(NamedTuple):
+    """What one iteration did."""
+
+    kind: int  # ACCEPTED, CONVERGED, INDEFINITE or NO_STEP
+    gradient_norm: float  # of Eq. 19, before the step
+    slope: float  # of J along the direction (Eq. 42), negative
+    step: float  # alpha of Eq. 36; 0 unless accepted
+    expected: float  # decrease that the LQ model promised for that step
+    cost: float  # J after the step
+
+
+class Engine(Protocol):
+    """One solve's memory. Not shared between threads.
+
+    Attributes:
+        largest_control_weight: The largest entry of R, the measure of what regularises R + B'PB.
+    """
+
+    largest_control_weight: float
+
+    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+        """Roll out the first guess; its cost."""
+        ...
+
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> Outcome:  # fmt: skip
+        """Linearise (if `fresh`), sweep, search, accept."""
+        ...
+
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of xs (N+1, nx) and us (N, nu)."""
+        ...
+
+    def gains(self) -> np.ndarray:
+        """A copy of K (N, nu, nx)."""
+        ...
+
+
+class CompiledEngine:
+    """Dynamics and a tracking cost whose iteration is one compiled call."""
+
+    def __init__(self, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
+        self._dynamics = dynamics
+        self._w = workspace(cost.Q, cost.R, cost.x_ref, cost.u_ref)
+        self.largest_control_weight = float(cost.R.max())
+
+    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+        """Roll out the first guess; its cost."""
+        self._w.xs[0] = x0
+        self._w.us[:] = us
+        return self._dynamics.start(self._w)
+
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> Outcome:  # fmt: skip
+        """Linearise (if `fresh`), sweep, search, accept."""
+        kind = self._dynamics.iterate(
+            self._w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
+        )
+        return Outcome(kind, *self._w.out.tolist())
+
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of xs (N+1, nx) and us (N, nu)."""
+        return self._w.xs.copy(), self._w.us.copy()
+
+    def gains(self) -> np.ndarray:
+        """A copy of K (N, nu, nx)."""
+        nu = self._w.us.shape[1]
+        return self._w.K[:, :, nu : nu + self._w.xs.shape[1]].copy()
+
+
+class NumpyEngine:
+    """Any Dynamics and any Cost."""
+
+    def __init__(self, problem: Problem) -> None:
+        announce(search.choose)
+        self._dynamics, self._cost = problem.dynamics, problem.cost
+        # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
+        self._together = bool(getattr(problem.dynamics, "batched", True))
+        self._bracket = np.empty(3)
+        self.largest_control_weight = 1.0
+        # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
+        self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
+
+    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+        """Roll out the first guess; its cost."""
+        xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
+        self._nominal = xs[:, 0].copy(), us.copy()
+        if np.isfinite(J[0]):
+            self.largest_control_weight = float(self._cost.quadratize(*self._nominal).R.max())
+        return float(J[0])
+
+    def _rollout(
+        self, x0: np.ndarray, us: np.ndarray, K: np.ndarray | None, nominal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Candidates us (N, c, nu), which feedback alters in place: xs (N+1, c, nx) and costs (c,)."""
+        N, candidates, _ = us.shape
+        xs = np.empty((N + 1, candidates, len(x0)))
+        xs[0] = x0
+        with np.errstate(all="ignore"):  # a candidate may run away: its cost says so
+            for n in range(N):
+                if K is not None:
+                    us[n] += (xs[n] - nominal[n]) @ K[n].T
+                xs[n + 1] = self._dynamics.step(xs[n], us[n])
+            J = np.array([self._cost.value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
+        return xs, J
+
+    def _slope(self, xs: np.ndarray, us: np.ndarray, feedback: bool) -> float:
+        """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
+        A, B = self._dynamics.linearize(xs, us)
+        model = self._cost.quadratize(xs, us)
+        dx, total = np.zeros(xs.shape[1]), 0.0
+        for n in range(len(us)):
+            du = self._sweep.k[n] + self._sweep.K[n] @ dx if feedback else self._dus[n]
+            total += float(model.q[n] @ dx + model.r[n] @ du)
+            dx = A[n] @ dx + B[n] @ du
+        return total + float(model.q[-1] @ dx)
+
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> Outcome:  # fmt: skip
+        """Linearise (if `fresh`), sweep, search, accept."""
+        xs0, us0 = self._nominal
+        if fresh:
+            self._A, self._B = self._dynamics.linearize(xs0, us0)
+            self._model = self._cost.quadratize(xs0, us0)
+            self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
+        sweep = lq.riccati(self._A, self._B, self._model, mu)
+        if sweep is None:
+            return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
+        self._sweep, slope = sweep, sweep.slope
+        if self._norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
+            return Outcome(CONVERGED, self._norm, slope, 0.0, -0.5 * slope, cost)
+        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep)[1]
+        alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
+        bracket = self._bracket
+        search.ladder(rule, alpha, bracket)
+        slopes = np.zeros_like(alpha)
+        # One candidate at a time must be allowed as many tries as eight.
+        for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
+            us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]
+            xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
+            if rule == search.WOLFE:
+                for c in np.flatnonzero(np.isfinite(J)):
+                    slopes[c] = self._slope(xs[:, c], us[:, c], feedback)
+            lane = search.choose(rule, alpha, J, slopes, cost, slope, bracket)
+            if lane >= 0:
+                self._nominal = xs[:, lane].copy(), us[:, lane].copy()
+                step = float(alpha[lane])
+                return Outcome(
+                    ACCEPTED, self._norm, slope, step, -slope * step * (1.0 - 0.5 * step), float(J[lane])
+                )
+            search.refine(rule, alpha, bracket)
+        return Outcome(NO_STEP, self._norm, slope, 0.0, -0.5 * slope, cost)
+
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of xs (N+1, nx) and us (N, nu)."""
+        xs, us = self._nominal
+        return xs.copy(), us.copy()
+
+    def gains(self) -> np.ndarray:
+        """A copy of K (N, nu, nx)."""
+        return self._sweep.K.copy()
+
+
+# Engines that no solve is using, so that a warm solve allocates nothing but its result.
+_idle: WeakKeyDictionary[Problem, list[Engine]] = WeakKeyDictionary()
+
+
+def borrow(problem: Problem) -> Engine:
+    """An engine for a problem, for one solve."""
+    idle = _idle.setdefault(problem, [])
+    try:
+        return idle.pop()
+    except IndexError:
+        pass
+    if isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics):
+        return CompiledEngine(problem.dynamics, problem.cost)
+    return NumpyEngine(problem)
+
+
+def give_back(problem: Problem, engine: Engine) -> None:
+    """Keep an engine for the next solve of the same problem."""
+    _idle.setdefault(problem, []).append(engine)

@@ -1,0 +1,85 @@
+"""How kernels are compiled and where the machine code is kept.
+
+Numba stamps a cache entry with the file of the function itself only: editing a kernel's callee would leave stale
+callers. So the cache directory is keyed on a hash of all kernel sources. Floating point is relaxed by `contract,
+nsz, arcp` only: results are reproducible, and a NaN survives to be seen.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import njit
+
+FASTMATH = frozenset({"contract", "nsz", "arcp"})
+
+
+@cache
+def cache_directory() -> Path:
+    """Where compiled kernels live: under NUMBA_CACHE_DIR or the user's cache, else a temporary directory."""
+    digest = hashlib.sha256(f"{numba.__version__}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "slq-planner"
+    )
+    directory = Path(base) / digest.hexdigest()[:16]
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            pass
+    except OSError:  # a read-only home: compile for this process only, but do run
+        directory = Path(tempfile.mkdtemp(prefix="slq-planner-"))
+        atexit.register(shutil.rmtree, directory, ignore_errors=True)
+    return directory
+
+
+def is_warm(kernel: Callable[..., Any]) -> bool:
+    """Whether machine code of `kernel` is at hand, in this process or in the cache."""
+    compiled = bool(getattr(kernel, "signatures", ()))
+    name: str = kernel.__name__
+    return compiled or any(cache_directory().rglob(f"*.{name}-*.nbc"))
+
+
+def _compile(function: Callable[..., Any], **options: Any) -> Any:
+    # Only our own functions may land in our directory: numba reads the setting when it decorates.
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_directory())
+    try:
+        return njit(cache=True, fastmath=set(FASTMATH), error_model="numpy", **options)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Compile a kernel, cached on disk."""
+    return _compile(function)
+
+
+def inline(function: Callable[..., Any]) -> Any:
+    """Compile a helper that must be inlined into kernels (calls spill every vector register)."""
+    return _compile(function, forceinline=True)
+
+
+_log = logging.getLogger("planner")
+_announced: set[str] = set()
+
+
+def announce(kernel: Callable[..., Any]) -> None:
+    """Say once that a kernel is about to be compiled, if it is: the first run takes its time."""
+    name: str = kernel.__name__
+    if name in _announced:
+        return
+    _announced.add(name)
+    if not is_warm(kernel):
+        _log.warning("compiling the numerical core (first run only, some 10 s)")

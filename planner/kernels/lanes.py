@@ -1,0 +1,212 @@
+"""V8: eight doubles that behave like one float in Numba.
+
+A kernel is written once, as if for one float, and runs on eight knots or on eight line-search candidates at once:
+LLVM lowers <8 x double> to one zmm, two ymm or four xmm or NEON registers. A plain inner loop over eight does
+not vectorise (unknown aliasing), hence the explicit type.
+
+    p = pointer(a)        a raw pointer: (K, 8) float64 arrays give lanes, (K,) arrays give floats
+    load(p, k)            a[k, :] as V8, or a[k] as float64
+    store(p, k, v)        a[k, :] = v (a float is spread), or a[k] = v
+    load8(p, k)           eight consecutive doubles of a (K,) array, as V8
+    store8(p, k, v)
+
+Pointers are taken once, at a kernel's entry: arrays used inside loops are reference counted, which spills every
+vector register around each use.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, models, register_model
+
+WIDTH = 8
+_FLAGS = ("contract", "nsz", "arcp")
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_INT32 = ir.IntType(32)
+
+
+def padded(n: int) -> int:
+    """The smallest multiple of the lane width that holds n."""
+    return -(-n // WIDTH) * WIDTH
+
+
+def lane_array(*shape: int) -> np.ndarray:
+    """A zero float64 array that starts on a cache line."""
+    count = int(np.prod(shape))
+    buffer = np.zeros(count + WIDTH)
+    start = -buffer.ctypes.data // 8 % WIDTH
+    return buffer[start : start + count].reshape(shape)
+
+
+class _LaneType(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name="V8")
+
+
+V8 = _LaneType()
+
+
+@register_model(_LaneType)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _VECTOR)
+
+
+class _PointerType(types.Type):
+    def __init__(self, lanes: bool) -> None:
+        self.lanes = lanes
+        super().__init__(name="LanePointer" if lanes else "FloatPointer")
+
+
+_LANES, _FLOATS = _PointerType(True), _PointerType(False)
+
+
+@register_model(_PointerType)
+class _PointerModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, ir.PointerType(_VECTOR if fe_type.lanes else ir.DoubleType()))
+
+
+def _spread(builder: Any, x: Any) -> Any:
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    first = builder.insert_element(undefined, x, ir.Constant(_INT32, 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_INT32, WIDTH), [0] * WIDTH))
+
+
+def _as_lanes(context: Any, builder: Any, value: Any, numba_type: Any) -> Any:
+    if isinstance(numba_type, _LaneType):
+        return value
+    return _spread(builder, context.cast(builder, value, numba_type, types.float64))
+
+
+_OPERANDS = (_LaneType, types.Float, types.Integer)
+
+
+def _define_operator(function: Any, instruction: str) -> None:
+    class Template(AbstractTemplate):
+        key = function
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            lanes = any(isinstance(a, _LaneType) for a in args)
+            if len(args) == 2 and lanes and all(isinstance(a, _OPERANDS) for a in args):
+                return signature(V8, *args)
+            return None
+
+    infer_global(function)(Template)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        a, b = (_as_lanes(context, builder, x, t) for x, t in zip(args, sig.args, strict=True))
+        return getattr(builder, instruction)(a, b, flags=_FLAGS)
+
+    for left in _OPERANDS:
+        for right in _OPERANDS:
+            if _LaneType in (left, right):
+                lower_builtin(function, left, right)(lower)
+
+
+for _function, _instruction in (
+    (operator.add, "fadd"), (operator.iadd, "fadd"), (operator.sub, "fsub"), (operator.isub, "fsub"),
+    (operator.mul, "fmul"), (operator.truediv, "fdiv"),
+):  # fmt: skip
+    _define_operator(_function, _instruction)
+
+
+@intrinsic
+def pointer(typingctx: Any, array: Any) -> Any:
+    """The raw pointer of a C-contiguous float64 array: of lanes if it is (K, 8), of floats if it is (K,)."""
+    result = _LANES if array.ndim == 2 else _FLOATS
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.bitcast(data, context.get_value_type(result))
+
+    return result(array), lower
+
+
+@intrinsic
+def load(typingctx: Any, p: Any, k: Any) -> Any:
+    """Entry k of a pointer: V8 or float64."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(builder.gep(args[0], [args[1]]), align=8)
+
+    return (V8 if p.lanes else types.float64)(p, types.intp), lower
+
+
+@intrinsic
+def store(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
+    """Write entry k of a pointer; a float is spread over the lanes."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        v = args[2]
+        if sig.args[0].lanes:
+            v = _as_lanes(context, builder, v, sig.args[2])
+        builder.store(v, builder.gep(args[0], [args[1]]), align=8)
+        return context.get_dummy_value()
+
+    return types.void(p, types.intp, value if p.lanes else types.float64), lower
+
+
+def _wide(builder: Any, args: Any) -> Any:
+    return builder.bitcast(builder.gep(args[0], [args[1]]), ir.PointerType(_VECTOR))
+
+
+@intrinsic
+def load8(typingctx: Any, p: Any, k: Any) -> Any:
+    """Eight consecutive doubles of a float pointer, from offset k."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_wide(builder, args), align=8)
+
+    return V8(p, types.intp), lower
+
+
+@intrinsic
+def store8(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
+    """Write eight consecutive doubles of a float pointer, from offset k."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _wide(builder, args), align=8)
+        return context.get_dummy_value()
+
+    return types.void(p, types.intp, V8), lower
+
+
+@intrinsic
+def spread(typingctx: Any, x: Any) -> Any:
+    """A float in all eight lanes."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _as_lanes(context, builder, args[0], sig.args[0])
+
+    return V8(x), lower
+
+
+def _define_choice(comparison: str) -> Any:
+    """max or min that lets a NaN of the first argument through (LLVM's maxnum would swallow it)."""
+
+    @intrinsic
+    def choose(typingctx: Any, a: Any, b: Any) -> Any:
+        result = V8 if V8 in (a, b) else types.float64
+
+        def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            if result is V8:
+                x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
+            else:
+                x, y = (context.cast(builder, v, t, types.float64) for v, t in zip(args, sig.args, strict=True))
+            return builder.select(builder.fcmp_ordered(comparison, x, y), y, x)
+
+        return result(a, b), lower
+
+    return choose
+
+
+maximum = _define_choice("<")
+minimum = _define_choice(">")

@@ -1,0 +1,84 @@
+"""The LQ subproblem for the reader, in NumPy: it drives a user's own dynamics and is the twin of the kernels.
+
+Around a trajectory (3.2, 3.3):
+
+    minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du  + the same at the end
+    subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
+
+with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.cost import Quadratic
+
+
+class Sweep(NamedTuple):
+    """The solution of the LQ problem: du = k + K dx, its value 1/2 dx'P dx + s'dx + ..., and its slope."""
+
+    K: np.ndarray  # (N, nu, nx)
+    k: np.ndarray  # (N, nu)
+    P: np.ndarray  # (N+1, nx, nx)
+    s: np.ndarray  # (N+1, nx)
+    slope: float  # of J along the direction (Eq. 42); minus twice the decrease promised
+
+
+def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
+    """lambda (N+1, nx) of Eq. 16, 17."""
+    costate = np.empty_like(quadratic.q)
+    costate[-1] = quadratic.q[-1]  # Eq. 17
+    for n in reversed(range(len(A))):
+        costate[n] = quadratic.q[n] + A[n].T @ costate[n + 1]  # Eq. 16
+    return costate
+
+
+def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
+    """Gradient (N, nu) of J with respect to the controls, Eq. 18, 19."""
+    return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
+
+
+def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0) -> Sweep | None:
+    """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
+
+    Args:
+        A: (N, nx, nx).
+        B: (N, nx, nu).
+        quadratic: Of the cost.
+        mu: Regularisation, added to R.
+
+    Returns:
+        The solution, or None when R + B'PB + mu I is not positive definite.
+    """
+    N, nx, nu = B.shape
+    K, k = np.empty((N, nu, nx)), np.empty((N, nu))
+    P, s = np.empty((N + 1, nx, nx)), np.empty((N + 1, nx))
+    P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
+    slope = 0.0
+    for n in reversed(range(N)):
+        BtP = B[n].T @ P[n + 1]
+        try:
+            U = np.linalg.cholesky(quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu)).T
+        except np.linalg.LinAlgError:
+            return None
+        Y = np.linalg.solve(U.T, BtP @ A[n])
+        y = np.linalg.solve(U.T, quadratic.r[n] + B[n].T @ s[n + 1])
+        K[n], k[n] = -np.linalg.solve(U, Y), -np.linalg.solve(U, y)
+        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] - Y.T @ Y  # Eq. 33
+        P[n] = 0.5 * (P[n] + P[n].T)
+        s[n] = quadratic.q[n] + A[n].T @ s[n + 1] - Y.T @ y  # Eq. 34
+        slope -= float(y @ y)
+    return Sweep(K, k, P, s, slope)
+
+
+def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, np.ndarray]:
+    """The LQ problem's own forward pass: dxs (N+1, nx), dus (N, nu), Eq. 25, 30."""
+    N, nx, nu = B.shape
+    dxs, dus = np.zeros((N + 1, nx)), np.empty((N, nu))
+    for n in range(N):
+        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]
+    return dxs, dus

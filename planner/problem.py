@@ -1,0 +1,108 @@
+"""Problem: dynamics, cost, start and first guess (Eq. 9, 10). Every shape check lives here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from planner.arguments import array, count
+from planner.cost import Cost
+from planner.dynamics import Dynamics
+from planner.errors import PlannerError
+from planner.figures import Section
+from planner.stage import Stage
+from planner.twin import Twin
+
+if TYPE_CHECKING:
+    from planner.replay import Replay
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a case asks of a proof beyond the general rules.
+
+    Attributes:
+        smooth: (rng, K) -> K random plan states (K, nx) at which the twin must accelerate exactly as the plan's
+            dynamics do; None when the two models have no such states.
+        rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
+        same_step: Why a replay at the plan's own step says nothing here; "" when it does.
+        tracking: Replay -> the Section that judges it.
+        goal: Replay -> the Section that judges whether the goal was reached.
+    """
+
+    smooth: Callable[[np.random.Generator, int], np.ndarray] | None
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    same_step: str
+    tracking: Callable[[Replay], Section]
+    goal: Callable[[Replay], Section]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Minimize J = phi(x(N)) + sum L(x(n), u(n), n) subject to x(n+1) = f(x(n), u(n)), x(0) = x0.
+
+    Attributes:
+        dynamics: f and its Jacobians.
+        cost: phi and L.
+        x0: (nx,) start.
+        us: (N, nu) first guess of the controls; zero by default.
+        horizon: N; needed only when neither us nor the cost tells it.
+        twin: The MuJoCo model that a plan is replayed in; None when there is none.
+        stage: How the machine is shown.
+        requirements: What a proof is held to; None for the general rules.
+        case: Name in planner.cases, or None.
+        parameters: Every argument of the case by name.
+
+    Raises:
+        PlannerError: Shapes that do not fit together, or numbers that are not finite.
+    """
+
+    dynamics: Dynamics
+    cost: Cost
+    x0: np.ndarray
+    us: np.ndarray | None = None
+    horizon: int | None = None
+    twin: Twin | None = None
+    stage: Stage | None = None
+    requirements: Requirements | None = None
+    case: str | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        nx, nu = self.dynamics.nx, self.dynamics.nu
+        object.__setattr__(self, "x0", array("x0", self.x0, (nx,)))
+        N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
+        if N is None and self.us is not None:
+            N = len(self.us)
+        if N is None:
+            raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
+        N = count("horizon", N)
+        us = np.zeros((N, nu)) if self.us is None else array("us", self.us, (N, nu))
+        object.__setattr__(self, "horizon", N)
+        object.__setattr__(self, "us", us)
+        for name, size, asked in (("N", N, "horizon"), ("nx", nx, "dynamics.nx"), ("nu", nu, "dynamics.nu")):
+            have = getattr(self.cost, name, size)
+            if have != size:
+                raise PlannerError(f"the cost is made for {name} = {have}, expected {asked} = {size}.")
+        if self.twin is not None and len(self.twin.to_x_offset) != nx:
+            raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
+
+    @property
+    def N(self) -> int:
+        """Number of stages."""
+        assert self.horizon is not None  # set when the problem was made
+        return self.horizon
+
+    @property
+    def duration(self) -> float:
+        """N dt, s."""
+        return self.N * self.dynamics.dt
+
+    @property
+    def first_guess(self) -> np.ndarray:
+        """(N, nu) the controls that a solve starts from."""
+        assert self.us is not None  # set when the problem was made
+        return self.us

@@ -1,0 +1,141 @@
+"""SLQ, the paper's sequential linear quadratic algorithm (section 3.3), told top to bottom.
+
+    minimize J(U) of Eq. 9 over the controls U = [u(0) ... u(N-1)], the states being functions of U (Eq. 10):
+
+    repeat   linearise the dynamics along the trajectory of U_k                         Eq. 35
+             solve the LQ problem by the Riccati sweep; its controls are the direction  Eq. 31-34
+             search along the direction                                                 Eq. 36
+    until    the gradient (Eq. 19) or the decrease that the LQ problem promises (Eq. 42) is small.
+
+Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
+direction to first order, and it stays near the trajectory where the dynamics are unstable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from planner.arguments import choice, count, number
+from planner.engine import Engine, borrow, give_back
+from planner.kernels.workspace import ACCEPTED, CONVERGED
+from planner.plan import Iteration, Plan, Status
+from planner.problem import Problem
+
+UPDATES = ("feedback", "open-loop")
+LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
+
+# Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
+# fails, lowered tenfold after a full step, zero below its least value.
+_MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
+
+
+def solve(
+    problem: Problem,
+    *,
+    update: str = "feedback",
+    line_search: str = "armijo",
+    max_iterations: int = 1000,
+    gradient_tolerance: float = 1e-8,
+    decrease_tolerance: float = 1e-10,
+    callback: Callable[[Iteration], object] | None = None,
+) -> Plan:
+    """Optimize a motion.
+
+    Args:
+        problem: What to solve.
+        update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
+        line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
+        max_iterations: Limit.
+        gradient_tolerance: Stop when the norm of Eq. 19 falls below this times max(1, J).
+        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J).
+        callback: Called with each Iteration; print makes a table. It may raise StopIteration to end the solve.
+
+    Returns:
+        A Plan. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
+
+    Raises:
+        PlannerError: An argument that is none of the choices or out of range.
+    """
+    feedback = choice("update", update, UPDATES) == "feedback"
+    rule = LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES))
+    count("max_iterations", max_iterations)
+    number("gradient_tolerance", gradient_tolerance, least=0.0)
+    number("decrease_tolerance", decrease_tolerance, least=0.0)
+
+    engine = borrow(problem)
+    history: list[Iteration] = []
+    cost = engine.start(problem.x0, problem.first_guess)
+    if not math.isfinite(cost):
+        return _not_finite(problem, engine, cost)
+
+    largest = engine.largest_control_weight
+    mu, fresh, status = 0.0, True, Status.MAX_ITERATIONS
+    try:
+        for i in range(max_iterations):
+            # A regularised model promises too little: only the plain one may say that nothing is left to gain.
+            scale = max(1.0, abs(cost))
+            promise = decrease_tolerance * scale if mu == 0.0 else -1.0
+            done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance * scale, promise)
+
+            line = Iteration(
+                i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest
+            )
+            history.append(line)
+            cost = done.cost
+            if callback is not None:
+                callback(line)
+            if done.kind == CONVERGED:
+                status = Status.CONVERGED
+                break
+            fresh = done.kind == ACCEPTED
+            if not fresh:
+                mu = max(_MU_LEAST, _MU_FACTOR * mu)
+                if mu > _MU_MOST:
+                    status = Status.NO_DESCENT
+                    break
+            elif done.step >= 1.0:
+                mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
+    except (KeyboardInterrupt, StopIteration):
+        status = Status.INTERRUPTED
+
+    xs, us = engine.trajectory()
+    if status is Status.CONVERGED and mu == 0.0:
+        gradient_norm = history[-1].gradient_norm
+    else:  # the gains belong to an earlier trajectory, or to a regularised model
+        cost = problem.cost.value(xs, us)
+        gradient_norm = _sweep(engine, cost, largest)
+        history.append(Iteration(len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
+    plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
+    give_back(problem, engine)
+    return plan
+
+
+def _sweep(engine: Engine, cost: float, largest: float) -> float:
+    """Linearise and sweep without a search, as little regularised as it goes; the gradient norm."""
+    mu, fresh = 0.0, True
+    while True:
+        done = engine.iterate(True, 0, mu * largest, fresh, cost, math.inf, math.inf)
+        if done.kind == CONVERGED or mu > _MU_MOST:
+            return done.gradient_norm
+        mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
+
+
+def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:
+    """The plan of a first guess that runs away: no gains, no gradient."""
+    xs, us = engine.trajectory()
+    K = np.zeros((*us.shape, xs.shape[1]))
+    return _plan(problem, xs, us, K, cost, math.nan, Status.NOT_FINITE, [])
+
+
+def _plan(
+    problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray, cost: float, gradient_norm: float,
+    status: Status, history: list[Iteration],
+) -> Plan:  # fmt: skip
+    t = problem.dynamics.dt * np.arange(len(xs))
+    return Plan(
+        t, xs, us, K, cost, gradient_norm, status, tuple(history), problem,
+        problem.case, problem.parameters, problem.twin,
+    )  # fmt: skip
