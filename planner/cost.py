@@ -108,11 +108,10 @@ class TrackingCost:
         x_ref = array("goal", goal, ("nx",))
         number("dt", dt, above=0.0)
         nx = len(x_ref)
-        if nu is None:
-            nu = np.asarray(effort).shape[0] if np.ndim(effort) else 1
+        size = nu if nu is not None else (np.asarray(effort).shape[0] if np.ndim(effort) else 1)
         Q = dt * _weights("running", running, N + 1, nx)
         Q[N] = _weights("final", final, 1, nx)[0]
-        return cls(Q, dt * _weights("effort", effort, N, nu), x_ref, 0.0)
+        return cls(Q, dt * _weights("effort", effort, N, size), x_ref, 0.0)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

@@ -80,9 +80,7 @@ class CompiledEngine:
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> Outcome:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
-        kind = self._dynamics.iterate(
-            self._w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
-        )
+        kind = self._dynamics.iterate(self._w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         return Outcome(kind, *self._w.out.tolist())
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
@@ -174,9 +172,7 @@ class NumpyEngine:
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
                 step = float(alpha[lane])
-                return Outcome(
-                    ACCEPTED, self._norm, slope, step, -slope * step * (1.0 - 0.5 * step), float(J[lane])
-                )
+                return Outcome(ACCEPTED, self._norm, slope, step, -slope * step * (1.0 - 0.5 * step), float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -0.5 * slope, cost)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # simulator step, and one sample out of that would make the arrow flicker.
 _EXPOSURE = 0.01
 
-_ARRAYS = ("t", "qpos", "ghost_qpos", "force", "point", "readings", "rise")
+_ARRAYS = ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +38,7 @@ class Film:
         force: (F,) contact force.
         point: (F, 3) where it acts; NaN without contact.
         readings: (F, R, 2) the readouts, in the simulation and in the plan.
+        largest: (R,) largest magnitude of each readout in the whole replay.
         rise: (F,) how far the camera's point is raised.
     """
 
@@ -49,6 +50,7 @@ class Film:
     force: np.ndarray
     point: np.ndarray
     readings: np.ndarray
+    largest: np.ndarray
     rise: np.ndarray
 
     @classmethod
@@ -83,6 +85,7 @@ class Film:
             force=_exposed(t, replay.t, replay.contact_force),
             point=_last_known(t, replay.t, replay.contact_point),
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
+            largest=np.abs(np.concatenate([replay.xs, replay.plan_xs])[:, indices]).max(axis=0),
             rise=fraction * xs[:, index],
         )
 

@@ -28,7 +28,7 @@ class Sweep(NamedTuple):
 
 
 def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
-    """lambda (N+1, nx) of Eq. 16, 17."""
+    """Lambda (N+1, nx) of Eq. 16, 17."""
     costate = np.empty_like(quadratic.q)
     costate[-1] = quadratic.q[-1]  # Eq. 17
     for n in reversed(range(len(A))):

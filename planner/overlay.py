@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from planner.scene import FORCE, GHOST
 from planner.stage import Stage
 
-Mark = tuple[tuple[float, float], str]
+Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
 
 _INK = (28, 32, 40)
 _QUIET = (92, 99, 112)
@@ -44,7 +44,11 @@ class Overlay:
         self._text = _font("DejaVuSans.ttf", 18 * unit)
         self._title = _font("DejaVuSans-Bold.ttf", 21 * unit)
         self._small = _font("DejaVuSans.ttf", 15 * unit)
-        self._decimals = [decimals(value) for value in largest]
+        # Numbers with the same unit are compared by eye: they get the same decimals.
+        scales: dict[str, float] = {}
+        for readout, value in zip(stage.readouts, largest, strict=True):
+            scales[readout.unit] = max(scales.get(readout.unit, 0.0), value)
+        self._decimals = [decimals(scales[readout.unit]) for readout in stage.readouts]
         self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
         self._columns = self._lay_out_columns(largest)
         self._panels = [self._readout_panel(), *self._legend_panels(speed)]
@@ -56,13 +60,15 @@ class Overlay:
             picture: (height, width, 3) uint8.
             t: s.
             readings: (R, 2) in the simulation and in the plan.
-            marks: Labels and where they stand, (column, row).
+            marks: Labels and where they stand.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
-        for (x, y), words in marks:
+        for (x, y), words, anchor in marks:
+            if anchor[0] == "l":  # a label at the edge moves in
+                x = min(x, self._width - self._margin - self._small.getlength(words))
             draw.text(
-                (x, y), words, _INK, self._small, anchor="mm",
+                (x, y), words, _INK, self._small, anchor=anchor,
                 stroke_width=max(1, round(2 * self._unit)), stroke_fill=(240, 243, 247),
             )  # fmt: skip
         for panel, corner in self._panels:

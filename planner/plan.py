@@ -38,16 +38,13 @@ class Status(StrEnum):
     """How a solve ended. The value is a sentence; for everything but CONVERGED it says what to do next."""
 
     CONVERGED = "The gradient or the predicted decrease fell below its tolerance."
-    MAX_ITERATIONS = (
-        "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
-    )
+    MAX_ITERATIONS = "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
     NO_DESCENT = (
         "No step length lowered the cost, even strongly regularised; check the derivatives, "
         "smooth the dynamics or start from another guess."
     )
     NOT_FINITE = (
-        "The first guess rolls out to infinite or undefined states; start from a smaller control or a "
-        "shorter stage."
+        "The first guess rolls out to infinite or undefined states; start from a smaller control or a shorter stage."
     )
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
@@ -82,10 +79,7 @@ class Iteration(NamedTuple):
     @staticmethod
     def header() -> str:
         """The heading over the lines that str() makes."""
-        return (
-            f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  "
-            f"{'expected':>9}  {'actual':>9}  {'regular.':>9}"
-        )
+        return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +223,8 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         raise FileError(f"{path} is not a file, expected a plan.npz.")
     foreign = FileError(f"{path} is not a plan: expected an .npz with t, xs, us, K, history and meta.")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Our own handle: np.load leaks its file when the archive is broken.
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             arrays = {name: np.asarray(file[name]) for name in ("t", "xs", "us", "K", "history", "meta")}
     except OSError as error:
         if error.errno is not None:
@@ -273,7 +268,13 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 @functools.cache
 def installed_versions() -> dict[str, str]:
     """Versions of this package and of what its numbers depend on."""
-    names = {"planner": "slq-planner", "mujoco": "mujoco", "numpy": "numpy", "numba": "numba", "scipy": "scipy"}
+    names = {
+        "planner": "slq-planner",
+        "mujoco": "mujoco",
+        "numpy": "numpy",
+        "numba": "numba",
+        "scipy": "scipy",
+    }
     versions = {"python": platform.python_version()}
     for name, distribution in names.items():
         try:

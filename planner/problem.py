@@ -28,6 +28,7 @@ class Requirements:
         smooth: (rng, K) -> K random plan states (K, nx) at which the twin must accelerate exactly as the plan's
             dynamics do; None when the two models have no such states.
         rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
+        start: Keyframe of the twin that must be the plan's own start; "" for none.
         same_step: Why a replay at the plan's own step says nothing here; "" when it does.
         tracking: Replay -> the Section that judges it.
         goal: Replay -> the Section that judges whether the goal was reached.
@@ -35,6 +36,7 @@ class Requirements:
 
     smooth: Callable[[np.random.Generator, int], np.ndarray] | None
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    start: str
     same_step: str
     tracking: Callable[[Replay], Section]
     goal: Callable[[Replay], Section]

@@ -156,7 +156,21 @@ def parity(problem: Problem, twin: Twin | None = None, seed: int = 0) -> Section
         theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
     error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
     note = f"largest over {PARITY_STATES} random states (seed {seed}), relative to the largest rate"
-    return Section("parity", (Figure("rate_error", float(error.max()), "", PARITY_BOUND, note),))
+    figures = [Figure("rate_error", float(error.max()), "", PARITY_BOUND, note)]
+    if requirements.start:
+        figures.append(_start(problem, twin, model, requirements.start))
+    return Section("parity", tuple(figures))
+
+
+def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Figure:
+    """Whether a keyframe of the model is the plan's own start."""
+    note = f"keyframe {name!r} of the model against the plan's start, largest component"
+    key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
+    if key is None:
+        return Figure("start_error", np.inf, "", PARITY_BOUND, note)
+    w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
+    error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
+    return Figure("start_error", error, "", PARITY_BOUND, note)
 
 
 def _judge(run: Replay, requirements: Requirements | None) -> tuple[Section, Section]:
@@ -185,7 +199,8 @@ def _reason(mode: str | None, first: Section, tracking: Section, goal: Section, 
     """The verdict in a sentence: what held, or what broke and by how much."""
     if mode is not None:
         worst = max(
-            (f for f in (*tracking.figures, *goal.figures) if f.bound), key=lambda f: f.value / (f.bound or 1.0)
+            (f for f in (*tracking.figures, *goal.figures) if f.bound),
+            key=lambda f: f.value / (f.bound or 1.0),
         )
         how = "with the plan's gains" if mode == "feedback" else "open loop"
         return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

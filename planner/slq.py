@@ -80,9 +80,7 @@ def solve(
             promise = decrease_tolerance * scale if mu == 0.0 else -1.0
             done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance * scale, promise)
 
-            line = Iteration(
-                i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest
-            )
+            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest)
             history.append(line)
             cost = done.cost
             if callback is not None:

@@ -43,8 +43,8 @@ def plan():
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
     return Plan(
-        t, states(t), 0.2 * np.ones((N, 1)), np.zeros((N, 1, 3)), 5.0, 1e-6, Status.CONVERGED, tuple(history),
-        problem=SimpleNamespace(stage=STAGE), case="spring", twin=twin,
+        t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
+        Status.CONVERGED, tuple(history), problem=SimpleNamespace(stage=STAGE), case="spring", twin=twin,
         parameters={"height": 20.0, "horizon": 200, "integrator": "rk4"}, made_with={"planner": "0.1.0"},
     )  # fmt: skip
 
@@ -110,7 +110,11 @@ def test_controls_are_steps_on_an_axis_of_their_own(plan, replay):
     figure = draw_plan(plan, replay)
     (right,) = [axes for axes in figure.axes if axes.get_ylabel() == "flow (in/s)"]
     assert {line.get_drawstyle() for line in right.get_lines()} == {"steps-post"}
-    assert {line.get_xdata()[-1] for line in right.get_lines()} == {plan.t[-1]}
+    simulated, planned = right.get_lines()
+    np.testing.assert_array_equal(planned.get_xdata(), plan.t)
+    np.testing.assert_array_equal(planned.get_ydata()[:-1], plan.us[:, 0])
+    np.testing.assert_array_equal(simulated.get_xdata(), replay.t)
+    np.testing.assert_array_equal(simulated.get_ydata()[:-1], replay.ctrl[:, 0])
 
 
 def test_stance_is_shaded_in_every_panel_over_time(plan, replay):
@@ -240,8 +244,8 @@ def test_the_verdict_comes_first_then_figures_pictures_video_parameters(plan, tm
     expected = (
         "PASS", "open-loop", "Within every bound.", "Proof", "Mass matrix", "3e-14", "≤ 1e-10", "pass",
         "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Pictures", "Video",
-        "Not asked for.", "Solver", Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",
-        "<mujoco model='a & b'/>",
+        "Not asked for.", "Solver", Status.CONVERGED.value, "Parameters of the case spring", "height", "20",
+        "rk4", "0.1.0", "<mujoco model='a & b'/>",
     )  # fmt: skip
     place = text.index("PASS", text.index("A mass on a spring"))
     for words in expected:

@@ -149,10 +149,13 @@ def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
         return np.stack([y, v, y + np.where(stance, dynamics.smoothing + stretch, -stretch)], axis=1)
 
     return Requirements(
-        smooth=smooth_states, rates=dynamics.rates, tracking=lambda replay: judge_tracking(replay, height, dynamics.smoothing),
-        goal=lambda replay: judge_goal(replay, height),
+        smooth=smooth_states,
+        rates=dynamics.rates,
+        start="start",
         same_step="the twin's foot and contact need a step of their own: no step of MuJoCo is the plan's stage",
-    )  # fmt: skip
+        tracking=lambda replay: judge_tracking(replay, height, dynamics.smoothing),
+        goal=lambda replay: judge_goal(replay, height),
+    )
 
 
 def _hop_height(plan_heights: np.ndarray, goal: float) -> float:

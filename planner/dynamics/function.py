@@ -36,7 +36,13 @@ class FunctionDynamics:
     """
 
     def __init__(
-        self, f: Function, nx: int, nu: int, dt: float, integrator: str = "rk4", jacobian: Jacobian | None = None
+        self,
+        f: Function,
+        nx: int,
+        nu: int,
+        dt: float,
+        integrator: str = "rk4",
+        jacobian: Jacobian | None = None,
     ) -> None:
         if not callable(f):
             raise PlannerError(f"f is {f!r}, expected a function f(x, u).")

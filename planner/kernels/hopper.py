@@ -188,7 +188,6 @@ def rollout(integrator, dt, parameters, w, feedback, slopes):
     store(pointer(w.S8), 0, S)
 
 
-
 @jit
 def start(integrator, dt, parameters, w):
     """Roll out the controls in w.us from w.xs[0]; returns the cost."""

@@ -20,6 +20,9 @@ from typing import Any
 
 import numba
 from numba import njit
+from numba.core import config as numba_config
+
+config: Any = numba_config
 
 FASTMATH = frozenset({"contract", "nsz", "arcp"})
 
@@ -53,12 +56,12 @@ def is_warm(kernel: Callable[..., Any]) -> bool:
 
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # Only our own functions may land in our directory: numba reads the setting when it decorates.
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_directory())
+    previous = config.CACHE_DIR
+    config.CACHE_DIR = str(cache_directory())
     try:
         return njit(cache=True, fastmath=set(FASTMATH), error_model="numpy", **options)(function)
     finally:
-        numba.config.CACHE_DIR = previous
+        config.CACHE_DIR = previous
 
 
 def jit(function: Callable[..., Any]) -> Any:

@@ -21,10 +21,15 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core.imputils import lower_builtin
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, models, register_model
+from numba.core.typing import templates
+from numba.core.typing.templates import AbstractTemplate, signature
+from numba.extending import models, register_model
+
+# Untyped: Numba passes the typing context itself.
+intrinsic: Any = extending.intrinsic
+infer_global: Any = templates.infer_global
 
 WIDTH = 8
 _FLAGS = ("contract", "nsz", "arcp")
@@ -190,7 +195,7 @@ def spread(typingctx: Any, x: Any) -> Any:
 
 
 def _define_choice(comparison: str) -> Any:
-    """max or min that lets a NaN of the first argument through (LLVM's maxnum would swallow it)."""
+    """Max or min that lets a NaN of the first argument through (LLVM's maxnum would swallow it)."""
 
     @intrinsic
     def choose(typingctx: Any, a: Any, b: Any) -> Any:

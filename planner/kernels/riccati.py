@@ -20,7 +20,7 @@ from planner.kernels.lanes import WIDTH, load, load8, pointer, spread, store, st
 
 @jit
 def gradients(w):
-    """l = (R (u - u_ref) | Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
+    """L = (R (u - u_ref) | Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
     N, nu, nx = w.us.shape[0], w.us.shape[1], w.xs.shape[1]
     for n in range(N + 1):
         for i in range(nx):

@@ -1,0 +1,45 @@
+# make          plan the hopper, prove the plan in MuJoCo and film it: renders/hopper/report.html
+# make help     what else there is
+#
+# Needs git, make and Python >= 3.11; everything else goes into .venv (see .ci/setup).
+
+PLANNER = .venv/bin/planner
+PYTHON = .venv/bin/python
+PYTEST_FLAGS ?= -n 2
+GALLERY = renders/gallery
+
+.DEFAULT_GOAL = run
+.PHONY: run test lint gallery clean help setup
+
+run: setup ## plan, prove and film the hopper into renders/hopper (the default)
+	@$(PLANNER) run hopper --out renders/hopper
+
+test: ## run all tests; e.g. make test PYTEST_FLAGS="-k hopper"
+	@.ci/setup test
+	@$(PLANNER) warmup
+	$(PYTHON) -m pytest $(PYTEST_FLAGS)
+
+lint: ## check style and types
+	@.ci/setup test dev
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m pyright
+
+gallery: setup ## make the committed pictures and videos again
+	$(PLANNER) run hopper --out renders/hopper
+	@mkdir -p $(GALLERY)
+	cp renders/hopper/video.mp4 $(GALLERY)/hopper.mp4
+	cp renders/hopper/strip.png $(GALLERY)/hopper.strip.png
+	cp renders/hopper/plots.png $(GALLERY)/hopper.plots.png
+	$(PLANNER) paper hopper --out $(GALLERY)/paper
+
+clean: ## remove .venv and caches; results in renders/ stay
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find planner tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+setup:
+	@.ci/setup
+	@$(PLANNER) warmup

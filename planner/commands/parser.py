@@ -1,0 +1,172 @@
+"""The command line's grammar. The flags of a case are its arguments: names, types and defaults come from its signature."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from planner.cases import CASES
+from planner.dynamics import INTEGRATORS
+from planner.errors import PlannerError
+from planner.slq import LINE_SEARCHES, UPDATES
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse that raises one sentence instead of printing the usage and leaving."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=_help, **options)
+
+    def error(self, message: str) -> NoReturn:
+        raise PlannerError(f"{message.rstrip('.')} (see {self.prog} --help).")
+
+
+def _help(prog: str) -> argparse.HelpFormatter:
+    return argparse.HelpFormatter(prog, max_help_position=32, width=110)
+
+
+def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
+    """Descriptions of a case's arguments, from the Args section of its docstring."""
+    doc = inspect.getdoc(case) or ""
+    section = doc.split("Args:\n", 1)[-1].split("\n\n", 1)[0]
+    return {name: " ".join(text.split()) for name, text in re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.M)}
+
+
+def summary(case: Callable[..., Any]) -> str:
+    """The first line of a case's docstring."""
+    return (inspect.getdoc(case) or "").split("\n", 1)[0]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size like 1280x720")
+    return int(match[1]), int(match[2])
+
+
+def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
+    texts = documented_arguments(case)
+    for name, parameter in inspect.signature(case).parameters.items():
+        flag, default = f"--{name.replace('_', '-')}", parameter.default
+        options: dict[str, Any] = {"default": argparse.SUPPRESS, "help": texts.get(name, "")}
+        if default is not None:
+            options["help"] += f" Default: {default}."
+        if name == "integrator":
+            options["choices"] = INTEGRATORS
+        elif "int" in str(parameter.annotation) or isinstance(default, int):
+            options |= {"type": _whole, "metavar": "N"}
+        else:
+            options |= {"type": _number, "metavar": "X"}
+        parser.add_argument(flag, dest=f"case_{name}", **options)
+
+
+def _add_solver(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--update", choices=UPDATES, default="feedback",
+        help="feedback: us + step k + K (x - xs); open-loop: the paper's Eq. 36. Default: feedback.",
+    )  # fmt: skip
+    parser.add_argument("--line-search", choices=LINE_SEARCHES, default="armijo", help="Default: armijo.")
+    parser.add_argument(
+        "--max-iterations", type=_whole, default=1000, metavar="N", help="Limit of the solver. Default: 1000."
+    )
+
+
+def _add_output(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="Print one JSON document on stdout.")
+    parser.add_argument("--quiet", action="store_true", help="No progress.")
+
+
+def build() -> argparse.ArgumentParser:
+    """The whole grammar; parsed arguments carry `command` and, where a case is named, `case` and `case_*`."""
+    top = _Parser(prog="planner", description="Plan a robot's motion, then prove the plan in MuJoCo.")
+    top.add_argument("--version", action="store_true", help="Print versions and exit.")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND")
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.set_defaults(parser=parser)
+        return parser
+
+    def with_case(name: str, text: str) -> list[argparse.ArgumentParser]:
+        parser = command(name, text)
+        machines = parser.add_subparsers(dest="case", metavar="CASE", required=True)
+        children = []
+        for case, build_case in CASES.items():
+            child = machines.add_parser(case, help=summary(build_case), description=f"{text} {summary(build_case)}")
+            child.set_defaults(parser=child)
+            _add_case(child, build_case)
+            _add_solver(child)
+            children.append(child)
+        return children
+
+    _add_output(command("list", "List the machines, what each shows and its parameters."))
+    for parser in with_case("run", "Plan, prove, plot and film a case."):
+        parser.add_argument("--no-refine", action="store_true", help="Do not refine a plan that fails.")
+        parser.add_argument("--no-video", action="store_true", help="No pictures that need OpenGL.")
+        parser.add_argument("--out", default=None, metavar="DIR", help="Folder of the results. Default: renders/CASE.")
+        _add_output(parser)
+    for parser in with_case("solve", "Plan a case and save the plan."):
+        parser.add_argument("--out", default="plan.npz", metavar="FILE", help="Default: plan.npz.")
+        _add_output(parser)
+    parser = command("prove", "Replay a stored plan in MuJoCo and judge it.")
+    parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
+    parser.add_argument("--mjcf", default=None, metavar="FILE", help="Replay in this model instead of the plan's own.")
+    parser.add_argument("--out", default=None, metavar="FILE", help="Write the proof as JSON here.")
+    _add_output(parser)
+    parser = command("render", "Film the replay of a stored plan.")
+    parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
+    parser.add_argument(
+        "--out", default="video.mp4", metavar="FILE", help="*.mp4, or *.png for a strip. Default: video.mp4."
+    )
+    parser.add_argument("--size", type=_size, default=None, metavar="WxH", help="Pixels. Default: 1280x720.")
+    parser.add_argument("--fps", type=_whole, default=60, metavar="N", help="Frames per second. Default: 60.")
+    parser.add_argument("--speed", type=_number, default=None, metavar="X", help="Playback speed. Default: the case's.")
+    _add_output(parser)
+    parser = command("report", "Prove a stored plan again and write report.html with all its pictures.")
+    parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
+    parser.add_argument("--no-video", action="store_true", help="No pictures that need OpenGL.")
+    parser.add_argument("--out", default="report", metavar="DIR", help="Folder of the results. Default: report.")
+    _add_output(parser)
+    parser = command("paper", "Reproduce the paper's own numbers beside ours.")
+    parser.add_argument("case", metavar="CASE", choices=("hopper",), help="hopper.")
+    parser.add_argument("--out", default=None, metavar="DIR", help="Folder of the results. Default: renders/paper.")
+    _add_output(parser)
+    _add_output(command("warmup", "Compile the numerical core, once."))
+    return top
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """Parsed arguments.
+
+    Raises:
+        PlannerError: Wrong usage, in one sentence that guesses what was meant.
+    """
+    arguments, unknown = build().parse_known_args(argv)
+    if not unknown:
+        return arguments
+    parser = getattr(arguments, "parser", None)
+    where = parser.prog if parser is not None else "planner"
+    word = unknown[0]
+    known = [flag for action in parser._actions for flag in action.option_strings] if parser is not None else []
+    near = difflib.get_close_matches(word.split("=")[0], known, n=1)
+    hint = f" Did you mean {near[0]}?" if near else f" See {where} --help."
+    kind = "flag" if word.startswith("-") else "argument"
+    raise PlannerError(f"{where} knows no {kind} {word!r}.{hint}")

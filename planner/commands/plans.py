@@ -1,0 +1,154 @@
+"""Commands that make plans or take stored ones: run, solve, prove, render, report."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from planner import cases
+from planner.commands.results import OUTPUTS, plan_facts, show_plan, show_proof, write_json, write_results
+from planner.console import Console
+from planner.errors import PlannerError
+from planner.files import staged_folder, write_atomically
+from planner.mjcf import model_text
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.proof import Proof, parity, prove
+from planner.slq import solve
+
+DONE, NOT_DONE = 0, 1
+
+
+def _problem(arguments: argparse.Namespace) -> Problem:
+    given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
+    return cases.build(arguments.case, **given)
+
+
+def _solved(problem: Problem, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+    console.note(f"planning {problem.case}: {problem.N} stages of {problem.dynamics.dt:.4g} s")
+    began = time.perf_counter()
+    plan = solve(
+        problem, update=arguments.update, line_search=arguments.line_search,
+        max_iterations=arguments.max_iterations, callback=console.iteration,
+    )  # fmt: skip
+    return plan, time.perf_counter() - began
+
+
+def _proved(plan: Plan) -> Proof | None:
+    """The proof; None for a plan that is not finite, or when Ctrl-C ends the replay: the plan is still saved."""
+    if not (np.isfinite(plan.xs).all() and np.isfinite(plan.cost)):
+        return None
+    try:
+        return prove(plan)
+    except KeyboardInterrupt:
+        return None
+
+
+def _exit_code(plan: Plan, proof: Proof | None) -> int:
+    return DONE if plan.success and proof is not None and proof.passed else NOT_DONE
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan, prove, plot and film a case into a folder."""
+    problem = _problem(arguments)
+    folder = Path(arguments.out or f"renders/{arguments.case}")
+    with staged_folder(folder, OUTPUTS) as staged:
+        first = parity(problem)
+        if not first.passed:
+            raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {'; '.join(map(str, first.failures))}.")
+        plan, seconds = _solved(problem, arguments, console)
+        show_plan(plan, seconds, console)
+        proof = _proved(plan)
+        if proof is not None:
+            show_proof(proof, console)
+        note = write_results(plan, proof, staged.path, not arguments.no_video, console)
+    code = _exit_code(plan, proof)
+    files = [name for name in OUTPUTS if (folder / name).is_file()]
+    console.say(f"\n{folder}: {', '.join(files)}")
+    if note and not arguments.no_video:
+        console.say(f"no video: {note}")
+    console.document(
+        {
+            "command": "run", "plan": plan_facts(plan), "solve_seconds": seconds,
+            "proof": proof.to_dict() if proof is not None else None, "folder": str(folder), "files": files,
+            "video_note": note, "exit_code": code,
+        }
+    )  # fmt: skip
+    return code
+
+
+def solve_case(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan a case and save the plan."""
+    problem = _problem(arguments)
+    out = Path(arguments.out)
+    with write_atomically(out) as unfinished:  # fails now rather than after the work
+        plan, seconds = _solved(problem, arguments, console)
+        plan.save(unfinished)
+    show_plan(plan, seconds, console)
+    console.say(str(out))
+    code = DONE if plan.success else NOT_DONE
+    console.document(
+        {
+            "command": "solve",
+            "plan": plan_facts(plan),
+            "solve_seconds": seconds,
+            "file": str(out),
+            "exit_code": code,
+        }
+    )
+    return code
+
+
+def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
+    """Replay a stored plan and judge it."""
+    plan = Plan.load(arguments.plan)
+    mjcf = None if arguments.mjcf is None else model_text(arguments.mjcf)
+    proof = prove(plan, mjcf=mjcf)
+    show_proof(proof, console)
+    if arguments.out is not None:
+        write_json(proof.to_dict(), Path(arguments.out))
+        console.say(arguments.out)
+    code = DONE if proof.passed else NOT_DONE
+    console.document({"command": "prove", "plan": plan_facts(plan), "proof": proof.to_dict(), "exit_code": code})
+    return code
+
+
+def render_plan(arguments: argparse.Namespace, console: Console) -> int:
+    """Film the replay of a stored plan."""
+    from planner.gl import require_backend
+    from planner.render import render_strip, render_video
+
+    out = Path(arguments.out)
+    if out.suffix not in (".mp4", ".png"):
+        raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
+    plan = Plan.load(arguments.plan)
+    require_backend()
+    proof = prove(plan)
+    size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
+    if out.suffix == ".png":
+        render_strip(proof.replay, out, **size)
+    else:
+        render_video(
+            proof.replay, out, fps=arguments.fps, speed=arguments.speed,
+            progress=lambda done, total: console.progress("video", done, total), **size,
+        )  # fmt: skip
+    console.say(str(out))
+    console.document({"command": "render", "file": str(out), "exit_code": DONE})
+    return DONE
+
+
+def report_plan(arguments: argparse.Namespace, console: Console) -> int:
+    """Prove a stored plan again and write all its files."""
+    plan = Plan.load(arguments.plan)
+    with staged_folder(arguments.out, OUTPUTS) as staged:
+        proof = _proved(plan)
+        write_results(plan, proof, staged.path, not arguments.no_video, console)
+    if proof is not None:
+        show_proof(proof, console)
+    code = _exit_code(plan, proof)
+    console.say(f"\n{Path(arguments.out) / 'report.html'}")
+    console.document({"command": "report", "folder": arguments.out, "exit_code": code})
+    return code

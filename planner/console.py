@@ -1,0 +1,88 @@
+"""Console: the only place that prints. Results go to stdout, progress and tables of work to stderr.
+
+With --json stdout carries one JSON document and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from planner.plan import Iteration
+
+
+def finite(value: Any) -> Any:
+    """The same value as JSON can say it: what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class Console:
+    """What a command says.
+
+    Args:
+        as_json: Print one JSON document at the end instead of text.
+        quiet: No progress.
+    """
+
+    def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
+        self.as_json = as_json
+        self.quiet = quiet
+        self._live = sys.stderr.isatty()
+        self._drawn = 0.0
+
+    def say(self, text: str = "") -> None:
+        """A line of the result; with --json it goes to stderr."""
+        print(text, file=sys.stderr if self.as_json else sys.stdout, flush=True)
+
+    def note(self, text: str) -> None:
+        """A line about the work in progress."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def complain(self, text: str) -> None:
+        """What was wrong, in one sentence."""
+        print(f"planner: {text}", file=sys.stderr, flush=True)
+
+    def document(self, content: dict[str, Any]) -> None:
+        """The result for machines; only with --json."""
+        if self.as_json:
+            print(json.dumps(finite(content), indent=2, allow_nan=False), flush=True)
+
+    def table(self, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """A table with aligned columns: the first to the left, the others as their heads."""
+        cells = [list(map(str, row)) for row in rows]
+        widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
+        for row in (list(heads), ["-" * width for width in widths], *cells):
+            self.say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+    def iteration(self, line: Iteration) -> None:
+        """One line of the live iteration table: all of them on a terminal, a thinned table in a log."""
+        if self.quiet:
+            return
+        if line.iteration == 0:
+            self.note(Iteration.header())
+        i = line.iteration
+        if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
+            self.note(str(line))
+
+    def progress(self, what: str, done: int, total: int) -> None:
+        """A counter that overwrites itself on a terminal; a line at the end elsewhere."""
+        if self.quiet:
+            return
+        now = time.monotonic()
+        if self._live and (done == total or now - self._drawn > 0.1):
+            self._drawn = now
+            end = "\n" if done == total else ""
+            print(f"\r{what}: {done}/{total}", end=end, file=sys.stderr, flush=True)
+        elif not self._live and done == total:
+            self.note(f"{what}: {done}/{total}")
