@@ -34,7 +34,7 @@ class Encoder:
             FileError: There is no ffmpeg to start.
         """
         self._shown = shown
-        self._log = tempfile.TemporaryFile()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
         command = [
             _ffmpeg(shown), "-loglevel", "error", "-y",
             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
@@ -46,9 +46,7 @@ class Encoder:
             "-movflags", "+faststart", "-f", "mp4", str(path),
         ]  # fmt: skip
         try:
-            self._ffmpeg = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
-            )
+            self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
         except OSError as error:
             self._log.close()
             raise FileError(f"Cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
@@ -61,7 +59,7 @@ class Encoder:
         """
         assert self._ffmpeg.stdin is not None
         try:
-            self._ffmpeg.stdin.write(memoryview(np.ascontiguousarray(frame)).cast("B"))
+            self._ffmpeg.stdin.write(frame.tobytes())
         except OSError as error:
             raise self._complaint() from error
 

@@ -137,9 +137,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Stage
     shutil.rmtree(staging, ignore_errors=True)
 
 
-def file_error(
-    error: BaseException, path: PathLike, verb: str = "write", expected: str = "file"
-) -> FileError:
+def file_error(error: BaseException, path: PathLike, verb: str = "write", expected: str = "file") -> FileError:
     """The FileError that says in one sentence why `path` could not be written or read.
 
     Args:

@@ -117,13 +117,13 @@ def stage_of(replay: Replay) -> Stage | None:
 
 
 def _interpolate(t: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """values (M+1, k) at the knots (M+1,), linearly at t (F,): (F, k)."""
+    """The values (M+1, k) at the knots (M+1,), linearly at t (F,): (F, k)."""
     columns = [np.interp(t, knots, column) for column in values.T]
     return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
 
 
 def _exposed(t: np.ndarray, knots: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """force (M+1,) at the knots, averaged over the exposure around each t: (F,)."""
+    """The force (M+1,) at the knots, averaged over the exposure around each t: (F,)."""
     impulse = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(knots))])
     start = np.clip(t - _EXPOSURE / 2, knots[0], knots[-1])
     end = np.clip(t + _EXPOSURE / 2, knots[0], knots[-1])
@@ -131,7 +131,7 @@ def _exposed(t: np.ndarray, knots: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def _last_known(t: np.ndarray, knots: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """point (M+1, 3), at each t the nearest sample within the exposure that is not NaN: (F, 3)."""
+    """The point (M+1, 3) at each t: the nearest sample within the exposure that is not NaN, (F, 3)."""
     known = np.flatnonzero(np.all(np.isfinite(point), axis=1))
     if len(known) == 0:
         return np.full((len(t), 3), np.nan)

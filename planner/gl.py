@@ -62,9 +62,9 @@ def can_render_here() -> bool:
     if chosen is None or chosen == "native":
         return chosen is not None
     context = getattr(load_mujoco(), "GLContext", None)
-    # mujoco.osmesa, mujoco.egl; mujoco.glfw needs a display. Without any, the class is missing or a placeholder.
+    # mujoco.osmesa or mujoco.egl, and mujoco.glfw when the user wants it; missing or a placeholder without any.
     name = getattr(context, "__module__", "").removeprefix("mujoco.")
-    return name in ("osmesa", "egl", "glfw") and _usable(name)
+    return name in ("osmesa", "egl", chosen) and _usable(name)
 
 
 def require_backend() -> None:

@@ -158,9 +158,7 @@ class Plan:
         Raises:
             FileError: The file cannot be written.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
+        path = plan_name(path)
         meta = {
             "format_version": FORMAT_VERSION,
             "case": self.case,
@@ -210,6 +208,17 @@ class Plan:
         if xs.shape[1:] != (problem.dynamics.nx,) or us.shape != (problem.N, problem.dynamics.nu):
             raise FileError(f"{path} is damaged: its arrays do not fit its case {plan.case!r}.")
         return replace(plan, problem=problem)
+
+
+def plan_name(path: str | Path) -> Path:
+    """A name that a plan can be saved under.
+
+    Raises:
+        FileError: It does not end in .npz.
+    """
+    if Path(path).suffix != ".npz":
+        raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
+    return Path(path)
 
 
 def _json_number(value: float) -> float | None:

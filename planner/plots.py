@@ -145,9 +145,7 @@ def _curves(panel: Panel, plan: Plan, replay: Replay | None) -> list[_Curve]:
     return curves
 
 
-def _draw_panel(
-    figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replay: Replay | None
-) -> list[Axes]:
+def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replay: Replay | None) -> list[Axes]:
     """One panel of the stage; with `difference`, replay minus plan on an axis of its own beneath."""
     curves = _curves(panel, plan, replay)
     first = next((curve for curve in curves if not curve.held), None)
@@ -238,6 +236,7 @@ def _draw_convergence(figure: Figure, cell: SubplotSpec, plan: Plan) -> None:
         axis.plot(iterations[shown], values[shown], color=dark, lw=1.2, marker=marker, ms=3.5)
         axis.set_ylabel(label, color=dark, fontsize=8.5)
         axis.tick_params(axis="y", which="both", colors=dark)
+        axis.tick_params(axis="y", which="minor", length=1.5)
         drawn = True
     if not drawn:
         axes.text(0.5, 0.5, "no finite iteration", ha="center", va="center", transform=axes.transAxes)
@@ -264,12 +263,8 @@ def _head(figure: Figure, plan: Plan, replay: Replay | None, touched: bool) -> N
         mode = "with feedback" if replay.feedback else "open loop"
         handles.append(Line2D([], [], color="#9a9a9a", lw=2.6, label=f"replay in MuJoCo, {mode}"))
     if touched:
-        handles.append(
-            Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)")
-        )
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5
-    )
+        handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5)
 
 
 def _name_curves(axes: Axes, labels: list[str]) -> None:

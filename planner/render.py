@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
-_LARGEST = 4096  # pixels; stills are drawn twice as large, and OpenGL gives little more than 8192
+_LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
 
 
@@ -88,9 +88,7 @@ def render_video(
     return Path(path)
 
 
-def render_strip(
-    replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540
-) -> Path:
+def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540) -> Path:
     """Write a PNG with poses at equal times side by side, as in the paper's figures.
 
     Args:
@@ -182,7 +180,7 @@ def _draw(film: Film, job: _Job, progress: Progress | None) -> np.ndarray:
         return _draw_strip(film, job)
     stage = film.stage or Stage(title="")
     words = overlay.Overlay(stage, job.width, job.height, largest=film.largest, speed=job.speed)
-    with Scene(film, job.width, job.height, fine=job.kind == "frame") as scene:
+    with Scene(film, job.width, job.height) as scene:
 
         def picture(frame: int) -> np.ndarray:
             drawn = scene.draw(frame)
@@ -209,11 +207,11 @@ def _draw_strip(film: Film, job: _Job) -> np.ndarray:
     strip = np.full((job.height, job.width, 3), 255, np.uint8)
     # What the division leaves over goes to both sides.
     left = (job.width - tile * len(film) - gap * (len(film) - 1)) // 2
-    with Scene(film, tile, job.height, ghost=False, fine=True) as scene:
+    with Scene(film, tile, job.height, ghost=False) as scene:
         for frame in range(len(film)):
             column = left + frame * (tile + gap)
-            pose = scene.draw(frame)
-            strip[:, column : column + tile] = overlay.write_time(pose, film.t[frame], min(job.height / 540, tile / 160))
+            unit = min(job.height / 540, tile / 160)
+            strip[:, column : column + tile] = overlay.write_time(scene.draw(frame), film.t[frame], unit)
     return strip
 
 
@@ -252,7 +250,8 @@ def _draw_in_child(film: Film, job: _Job, progress: Progress | None) -> np.ndarr
 
 def _follow(child: subprocess.Popen[str], file: Path, progress: Progress | None) -> np.ndarray:
     """Read what the child reports, one JSON line at a time, until it is done."""
-    assert child.stdout is not None and child.stderr is not None
+    assert child.stdout is not None
+    assert child.stderr is not None
     for line in child.stdout:
         report: dict[str, Any] = json.loads(line)
         if "error" in report:

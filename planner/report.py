@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from planner.proof import Proof
 
 NAME = "report.html"
+NBSP = "\N{NO-BREAK SPACE}"
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d1f21; --soft: #5d6670; --line: #d9dde1; --paper: #ffffff;
@@ -48,7 +50,7 @@ th, td { text-align: left; padding: .32rem .7rem .32rem 0; border-bottom: 1px so
 th { font-weight: 600; color: var(--soft); }
 th[scope="row"] { width: 11rem; }
 td.number, td.verdict-word { width: 8.5rem; }
-td.number { white-space: nowrap; font-variant-numeric: tabular-nums; }
+td.number { font-variant-numeric: tabular-nums; }
 td small { display: block; color: var(--soft); line-height: 1.35; }
 @media (max-width: 40rem) { th[scope="row"] { width: 7rem; } td.number, td.verdict-word { width: auto; } }
 td.value { overflow-wrap: anywhere; }
@@ -172,7 +174,7 @@ def _proof(proof: Proof | None) -> str:
 def _section(section: Section) -> str:
     title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
     if section.not_applicable:
-        return f'{title}\n<p class="soft">{escape(section.not_applicable)}</p>'
+        return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
     if not section.figures:
         return f'{title}\n<p class="soft">Nothing was measured.</p>'
     rows = "\n".join(_row(figure) for figure in section.figures)
@@ -190,10 +192,10 @@ def _mark(section: Section) -> str:
 
 def _row(figure: Figure) -> str:
     word = '<span class="word none">shown</span>' if figure.bound is None else _pass_or_fail(figure.passed)
-    bound = "" if figure.bound is None else f"≤ {_quantity(figure.bound, figure.unit)}"
+    bound = "" if figure.bound is None else f"≤{NBSP}{_quantity(figure.bound, figure.unit)}"
     note = f"<small>{escape(figure.note)}</small>" if figure.note else ""
     return (
-        f"<tr><td>{escape(_capital(figure.name.replace('_', ' ')))}{note}</td>"
+        f"<tr><td>{escape(_name(figure))}{note}</td>"
         f'<td class="number">{_quantity(figure.value, figure.unit)}</td>'
         f'<td class="number">{bound}</td><td class="verdict-word">{word}</td></tr>'
     )
@@ -248,7 +250,7 @@ def _text(value: Any) -> str:
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
-def _number(value: float, digits: int = 5) -> str:
+def _number(value: float, digits: int = 4) -> str:
     if math.isnan(value):
         return "undefined"
     if math.isinf(value):
@@ -257,7 +259,12 @@ def _number(value: float, digits: int = 5) -> str:
 
 
 def _quantity(value: float, unit: str) -> str:
-    return escape(f"{_number(value)} {unit}".rstrip())
+    return escape(f"{_number(value)}{NBSP}{unit}".rstrip())
+
+
+def _name(figure: Figure) -> str:
+    """The figure's key in words."""
+    return _capital(re.sub(r"\brms\b", "RMS", figure.name.replace("_", " ")))
 
 
 def _capital(text: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from planner import gl
-from planner.errors import ModelError
+from planner.errors import ModelError, RenderingUnavailable
 from planner.film import Film
 from planner.stage import Stage
 
@@ -26,11 +26,15 @@ _LINE = 0.0016
 _ARROW = 0.007
 _DASHES = 24
 
+# Pictures are drawn this many times too large in both directions, and shrunk. In software that costs what
+# OpenGL's own multisampling costs, and smooths the edges of shadows too.
+_SAMPLES = 2
+
 
 class Scene:
     """Draws the frames of a film, without any text. A context manager: it holds an OpenGL context."""
 
-    def __init__(self, film: Film, width: int, height: int, *, ghost: bool = True, fine: bool = False) -> None:
+    def __init__(self, film: Film, width: int, height: int, *, ghost: bool = True) -> None:
         """Open the model and an OpenGL context.
 
         Args:
@@ -38,10 +42,10 @@ class Scene:
             width: Pixels.
             height: Pixels.
             ghost: Draw the plan beside the machine. Without it, the camera looks at the machine alone.
-            fine: Draw twice as large and shrink: smooth edges of shadows, four times the work.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
+            RenderingUnavailable: The OpenGL library is there but does not work.
         """
         mujoco = gl.load_mujoco()
         self._mujoco = mujoco
@@ -49,20 +53,23 @@ class Scene:
         self._stage = film.stage or Stage(title="")
         self._ghost = ghost
         self._width, self._height = width, height
-        self._factor = 2 if fine else 1
         try:
             model = mujoco.MjModel.from_xml_string(film.mjcf)
         except ValueError as error:
             raise ModelError(f"The model cannot be drawn: {str(error).splitlines()[0]}") from error
         # The frame buffer that the model asks for may be smaller than the picture.
-        columns, rows = self._factor * width, self._factor * height
+        columns, rows = _SAMPLES * width, _SAMPLES * height
+        model.vis.quality.offsamples = 0
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
-        self._renderer: Any = mujoco.Renderer(model, rows, columns)
+        try:
+            self._renderer: Any = mujoco.Renderer(model, rows, columns)
+        except (mujoco.FatalError, RuntimeError, ImportError) as error:
+            raise RenderingUnavailable(f"OpenGL refuses to draw: {str(error).splitlines()[0]}.") from error
         self._pixels = np.empty((rows, columns, 3), np.uint8)
 
     def __enter__(self) -> Scene:
@@ -74,7 +81,7 @@ class Scene:
         self._renderer.close()
 
     def draw(self, frame: int) -> np.ndarray:
-        """Frame number `frame` of the film: (height, width, 3) uint8, overwritten by the next call."""
+        """Frame number `frame` of the film: (height, width, 3) uint8."""
         self._pose(self._data, self._film.qpos[frame])
         self._aim(self._film.rise[frame])
         self._renderer.update_scene(self._data, self._camera, self._option)
@@ -88,8 +95,7 @@ class Scene:
         self._add_force(self._film.force[frame], self._film.point[frame])
         if self._stage.goal_line is not None:
             self._add_dashes(*np.asarray(self._stage.goal_line, dtype=float))
-        pixels = self._renderer.render(out=self._pixels)
-        return pixels if self._factor == 1 else np.asarray(Image.fromarray(pixels).reduce(self._factor))
+        return np.asarray(Image.fromarray(self._renderer.render(out=self._pixels)).reduce(_SAMPLES))
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """Where a point of the scene is in the last drawn picture: (column, row), or None behind the camera."""
@@ -116,7 +122,7 @@ class Scene:
         stage = self._stage
         # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
         aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
-        self._camera.lookat[:] = np.asarray(stage.look_at) - aside + (0.0, 0.0, rise)
+        self._camera.lookat[:] = np.asarray(stage.look_at) - aside + np.array([0.0, 0.0, rise])
         self._camera.distance = stage.distance
         self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
 
@@ -140,9 +146,9 @@ class Scene:
         # Shorter than its own head an arrow is a blot.
         if not np.all(np.isfinite(point)) or length < 3 * width:
             return
-        foot = point + self._stage.force_offset
+        foot = point + np.asarray(self._stage.force_offset)
         arrow = self._mujoco.mjtGeom.mjGEOM_ARROW
-        self._connect(arrow, width, foot, foot + (0.0, 0.0, length), FORCE)
+        self._connect(arrow, width, foot, foot + np.array([0.0, 0.0, length]), FORCE)
 
     def _add_dashes(self, start: np.ndarray, end: np.ndarray) -> None:
         capsule = self._mujoco.mjtGeom.mjGEOM_CAPSULE

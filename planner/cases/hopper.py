@@ -112,7 +112,7 @@ def _twin(dynamics: HopperDynamics) -> Twin:
         {
             "option": {"gravity": f"0 0 {written(-dynamics.gravity)}"},
             "actuator/general[@name='piston']": {"gainprm": written(k), "biasprm": f"0 {written(-k)} 0"},
-            "keyframe/key[@name='start']": {"act": written(-offset)},
+            "keyframe/key[@name='start']": {"qpos": f"0 {written(-offset)}", "act": written(-offset)},
         },
     )
     to_x = np.zeros((3, 5))

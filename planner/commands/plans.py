@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from planner import cases
+from planner.arguments import count
 from planner.commands.results import OUTPUTS, plan_facts, show_plan, show_proof, write_json, write_results
 from planner.console import Console
 from planner.errors import PlannerError
 from planner.files import staged_folder, write_atomically
 from planner.mjcf import model_text
-from planner.plan import Plan
+from planner.plan import Plan, plan_name
 from planner.problem import Problem
 from planner.proof import Proof, parity, prove
 from planner.slq import solve
@@ -23,6 +24,7 @@ DONE, NOT_DONE = 0, 1
 
 
 def _problem(arguments: argparse.Namespace) -> Problem:
+    count("max_iterations", arguments.max_iterations)
     given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
     return cases.build(arguments.case, **given)
 
@@ -83,7 +85,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case and save the plan."""
     problem = _problem(arguments)
-    out = Path(arguments.out)
+    out = plan_name(arguments.out)
     with write_atomically(out) as unfinished:  # fails now rather than after the work
         plan, seconds = _solved(problem, arguments, console)
         plan.save(unfinished)

@@ -1,0 +1,30 @@
+"""Plan a hop, prove it in MuJoCo, film it: the script to copy.
+
+    python plan_then_simulate.py [--no-video]
+"""
+
+import sys
+
+import planner
+
+
+def main() -> int:
+    problem = planner.cases.hopper(height=20.0)  # inch and second, as in the paper
+    plan = planner.solve(problem, callback=print)
+    print(plan)
+    print(plan.message)
+
+    proof = planner.prove(plan)  # MuJoCo, at a refined step, open loop and with the plan's gains
+    print(proof)
+    for name, section in proof.sections.items():
+        for figure in section.figures:
+            print(f"  {name}: {figure}")
+
+    plan.save("hopper.npz")
+    if "--no-video" not in sys.argv:
+        planner.render_video(proof.replay, "hopper.mp4")  # the simulated machine solid, the plan as a ghost
+    return 0 if plan.success and proof.passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,132 @@
+"""Rules of the tree: data flow one way, MuJoCo stays where it belongs, only the console prints, examples run."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "planner"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+# Reading order; nothing imports from a later line. Names of one line are siblings.
+ORDER = [
+    ["errors", "figures", "stage"],
+    ["arguments", "files", "gl", "mjcf", "twin"],
+    ["kernels"],
+    ["dynamics"],
+    ["cost"],
+    ["problem"],
+    ["plan"],
+    ["lq"],
+    ["engine"],
+    ["slq"],
+    ["cases"],
+    ["replay"],
+    ["proof"],
+    ["film", "overlay", "scene", "encode", "render"],
+    ["plots"],
+    ["report"],
+    ["paper"],
+    ["console"],
+    ["commands"],
+    ["__main__", "__init__"],
+]
+RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
+
+
+def module_of(path):
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imports(path):
+    """(imported module, inside a function or under TYPE_CHECKING) for every import of a file."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    lazy = set()
+    for node in ast.walk(tree):
+        guarded = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if guarded or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            lazy |= {id(child) for child in ast.walk(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, id(node) in lazy
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: relative import"
+            module = node.module or ""
+            names = [f"planner.{alias.name}" for alias in node.names] if module == "planner" else [module]
+            for name in names:
+                yield name, id(node) in lazy
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_nothing_imports_upwards(path):
+    here = RANK[module_of(path)]
+    for name, lazy in imports(path):
+        if name.startswith("planner.") and not lazy and module_of(path) != "__init__":
+            assert RANK[name.split(".")[1]] <= here, f"{path.name} imports {name}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_mujoco_is_imported_by_gl_alone(path):
+    """And gl's load_mujoco is used where models are read, replayed and drawn, never where plans are made."""
+    names = [name.split(".")[0] for name, _ in imports(path)]
+    assert "mujoco" not in names or path.name == "gl.py"
+    users = {"gl", "replay", "proof", "render", "scene", "film"}
+    if "load_mujoco" in path.read_text(encoding="utf-8"):
+        assert module_of(path) in users
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_the_console_prints(path):
+    calls = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
+    printing = [n for n in calls if isinstance(n.func, ast.Name) and n.func.id == "print"]
+    # render's child process answers its parent by lines on a pipe
+    assert not printing or path.name in ("console.py", "render.py")
+
+
+def test_import_is_light():
+    """`import planner` must not choose an OpenGL library for the user, nor draw in matplotlib."""
+    code = "import sys, planner; print(sorted({'mujoco', 'matplotlib', 'imageio', 'PIL'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_public_names_exist_and_are_documented():
+    import planner
+
+    for name in planner.__all__:
+        assert getattr(planner, name).__doc__, name
+
+
+def test_example_runs(tmp_path):
+    script = ROOT / "examples" / "plan_then_simulate.py"
+    assert len(script.read_text().splitlines()) <= 45
+    done = subprocess.run(
+        [sys.executable, str(script), "--no-video"], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "PASS" in done.stdout
+    assert (tmp_path / "hopper.npz").is_file()
+
+
+def test_readme_python_block_runs(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert blocks
+    for block in blocks:
+        code = "\n".join(line for line in block.splitlines() if "render_video" not in line)
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def test_local_links_of_the_documents_exist():
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "mjcf" / "README.md"]:
+        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+        for target in re.findall(r'src="([^":]+)"', page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"

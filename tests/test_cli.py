@@ -1,0 +1,276 @@
+"""The command line as a user meets it: subprocesses, exit codes, what is on stdout and what is left on disk."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import planner
+from planner.commands.results import OUTPUTS
+
+PLANNER = [sys.executable, "-m", "planner"]
+
+
+def run(*words, cwd, **options):
+    return subprocess.run(
+        [*PLANNER, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=300, **options
+    )
+
+
+def refused(done, *fragments):
+    """Exit 2, one sentence, no traceback, nothing on stdout."""
+    assert done.returncode == 2, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("planner: ")
+    assert done.stdout == ""
+    for fragment in fragments:
+        assert fragment in lines[0], lines[0]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One run of the hopper without pictures."""
+    folder = tmp_path_factory.mktemp("run")
+    done = run("run", "hopper", "--height", 12, "--no-video", "--out", "out", cwd=folder)
+    return folder, done
+
+
+def test_run_leaves_a_whole_set(finished):
+    folder, done = finished
+    assert done.returncode == 0, done.stderr
+    assert "PASS (open-loop)" in done.stdout
+    assert "iter" in done.stderr  # the table of work is not a result
+    assert {p.name for p in (folder / "out").iterdir()} == {"plan.npz", "proof.json", "plots.png", "report.html"}
+    proof = json.loads((folder / "out" / "proof.json").read_text())
+    assert (proof["verdict"], proof["mode"]) == ("PASS", "open-loop")
+    with np.load(folder / "out" / "plan.npz", allow_pickle=False) as file:
+        meta = json.loads(str(file["meta"]))
+        assert file["us"].shape == (200, 1)
+    assert meta["parameters"]["height"] == 12.0
+    page = (folder / "out" / "report.html").read_text()
+    assert page.index("PASS") < page.index("<table")
+    assert "http" not in page.replace("http://www.w3.org", "")  # self-contained
+
+
+def test_same_input_same_files(finished, tmp_path):
+    folder, _ = finished
+    assert run("run", "hopper", "--height", 12, "--no-video", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    for name in ("plan.npz", "proof.json"):
+        assert (tmp_path / name).read_bytes() == (folder / "out" / name).read_bytes()
+
+
+def test_json_is_one_document(tmp_path):
+    done = run("run", "hopper", "--no-video", "--json", "--no-refine", "--out", "o", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert done.returncode == document["exit_code"] == 0
+    assert document["proof"]["verdict"] == "PASS"
+    assert document["plan"]["status"] == "CONVERGED"
+    assert document["plan"]["parameters"]["integrator"] == "rk4"
+    assert "PASS" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("--integrator", "semi-implicit-euler", "--horizon", 400),
+        ("--update", "open-loop"),
+        ("--line-search", "exact"),
+        ("--line-search", "wolfe"),
+        ("--line-search", "goldstein"),
+        ("--duration", 1.5, "--smoothing", 0.05, "--stiffness", 120, "--gravity", 300),
+    ],
+    ids=str,
+)
+def test_flags_reach_the_plan(tmp_path, flags):
+    done = run("solve", "hopper", "--height", 8, *flags, "--out", "p.npz", "--json", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    parameters = planner.Plan.load(tmp_path / "p.npz").parameters
+    for flag, value in zip(flags[::2], flags[1::2], strict=True):
+        if flag[2:] in parameters:
+            assert parameters[flag[2:]] == value
+    assert document["plan"]["iterations"] > 0
+
+
+def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
+    done = run(
+        "run", "hopper", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--out", "o", cwd=tmp_path
+    )
+    assert done.returncode == 1
+    document = json.loads(done.stdout)
+    assert document["proof"]["verdict"] == "FAIL"
+    assert document["proof"]["mode"] is None
+    assert (tmp_path / "o" / "plan.npz").is_file()
+    assert "FAIL" in (tmp_path / "o" / "report.html").read_text()
+
+
+def test_not_converging_gives_advice_and_exits_1(tmp_path):
+    done = run("solve", "hopper", "--max-iterations", 2, "--out", "p.npz", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "raise max_iterations" in done.stdout
+    assert planner.Plan.load(tmp_path / "p.npz").status is planner.Status.MAX_ITERATIONS
+
+
+def test_stored_plans_prove_and_report(finished, tmp_path):
+    folder, _ = finished
+    plan = folder / "out" / "plan.npz"
+    done = run("prove", plan, "--out", "proof.json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "proof.json").read_bytes() == (folder / "out" / "proof.json").read_bytes()
+    done = run("report", plan, "--no-video", "--out", "r", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "r" / "report.html").is_file()
+
+
+def test_prove_against_another_model(finished, tmp_path):
+    folder, _ = finished
+    plan = planner.Plan.load(folder / "out" / "plan.npz")
+    other = tmp_path / "other.xml"
+    other.write_text(plan.twin.mjcf.replace('gainprm="100"', 'gainprm="90"'))
+    assert run("prove", folder / "out" / "plan.npz", "--mjcf", other, cwd=tmp_path).returncode == 1
+    other.write_text(plan.twin.mjcf[:1000])
+    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", other, cwd=tmp_path), "not well-formed XML")
+    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", "no.xml", cwd=tmp_path), "no.xml")
+
+
+@pytest.mark.parametrize(
+    ("words", "fragments"),
+    [
+        (("run", "hopper", "--height", "-3"), ("height is -3.0", "greater than 0")),
+        (("run", "hopper", "--height", "nan"), ("height is nan", "finite")),
+        (("run", "hopper", "--height", "inf"), ("height is inf",)),
+        (("run", "hopper", "--height", "tall"), ("--height", "'tall' is not a number")),
+        (("run", "hopper", "--smoothing", "0"), ("smoothing is 0.0",)),
+        (("run", "hopper", "--horizon", "0"), ("horizon is 0", "at least 1")),
+        (("run", "hopper", "--horizon", "2.5"), ("'2.5' is not a whole number",)),
+        (("run", "hopper", "--duration", "-1"), ("duration is -1.0",)),
+        (("run", "hopper", "--flow-weight", "0"), ("flow_weight is 0.0",)),
+        (("run", "hopper", "--integrator", "rk5"), ("rk5", "semi-implicit-euler")),
+        (("run", "hopper", "--line-search", "golden"), ("golden", "goldstein")),
+        (("run", "hopper", "--max-iterations", "0"), ("max_iterations is 0",)),
+        (("run", "hopper", "--hieght", "3"), ("--hieght", "Did you mean --height?")),
+        (("run", "hoper"), ("hoper", "hopper")),
+        (("run",), ("CASE",)),
+        (("fly",), ("fly", "run")),
+        (("run", "hopper", "extra"), ("'extra'",)),
+        (("prove", "nowhere.npz"), ("nowhere.npz", "is not a file")),
+        (("render", "nowhere.npz", "--out", "x.gif"), ("x.gif", ".mp4")),
+        (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
+        (("paper", "gripper"), ("gripper", "hopper")),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)
+def test_bad_input_gets_one_sentence(tmp_path, words, fragments):
+    refused(run(*words, cwd=tmp_path), *fragments)
+    assert list(tmp_path.iterdir()) == []  # nothing half-written
+
+
+def test_bad_input_with_json_is_json(tmp_path):
+    done = run("run", "hopper", "--height", "-3", "--json", cwd=tmp_path)
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["error"].startswith("height is -3.0")
+
+
+def test_foreign_plan(tmp_path):
+    (tmp_path / "x.npz").write_bytes(b"PK\x03\x04nonsense")
+    refused(run("prove", "x.npz", cwd=tmp_path), "x.npz is not a plan")
+    np.savez(tmp_path / "y.npz", a=np.zeros(3))
+    refused(run("prove", "y.npz", cwd=tmp_path), "y.npz is not a plan")
+
+
+def test_unwritable_folders(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    refused(run("run", "hopper", "--no-video", "--out", "file/sub", cwd=tmp_path), "file")
+    refused(run("run", "hopper", "--no-video", "--out", "file", cwd=tmp_path), "file")
+    refused(run("solve", "hopper", "--out", "file/plan.npz", cwd=tmp_path), "file")
+    refused(run("run", "hopper", "--no-video", "--out", "/proc/planner", cwd=tmp_path), "/proc/planner")
+    refused(run("solve", "hopper", "--out", "p.txt", cwd=tmp_path), ".npz")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_failed_run_leaves_older_results_alone(finished, tmp_path):
+    folder, _ = finished
+    for name in ("plan.npz", "proof.json"):
+        (tmp_path / name).write_bytes((folder / "out" / name).read_bytes())
+    (tmp_path / "notes.txt").write_text("mine")
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    refused(run("run", "hopper", "--height", "-1", "--out", tmp_path, cwd=tmp_path), "height")
+    # A file-size limit stands in for a full disk: the plots are larger than what is allowed.
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000));"
+        "from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = ["run", "hopper", "--no-video", "--quiet", "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_stale_pictures_do_not_stay_beside_a_new_plan(tmp_path):
+    (tmp_path / "video.mp4").write_bytes(b"an older plan's")
+    (tmp_path / "mine.mp4").write_bytes(b"not ours")
+    assert run("run", "hopper", "--no-video", "--quiet", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    assert not (tmp_path / "video.mp4").exists()
+    assert (tmp_path / "mine.mp4").exists()
+    assert {p.name for p in tmp_path.iterdir()} - {"mine.mp4"} <= set(OUTPUTS)
+
+
+def test_ctrl_c_keeps_the_best_plan(tmp_path):
+    # A problem that needs thousands of iterations, interrupted while it runs.
+    words = ["solve", "hopper", "--height", "50", "--smoothing", "1e-4", "--horizon", "4000", "--integrator", "euler",
+             "--max-iterations", "1000000", "--out", "p.npz"]  # fmt: skip
+    child = subprocess.Popen(
+        [*PLANNER, *words], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stderr is not None
+    for line in child.stderr:
+        if line.strip().startswith("9 "):  # the tenth iteration is done
+            break
+    time.sleep(0.2)
+    child.send_signal(signal.SIGINT)
+    out, _ = child.communicate(timeout=60)
+    assert child.returncode == 1, out
+    plan = planner.Plan.load(tmp_path / "p.npz")
+    assert plan.status is planner.Status.INTERRUPTED
+    assert plan.cost < plan.history[0].cost
+    assert plan.problem is not None
+    assert plan.cost == pytest.approx(plan.problem.cost.value(plan.xs, plan.us), rel=1e-12)
+
+
+def test_list_help_version_warmup(tmp_path):
+    done = run("list", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "hopper" in done.stdout
+    assert "--flow-weight" in done.stdout
+    cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
+    assert cases[0]["parameters"]["height"] == 20.0
+    text = run("run", "hopper", "--help", cwd=tmp_path)
+    assert text.returncode == 0
+    for word in ("--height", "Default: 20.0", "--no-refine", "--no-video", "--json", "in/s^2"):
+        assert word in text.stdout
+    assert "planner" in run("--version", cwd=tmp_path).stdout
+    assert run(cwd=tmp_path).returncode == 0
+    assert run("warmup", cwd=tmp_path).stdout == ""  # compiled long ago
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path):
+    code = f"{sys.executable} -m planner list | head -n 1"
+    done = subprocess.run(["sh", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("home", ["/proc/nowhere"])
+def test_runs_without_a_writable_home(tmp_path, home):
+    environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    environment |= {"HOME": home}
+    done = run("list", cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
