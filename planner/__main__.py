@@ -35,6 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.complain(str(error))
         console.document({"error": str(error), "exit_code": 2})
         return 2
+    except MemoryError:
+        console.complain("there is not enough memory for this problem, expected a shorter horizon.")
+        return 2
     except BrokenPipeError:  # the reader of our output went away, e.g. `planner list | head`
         sys.stderr.close()
         return 1

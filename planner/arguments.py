@@ -30,14 +30,15 @@ def number(name: str, value: Any, *, above: float | None = None, least: float | 
     return result
 
 
-def count(name: str, value: Any, *, least: int = 1) -> int:
-    """An integer of at least `least`."""
+def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> int:
+    """An integer of at least `least` and, where given, at most `most`."""
     try:
         result = operator.index(value)
     except TypeError:
         result = None
-    if result is None or isinstance(value, bool) or result < least:
-        raise PlannerError(f"{name} is {value!r}, expected a whole number of at least {least}.")
+    if result is None or isinstance(value, bool) or result < least or (most is not None and result > most):
+        upper = "" if most is None else f" and at most {most}"
+        raise PlannerError(f"{name} is {value!r}, expected a whole number of at least {least}{upper}.")
     return result
 
 

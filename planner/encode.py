@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -89,6 +90,9 @@ class Encoder:
         finally:
             self._ffmpeg.kill()  # does nothing to a finished process
             self._ffmpeg.wait()
+            if self._ffmpeg.stdin is not None:
+                with suppress(OSError):  # what could not be written to a dead ffmpeg
+                    self._ffmpeg.stdin.close()
             self._log.close()
 
     def _complaint(self) -> FileError:

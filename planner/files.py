@@ -150,6 +150,8 @@ def file_error(error: BaseException, path: PathLike, verb: str = "write", expect
 
 
 def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
+    if "\0" in str(path):
+        return "its name holds a null character; choose another name"
     number = error.errno if isinstance(error, OSError) else None
     if isinstance(error, OSError) and number is None and _full(path):
         number = errno.ENOSPC

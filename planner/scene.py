@@ -26,15 +26,11 @@ _LINE = 0.0016
 _ARROW = 0.007
 _DASHES = 24
 
-# Pictures are drawn this many times too large in both directions, and shrunk. In software that costs what
-# OpenGL's own multisampling costs, and smooths the edges of shadows too.
-_SAMPLES = 2
-
 
 class Scene:
     """Draws the frames of a film, without any text. A context manager: it holds an OpenGL context."""
 
-    def __init__(self, film: Film, width: int, height: int, *, ghost: bool = True) -> None:
+    def __init__(self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0) -> None:
         """Open the model and an OpenGL context.
 
         Args:
@@ -42,6 +38,8 @@ class Scene:
             width: Pixels.
             height: Pixels.
             ghost: Draw the plan beside the machine. Without it, the camera looks at the machine alone.
+            oversize: Draw so many times larger in both directions, then shrink. In software this costs no more than
+                OpenGL's own multisampling, and smooths the edges of shadows too.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -58,7 +56,7 @@ class Scene:
         except ValueError as error:
             raise ModelError(f"The model cannot be drawn: {str(error).splitlines()[0]}") from error
         # The frame buffer that the model asks for may be smaller than the picture.
-        columns, rows = _SAMPLES * width, _SAMPLES * height
+        columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
@@ -95,7 +93,8 @@ class Scene:
         self._add_force(self._film.force[frame], self._film.point[frame])
         if self._stage.goal_line is not None:
             self._add_dashes(*np.asarray(self._stage.goal_line, dtype=float))
-        return np.asarray(Image.fromarray(self._renderer.render(out=self._pixels)).reduce(_SAMPLES))
+        large = Image.fromarray(self._renderer.render(out=self._pixels))
+        return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """Where a point of the scene is in the last drawn picture: (column, row), or None behind the camera."""

@@ -118,9 +118,7 @@ def test_readme_python_block_runs(tmp_path):
     assert blocks
     for block in blocks:
         code = "\n".join(line for line in block.splitlines() if "render_video" not in line)
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300
-        )
+        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr
 
 
@@ -130,3 +128,10 @@ def test_local_links_of_the_documents_exist():
             assert (page.parent / target).exists(), f"{page.name}: {target}"
         for target in re.findall(r'src="([^":]+)"', page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda p: p.name)
+def test_python_blocks_of_the_documents_run(page, tmp_path):
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
+        done = subprocess.run([sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr

@@ -17,9 +17,7 @@ PLANNER = [sys.executable, "-m", "planner"]
 
 
 def run(*words, cwd, **options):
-    return subprocess.run(
-        [*PLANNER, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=300, **options
-    )
+    return subprocess.run([*PLANNER, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=300, **options)
 
 
 def refused(done, *fragments):
@@ -150,6 +148,8 @@ def test_prove_against_another_model(finished, tmp_path):
         (("run", "hopper", "--horizon", "0"), ("horizon is 0", "at least 1")),
         (("run", "hopper", "--horizon", "2.5"), ("'2.5' is not a whole number",)),
         (("run", "hopper", "--duration", "-1"), ("duration is -1.0",)),
+        (("run", "hopper", "--horizon", "1000000000"), ("horizon is 1000000000", "at most")),
+        (("run", "hopper", "--duration", "1e300"), ("duration is 1e+300", "at most")),
         (("run", "hopper", "--flow-weight", "0"), ("flow_weight is 0.0",)),
         (("run", "hopper", "--integrator", "rk5"), ("rk5", "semi-implicit-euler")),
         (("run", "hopper", "--line-search", "golden"), ("golden", "goldstein")),

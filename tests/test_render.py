@@ -1,0 +1,385 @@
+"""Films, strips and stills: the right size and number, the right things in them, and nothing left after a failure."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from planner import encode, gl, render
+from planner.errors import FileError, PlannerError, RenderingUnavailable
+from planner.film import Film
+from planner.mjcf import model_path, model_text
+from planner.overlay import decimals, number, speed_words
+from planner.plan import Plan, Status
+from planner.replay import Replay
+from planner.scene import Scene
+from planner.stage import Readout, Stage
+from planner.twin import Twin
+
+ROOT = Path(__file__).parents[1]
+SMALL = {"width": 320, "height": 180}
+STAGE = Stage(
+    title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
+    goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal", labels=(((-20.0, 0.0, 0.0), "0"),),
+    look_at=(13.0, 0.0, 24.0), follow=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
+    force_scale=0.05, force_offset=(-12.0, 0.0, 0.0), speed=0.5,
+)  # fmt: skip
+
+
+@pytest.fixture
+def opengl():
+    if gl.backend() is None:
+        pytest.skip("no headless OpenGL library")
+
+
+def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
+    """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
+    t = np.linspace(0.0, 0.2, 201)
+    y = 10.0 * np.sin(np.pi * t / 0.2) - 2.0
+    qpos = np.stack([y, np.minimum(y, 0.0)], axis=1)
+    to_x, to_sim = np.zeros((1, 5)), np.zeros((1, 5, 1))
+    to_x[0, 0] = to_sim[0, 0, 0] = 1.0
+    text = model_text(model_path("hopper") / "scene.xml")
+    twin = Twin(mjcf=text, to_x=to_x, to_x_offset=[0.0], to_sim=to_sim, to_sim_offset=np.zeros((1, 5)))
+    xs, contact = y[:, None], y <= 0.0
+    plan = Plan(
+        t=t[::100], xs=xs[::100], us=np.zeros((2, 1)), K=np.zeros((2, 1, 1)), cost=0.0, gradient_norm=0.0,
+        status=Status.CONVERGED, history=(), problem=None if stage is None else SimpleNamespace(stage=stage), twin=twin,
+    )  # fmt: skip
+    return Replay(
+        plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
+        act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
+        contact_force=np.where(contact, force, 0.0),
+        contact_point=np.where(contact[:, None], np.zeros((201, 3)), np.nan), substeps=100,
+    )  # fmt: skip
+
+
+def changed(a, b):
+    """How many pixels differ visibly."""
+    return int(np.sum(np.abs(a.astype(int) - b.astype(int)).max(axis=-1) > 8))
+
+
+def decode(path, width, height):
+    """The frames of a video (F, height, width, 3), and what ffmpeg says of it. imageio's reader leaks pipes."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    return np.frombuffer(done.stdout, np.uint8).reshape(-1, height, width, 3), done.stderr.decode()
+
+
+# What a film is made of, without drawing.
+
+
+def test_film_interpolates_linearly_and_maps_the_plan():
+    replay = make_replay(plan_offset=1.0)
+    film = Film.of(replay, np.array([0.0, 0.05025, 0.2]))
+    middle = 0.5 * (replay.xs[50] + replay.xs[51])
+    np.testing.assert_allclose(replay.t[50:52], [0.05, 0.051])
+    np.testing.assert_allclose(film.qpos[1, 0], replay.xs[50, 0] + 0.25 * (replay.xs[51, 0] - replay.xs[50, 0]))
+    assert abs(film.qpos[1, 0] - middle[0]) < 0.1
+    np.testing.assert_allclose(film.ghost_qpos[:, 0], film.qpos[:, 0] + 1.0)
+    np.testing.assert_allclose(film.readings[:, 0, 1] - film.readings[:, 0, 0], 1.0)
+    np.testing.assert_allclose(film.rise, 0.5 * film.qpos[:, 0])
+    assert film.force[0] == pytest.approx(400.0)  # the mean over an exposure of a constant
+    assert film.force[1] == 0.0
+    assert np.all(np.isnan(film.point[1]))
+
+
+def test_film_survives_its_file(tmp_path):
+    film = Film.of(make_replay(), np.linspace(0.0, 0.2, 3))
+    film.save(tmp_path / "film.npz", kind="frame", width=3)
+    again, extra = Film.load(tmp_path / "film.npz")
+    assert extra == {"kind": "frame", "width": 3}
+    assert again.mjcf == film.mjcf
+    assert again.stage is not None
+    assert again.stage.readouts == STAGE.readouts
+    assert again.stage.distance == STAGE.distance
+    for name in ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
+
+
+def test_film_refuses_what_is_not_finite():
+    replay = make_replay()
+    replay.qpos[3, 0] = np.nan
+    with pytest.raises(PlannerError, match="qpos"):
+        Film.of(replay, np.array([0.0]))
+
+
+def test_words():
+    assert number(-0.0001, 2) == "0.00"
+    assert number(-1.5, 1) == "\N{MINUS SIGN}1.5"
+    assert [decimals(value) for value in (0.0, 0.02, 5.0, 20.0, 150.0, 1e6)] == [4, 4, 3, 2, 1, 0]
+    assert [speed_words(speed) for speed in (0.25, 1, 0.1, 2.0)] == [
+        "1/4 speed", "real time", "1/10 speed", "2\N{MULTIPLICATION SIGN} speed",
+    ]  # fmt: skip
+
+
+# Wrong input: one sentence, before any work.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"width": 321}, "width"),
+        ({"height": 0}, "height"),
+        ({"width": 100_000}, "width"),
+        ({"width": 320.0}, "width"),
+        ({"fps": 0}, "fps"),
+        ({"fps": float("nan")}, "fps"),
+        ({"speed": -1.0}, "speed"),
+        ({"speed": 1e-9}, "frames"),
+    ],
+)
+def test_video_refuses_wrong_arguments(tmp_path, arguments, words):
+    with pytest.raises(PlannerError, match=words):
+        render.render_video(make_replay(), tmp_path / "film.mp4", **{**SMALL, **arguments})
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_verbs_refuse_wrong_arguments(tmp_path):
+    replay = make_replay()
+    with pytest.raises(PlannerError, match=r"\.mp4"):
+        render.render_video(replay, tmp_path / "film.avi", **SMALL)
+    with pytest.raises(PlannerError, match=r"\.png"):
+        render.render_strip(replay, tmp_path / "strip.jpg")
+    with pytest.raises(PlannerError, match="poses"):
+        render.render_strip(replay, tmp_path / "strip.png", poses=0)
+    with pytest.raises(PlannerError, match="t must be"):
+        render.render_frame(replay, 0.3, **SMALL)
+    assert not list(tmp_path.iterdir())
+
+
+# No OpenGL.
+
+
+def test_missing_library_is_one_sentence_that_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(gl, "_load", lambda names: None)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    assert gl.backend() is None
+    assert not gl.can_render_here()
+    with pytest.raises(RenderingUnavailable, match="apt-get install libosmesa6"):
+        render.render_video(make_replay(), tmp_path / "film.mp4", **SMALL)
+    assert not list(tmp_path.iterdir())
+
+
+def test_rendering_turned_off_by_the_user(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    with pytest.raises(RenderingUnavailable, match="MUJOCO_GL=disable"):
+        render.render_frame(make_replay(), 0.0, **SMALL)
+
+
+@pytest.mark.parametrize("wish", ["osmesa", "egl", "glfw", "nonsense", None])
+def test_mujoco_loads_where_nothing_can_draw(wish):
+    """With MUJOCO_GL=osmesa and no libOSMesa, `import mujoco` alone would die; everything but drawing must work."""
+    code = (
+        "import os, sys; from planner import gl; gl._load = lambda names: None; before = os.environ.get('MUJOCO_GL');"
+        "mujoco = gl.load_mujoco(); mujoco.MjModel.from_xml_string('<mujoco/>');"
+        "assert not gl.can_render_here(); assert os.environ.get('MUJOCO_GL') == before"
+    )
+    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
+    if wish is not None:
+        environment["MUJOCO_GL"] = wish
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+# Pictures.
+
+
+@pytest.mark.render
+def test_video_has_size_frames_and_format(tmp_path, opengl):
+    reports = []
+    path = render.render_video(
+        make_replay(),
+        tmp_path / "film.mp4",
+        **SMALL,
+        fps=20,
+        progress=lambda done, total: reports.append((done, total)),
+    )
+    assert path == tmp_path / "film.mp4"
+    assert os.listdir(tmp_path) == ["film.mp4"]
+    # 0.2 s at half speed and 20 fps: 8 intervals, so 9 frames, and the last one held for 1 s.
+    assert reports[-1] == (29, 29)
+    assert [done for done, _ in reports] == list(range(1, 30))
+    frames, said = decode(path, 320, 180)
+    assert len(frames) == 29
+    assert "Video: h264" in said
+    assert "yuv420p(tv, bt709" in said
+    assert "320x180" in said
+    assert "20 fps" in said
+    assert all(frame.std() > 10 for frame in frames)  # not blank
+    assert changed(frames[0], frames[4]) > 200  # the machine moves
+    # and then stands still, but for what the compression makes of it
+    assert changed(frames[8], frames[28]) < 0.1 * changed(frames[0], frames[4])
+    content = path.read_bytes()
+    assert 0 <= content.find(b"moov") < content.find(b"mdat")  # faststart
+
+
+@pytest.mark.render
+def test_video_speed_comes_from_the_stage_unless_given(tmp_path, opengl):
+    totals = []
+    render.render_video(
+        make_replay(), tmp_path / "film.mp4", width=64, height=36, fps=10, speed=1.0,
+        progress=lambda done, total: totals.append(total),
+    )  # fmt: skip
+    assert totals[-1] == 2 + 1 + 10
+
+
+@pytest.mark.render
+def test_ghost_is_visible_beside_the_machine(opengl):
+    film = Film.of(make_replay(), np.array([0.1]))
+    with Scene(film, 320, 180) as both:
+        picture = both.draw(0)
+        column, row = both.project(np.array([26.0, 0.0, 24.0 + film.ghost_qpos[0, 0]]))
+    moved = Film.of(make_replay(plan_offset=500.0), np.array([0.1]))
+    with Scene(moved, 320, 180) as without:
+        empty = without.draw(0)
+    assert 160 < column < 320  # right of the machine
+    there = (slice(round(row) - 5, round(row) + 5), slice(round(column) - 5, round(column) + 5))
+    assert changed(picture[there], empty[there]) > 50
+    assert changed(picture[:, :120], empty[:, :120]) == 0
+    # translucent: greener than what is behind it, but not the pure colour
+    red, green, _ = picture[there].reshape(-1, 3).mean(axis=0)
+    assert green > red + 20
+
+
+@pytest.mark.render
+def test_force_arrow_only_in_contact(opengl):
+    pushing, idle = make_replay(force=400.0), make_replay(force=0.0)
+
+    def pictures(replay):
+        film = Film.of(replay, np.array([0.0, 0.1]))
+        with Scene(film, 320, 180) as scene:
+            return scene.draw(0), scene.draw(1)
+
+    with_force, without = pictures(pushing), pictures(idle)
+    arrow = np.abs(with_force[0].astype(int) - without[0].astype(int)).max(axis=-1) > 8
+    assert arrow.sum() > 40
+    red, green, blue = with_force[0][arrow].mean(axis=0)
+    assert red > 2 * max(green, blue)
+    assert changed(with_force[1], without[1]) == 0  # in the air
+
+
+@pytest.mark.render
+def test_projection_points_at_what_is_drawn(opengl):
+    """The goal line is dark; around the middle of it there must be dark pixels where project() says."""
+    stage = Stage(title="", goal_line=((-16.0, 0.0, 60.0), (42.0, 0.0, 60.0)), look_at=(13.0, 0.0, 50.0), distance=90.0)
+    with Scene(Film.of(make_replay(stage), np.array([0.0])), 320, 180) as scene:
+        picture = scene.draw(0)
+        rows = []
+        for x in np.linspace(-10.0, 36.0, 40):
+            column, row = scene.project(np.array([x, 0.0, 60.0]))
+            patch = picture[round(row) - 1 : round(row) + 2, round(column)]
+            rows.append(patch.max(axis=-1).min())
+        assert scene.project(np.array([13.0, -500.0, 50.0])) is None  # behind the camera
+    assert np.mean(np.array(rows) < 160) > 0.3  # dashes: about half of it is line
+
+
+@pytest.mark.render
+def test_strip(tmp_path, opengl):
+    path = render.render_strip(make_replay(), tmp_path / "strip.png", poses=4, width=401, height=150)
+    picture = np.asarray(Image.open(path))
+    assert picture.shape == (150, 401, 3)
+    assert os.listdir(tmp_path) == ["strip.png"]
+    tiles = [picture[:, 100 * i + 5 : 100 * i + 95] for i in range(4)]
+    assert all(tile.std() > 10 for tile in tiles)
+    assert changed(tiles[0], tiles[1]) > 100
+
+
+@pytest.mark.render
+def test_frame_without_a_stage_shows_the_whole_model(opengl):
+    picture = render.render_frame(make_replay(None), 0.1, width=160, height=120)
+    assert picture.shape == (120, 160, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 10
+
+
+@pytest.mark.render
+def test_no_speckles_on_the_floor(opengl):
+    """Shadow acne: single dark pixels on a light floor. The shadow itself is large and off this patch."""
+    stage = Stage(title="", look_at=(0.0, -40.0, 0.0), distance=100.0, azimuth=100.0, elevation=-40.0)
+    with Scene(Film.of(make_replay(stage, plan_offset=500.0), np.array([0.1])), 320, 180, ghost=False) as scene:
+        floor = scene.draw(0)[100:].astype(int).max(axis=-1)
+    neighbours = np.stack([floor[1:-1, :-2], floor[1:-1, 2:], floor[:-2, 1:-1], floor[2:, 1:-1]])
+    assert np.mean(floor[1:-1, 1:-1] < neighbours.min(axis=0) - 25) < 1e-4
+
+
+CHILD = """
+import sys
+import mujoco                                    # first, and with nothing to draw with
+sys.path[:0] = [{root!r}, {tests!r}]
+from planner import gl, render
+from test_render import make_replay
+assert not gl.can_render_here()
+reports = []
+render.render_video(make_replay(), "film.mp4", width=64, height=36, fps=10, progress=lambda *r: reports.append(r))
+assert reports[-1] == (15, 15), reports[-1]
+render.render_strip(make_replay(), "strip.png", poses=2, width=64, height=36)
+assert render.render_frame(make_replay(), 0.1, width=64, height=36).std() > 10
+"""
+
+
+@pytest.mark.render
+def test_child_process_draws_when_mujoco_came_first(tmp_path, opengl):
+    hidden = ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
+    code = CHILD.format(root=str(ROOT), tests=str(ROOT / "tests"))
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "strip.png"]
+    assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))[0] == 15
+
+
+@pytest.mark.render
+def test_errors_of_the_child_are_the_parents(tmp_path, opengl, monkeypatch):
+    monkeypatch.setattr(gl, "can_render_here", lambda: False)
+    replay = make_replay()
+    object.__setattr__(replay.twin, "mjcf", "<mujoco><nonsense/></mujoco>")
+    with pytest.raises(PlannerError, match="model cannot be drawn"):
+        render.render_frame(replay, 0.0, width=64, height=36)
+
+
+# Failing to write.
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("script", ["exit 1", "head -c 9000 >/dev/null; echo 'No space left on device' >&2; exit 1"])
+def test_failed_encoder_leaves_nothing_behind(tmp_path, opengl, monkeypatch, script):
+    fake = tmp_path / "ffmpeg"
+    fake.write_text(f"#!/bin/sh\n{script}\n")
+    fake.chmod(0o755)
+    monkeypatch.setattr(encode, "_ffmpeg", lambda shown: str(fake))
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "film.mp4").write_bytes(b"older")
+    with pytest.raises(FileError, match=r"^Cannot write '.*film\.mp4': .*\.$"):
+        render.render_video(make_replay(), folder / "film.mp4", **SMALL, fps=10)
+    assert os.listdir(folder) == ["film.mp4"]
+    assert (folder / "film.mp4").read_bytes() == b"older"
+
+
+@pytest.mark.render
+def test_interruption_leaves_nothing_behind(tmp_path, opengl):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render.render_video(make_replay(), tmp_path / "film.mp4", **SMALL, progress=interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_folder_is_a_file_error(tmp_path):
+    if gl.backend() is None:
+        pytest.skip("no headless OpenGL library")
+    with pytest.raises(FileError, match="does not exist"):
+        render.render_video(make_replay(), tmp_path / "no" / "film.mp4", **SMALL)
