@@ -57,7 +57,11 @@ class Worker:
     def ask(self, problem: str, solves: int) -> dict[str, Any]:
         """A turn of at most that many timed solves."""
         try:
-            print(json.dumps({"problem": problem, "solves": solves, "seconds": TURN}), file=self._process.stdin, flush=True)
+            print(
+                json.dumps({"problem": problem, "solves": solves, "seconds": TURN}),
+                file=self._process.stdin,
+                flush=True,
+            )
         except BrokenPipeError:
             pass  # the reason is in its standard error
         return self._read()
@@ -118,7 +122,9 @@ def lines_of(problem: str, workers: list[Worker], rows: dict[str, dict[str, Any]
     return lines
 
 
-HEADER = f"{'problem':<10} {'solver':<30} {'true cost':>10} {'iter':>5} {'min ms':>8} {'median':>8} {'ratio':>7}  remarks"
+HEADER = (
+    f"{'problem':<10} {'solver':<30} {'true cost':>10} {'iter':>5} {'min ms':>8} {'median':>8} {'ratio':>7}  remarks"
+)
 
 
 def text(line: dict[str, Any]) -> str:
@@ -126,10 +132,13 @@ def text(line: dict[str, Any]) -> str:
     start = f"{line['problem']:<10} {line['label']:<30} "
     if "failed" in line:
         return start + f"failed: {line['failed']}"
-    return start + (
-        f"{line['cost']:10.3f} {line['iterations']:5d} {line['min_ms']:8.3f} {line['median_ms']:8.3f} "
-        f"{line['ratio']:7.2f}  {'; '.join(line['remarks'])}"
-    ).rstrip()
+    return (
+        start
+        + (
+            f"{line['cost']:10.3f} {line['iterations']:5d} {line['min_ms']:8.3f} {line['median_ms']:8.3f} "
+            f"{line['ratio']:7.2f}  {'; '.join(line['remarks'])}"
+        ).rstrip()
+    )
 
 
 def verdict(line: dict[str, Any]) -> str:

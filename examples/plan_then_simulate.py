@@ -1,6 +1,6 @@
 """Plan a hop, prove it in MuJoCo, film it: the script to copy.
 
-    python plan_then_simulate.py [--no-video]
+python plan_then_simulate.py [--no-video]
 """
 
 import sys

@@ -6,6 +6,10 @@ proof = planner.prove(plan)
 planner.render_video(proof.replay, "hopper.mp4")
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from planner import cases
 from planner.cost import Cost, Quadratic, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics
@@ -17,7 +21,22 @@ from planner.replay import Replay, replay
 from planner.slq import solve
 from planner.twin import Twin
 
+if TYPE_CHECKING:
+    from planner.render import render_frame, render_strip, render_video
+
 __version__ = "0.1.0"
+
+_RENDERING = ("render_frame", "render_strip", "render_video")
+
+
+def __getattr__(name: str) -> Any:
+    """Rendering is imported when it is first asked for: `import planner` stays light and chooses no OpenGL."""
+    if name in _RENDERING:
+        from planner import render
+
+        return getattr(render, name)
+    raise AttributeError(f"module 'planner' has no attribute {name!r}")
+
 
 __all__ = [
     "Cost",
@@ -40,6 +59,9 @@ __all__ = [
     "cases",
     "parity",
     "prove",
+    "render_frame",
+    "render_strip",
+    "render_video",
     "replay",
     "solve",
 ]

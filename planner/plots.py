@@ -108,7 +108,8 @@ def draw_plan(plan: Plan, replay: Replay | None) -> Figure:
     for panel, cell in zip(panels, cells, strict=False):
         timed += _draw_panel(figure, cell, panel, plan, replay)
     if replay is not None and touched:
-        timed.append(_draw_force(figure, cells[len(panels)], replay))
+        stage = None if plan.problem is None else plan.problem.stage
+        timed.append(_draw_force(figure, cells[len(panels)], replay, "" if stage is None else stage.force_unit))
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
         if replay is not None and touched:
@@ -200,9 +201,9 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     return [axes, beneath]
 
 
-def _draw_force(figure: Figure, cell: SubplotSpec, replay: Replay) -> Axes:
+def _draw_force(figure: Figure, cell: SubplotSpec, replay: Replay, unit: str) -> Axes:
     axes = figure.add_subplot(cell)
-    _dress(axes, "Contact force in the replay", "normal force (model units)")
+    _dress(axes, "Contact force in the replay", f"normal force, {unit or 'model units'}")
     force = _finite(replay.contact_force)
     axes.plot(replay.t, force, color=FORCE, lw=1.3, zorder=3)
     axes.set_ylim(bottom=0.0)

@@ -40,6 +40,7 @@ class Stage:
         elevation: Of the camera, degrees (negative looks down).
         force_scale: Length of the contact force arrow per unit of force; 0 draws none.
         force_offset: From the contact point to where the arrow begins, so that the machine does not hide it.
+        force_unit: Of the contact force, for plots.
         speed: Playback speed; 0.25 is four times slow motion.
     """
 
@@ -56,6 +57,7 @@ class Stage:
     elevation: float = -10.0
     force_scale: float = 0.0
     force_offset: Point = (0.0, 0.0, 0.0)
+    force_unit: str = ""
     speed: float = 1.0
     plots: tuple[Panel, ...] = field(default=())
 

@@ -48,6 +48,7 @@ GOAL_BOUND = 0.2  # planned final height minus goal, % of the hop height
 EVENT_BOUND = 0.5  # touchdown and lift-off, ms
 
 
+STANDING = 24.0  # height of the mass above ground at y = 0 in the model, in
 MOST_STAGES = 100_000  # 500 s at the default stage, which MuJoCo replays in minutes
 
 
@@ -100,7 +101,7 @@ def hopper(
         "smoothing": dynamics.smoothing, "stiffness": dynamics.stiffness, "gravity": dynamics.gravity, **weights,
     }  # fmt: skip
     return Problem(
-        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), stage=_stage(height), case="hopper",
+        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), stage=_stage(height, duration), case="hopper",
         parameters=parameters, requirements=_requirements(dynamics, height),
     )  # fmt: skip
 
@@ -133,10 +134,26 @@ def _twin(dynamics: HopperDynamics) -> Twin:
     )  # fmt: skip
 
 
-def _stage(height: float) -> Stage:
+def _stage(height: float, duration: float) -> Stage:
+    # The camera stands back as far as ground and goal ask, and rises with the machine by a part of the way.
+    goal = STANDING + height
+    top = goal + 14.0
+    follow = 0.3
     return Stage(
-        title="hopper",
-        readouts=(Readout("height", 0, "in"),),
+        title=f"Hopper: {height:g} in in {duration:g} s",
+        readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
+        ghost_offset=(26.0, 0.0, 0.0),
+        goal_line=((-16.0, 0.0, goal), (42.0, 0.0, goal)),
+        goal_label=f"goal {height:g} in",
+        look_at=(13.0, 0.0, 0.5 * (top - follow * height)),
+        follow=(0, follow),
+        distance=1.75 * top + 15.0,
+        azimuth=103.0,
+        elevation=-13.0,
+        force_scale=0.02,
+        force_unit="in/s^2, per mass",
+        force_offset=(-11.0, 0.0, 0.0),
+        speed=0.25,
         plots=(
             Panel("Height", "height, in", states=((0, "height"),), difference=True),
             Panel("Piston and control", "piston, in", states=((2, "piston"),), controls=((0, "flow, in/s"),)),

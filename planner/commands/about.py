@@ -42,7 +42,8 @@ def warmup(arguments: argparse.Namespace, console: Console) -> int:
     plan = solve(problem, max_iterations=2)
     problem.dynamics.step(plan.xs[:1], plan.us[:1])
     problem.dynamics.linearize(plan.xs, plan.us)
-    cases.hopper().dynamics.rates(plan.xs[:1], plan.us[:1])  # type: ignore[attr-defined]
+    if problem.requirements is not None:
+        problem.requirements.rates(plan.xs[:1], plan.us[:1])
     seconds = time.perf_counter() - began
     if cold:
         console.say(f"compiled in {seconds:.1f} s")

@@ -1,4 +1,4 @@
-"""The command line's grammar. The flags of a case are its arguments: names, types and defaults come from its signature."""
+"""The command line's grammar. The flags of a case come from its signature: names, types and defaults."""
 
 from __future__ import annotations
 

@@ -30,6 +30,7 @@ def _problem(arguments: argparse.Namespace) -> Problem:
 
 
 def _solved(problem: Problem, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+    solve(problem, max_iterations=1)  # what a first run compiles is not the solve's time
     console.note(f"planning {problem.case}: {problem.N} stages of {problem.dynamics.dt:.4g} s")
     began = time.perf_counter()
     plan = solve(
