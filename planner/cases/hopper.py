@@ -140,7 +140,7 @@ def _stage(height: float, duration: float) -> Stage:
     top = goal + 14.0
     follow = 0.3
     return Stage(
-        title=f"Hopper: {height:g} in in {duration:g} s",
+        title=f"Hopper: {height:g} inches in {duration:g} s",
         readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
         ghost_offset=(26.0, 0.0, 0.0),
         goal_line=((-16.0, 0.0, goal), (42.0, 0.0, goal)),
