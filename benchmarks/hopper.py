@@ -16,6 +16,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import argparse
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -141,6 +142,11 @@ def text(line: dict[str, Any]) -> str:
     )
 
 
+def finite(line: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no NaN and no infinity: null."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in line.items()}
+
+
 def verdict(line: dict[str, Any]) -> str:
     """A record of ours against its target."""
     if "failed" in line:
@@ -200,7 +206,7 @@ def main() -> None:
         print("versions: " + ", ".join(f"{w.solver.module} {w.hello['version']}" for w in workers) + "\n" + HEADER)
     for problem in PROBLEMS:
         for line in lines_of(problem, workers, measure(workers, problem, arguments.repeats, arguments.seconds)):
-            print(json.dumps(line) if arguments.json else text(line), flush=True)
+            print(json.dumps(finite(line)) if arguments.json else text(line), flush=True)
             if line["solver"] == "ours":
                 ours.append(line)
     for worker in workers:

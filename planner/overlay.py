@@ -194,4 +194,4 @@ def _font(name: str, size: float) -> ImageFont.FreeTypeFont:
     """A font that matplotlib brings, so that pictures look the same on every machine."""
     import matplotlib
 
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, max(6, round(size)))
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), max(6, round(size)))

@@ -133,8 +133,9 @@ def replay(plan: Plan, *, feedback: bool = False, twin: Twin | None = None, subs
     if substeps is None:
         substeps = max(REFINEMENT, math.ceil(plan.dt / model.opt.timestep - 1e-9))
     n = count("substeps", substeps)
-    model.opt.timestep = plan.dt / n
     mujoco = load_mujoco()
+    model.opt.timestep = plan.dt / n
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # the refined truth, whatever the file's own choice
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)  # MuJoCo's own would write a file into the user's folder
     try:
