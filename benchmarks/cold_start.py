@@ -6,18 +6,16 @@ machine's first does; "cold compile" gets an empty cache directory.
 
 from __future__ import annotations
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[_name] = "1"
-
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+
+from problems import SINGLE_THREAD
 
 TARGET = 1.0  # s from `import planner` to the first plan, on a warm cache
 
@@ -41,12 +39,12 @@ PROBLEMS = {
     "paper's hopper": "planner.cases.hopper(**__import__('planner.cases.hopper', fromlist='PAPER').PAPER)",
     "default hopper": "planner.cases.hopper()",
 }
-COLUMNS = ("interpreter", "import", "problem", "solve", "from_import", "from_start", "peak_mib")
+COLUMNS = ("interpreter", "import", "build", "solve", "from_import", "from_start", "peak_mib")
 
 
 def first_plan(problem: str, cache: str | None = None) -> dict[str, float]:
     """Run one fresh process: seconds by phase, and peak memory in MiB."""
-    environment = dict(os.environ) if cache is None else {**os.environ, "NUMBA_CACHE_DIR": cache}
+    environment = {**os.environ, **SINGLE_THREAD, **({} if cache is None else {"NUMBA_CACHE_DIR": cache})}
     started = time.time()
     done = subprocess.run(
         [sys.executable, "-c", CHILD.format(problem=problem)], env=environment, capture_output=True, text=True
@@ -58,7 +56,7 @@ def first_plan(problem: str, cache: str | None = None) -> dict[str, float]:
         sys.exit("the first plan did not converge")
     entered, imported, posed, planned = answer["times"]
     return {
-        "interpreter": entered - started, "import": imported - entered, "problem": posed - imported,
+        "interpreter": entered - started, "import": imported - entered, "build": posed - imported,
         "solve": planned - posed, "from_import": planned - entered, "from_start": planned - started,
         "peak_mib": answer["peak_mib"],
     }  # fmt: skip
@@ -104,7 +102,8 @@ def main() -> None:
         parser.error("--repeats must be at least 1 and --cold at least 0")
 
     if not arguments.json:
-        print(f"{'s':<12} {'':<15} {'':<6}" + "".join(f" {c.replace('_', ' '):>11}" for c in COLUMNS[:-1]) + " peak MiB")
+        titles = "".join(f" {c.replace('_', ' '):>11}" for c in COLUMNS[:-1])
+        print(f"{'s':<12} {'':<15} {'':<6}{titles} peak MiB")
     best = {}
     for name, problem in PROBLEMS.items():
         lines = lines_of("warm cache", name, warm(problem, arguments.repeats))

@@ -6,17 +6,11 @@ works: whatever else this machine does meanwhile falls on all of them. Peers tha
 
 from __future__ import annotations
 
-import os
-
-# Before anything imports NumPy, here and (by inheritance) in the workers.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[_name] = "1"
-os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-os.environ.setdefault("JAX_PLATFORMS", "cpu")
-
 import argparse
+import contextlib
 import json
 import math
+import os
 import statistics
 import subprocess
 import sys
@@ -24,7 +18,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from problems import PROBLEMS, TARGETS, judge, remarks
+from problems import PROBLEMS, SINGLE_THREAD, TARGETS, judge, remarks
 from solvers import SOLVERS
 
 BURST = 5  # solves per turn: the first wakes the caches up, the others are what "warm" means
@@ -37,12 +31,13 @@ class Worker:
     def __init__(self, name: str, python: str) -> None:
         self.solver = SOLVERS[name]
         self.name, self.python = name, python
-        self._errors = tempfile.TemporaryFile("w+", errors="replace")
+        self._errors = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115 (it lives as long as the process)
         command = [python, str(Path(__file__).with_name("worker.py")), name]
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, text=True
-            )
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, text=True,
+                env={**os.environ, **SINGLE_THREAD},
+            )  # fmt: skip
         except OSError as error:
             sys.exit(f"cannot run {python} for {name}: {error.strerror}")
         self.hello = self._read()
@@ -57,14 +52,9 @@ class Worker:
 
     def ask(self, problem: str, solves: int) -> dict[str, Any]:
         """A turn of at most that many timed solves."""
-        try:
-            print(
-                json.dumps({"problem": problem, "solves": solves, "seconds": TURN}),
-                file=self._process.stdin,
-                flush=True,
-            )
-        except BrokenPipeError:
-            pass  # the reason is in its standard error
+        turn = json.dumps({"problem": problem, "solves": solves, "seconds": TURN})
+        with contextlib.suppress(BrokenPipeError):  # the reason is in its standard error
+            print(turn, file=self._process.stdin, flush=True)
         return self._read()
 
     def close(self) -> None:
@@ -117,7 +107,7 @@ def lines_of(problem: str, workers: list[Worker], rows: dict[str, dict[str, Any]
             target = TARGETS[problem]
             line.update(
                 target_ms=target.ms, target_cost=target.cost,
-                time_met=line["min_ms"] <= target.ms, cost_met=J <= target.cost,
+                time_met=min(ms) <= target.ms, cost_met=bool(target.cost >= J),
             )  # fmt: skip
         lines.append(line)
     return lines
@@ -195,10 +185,8 @@ def main() -> None:
     if arguments.repeats < 1:
         parser.error("--repeats must be at least 1")
     if arguments.profile:
-        import phases
-
-        phases.report(arguments.json)
-        return
+        command = [sys.executable, str(Path(__file__).with_name("phases.py")), *["--json"] * arguments.json]
+        sys.exit(subprocess.run(command, env={**os.environ, **SINGLE_THREAD}).returncode)
 
     workers, absent = started(arguments.peer_python)
     ours = []

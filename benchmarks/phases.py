@@ -8,19 +8,21 @@ what a layer adds is the difference. All are taken in turn and the least of many
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import planner
 from numba import njit
+from problems import PROBLEMS
+
+import planner
 from planner.cases.hopper import PAPER
 from planner.engine import CompiledEngine
 from planner.kernels import hopper as kernels
 from planner.kernels.riccati import gradients, riccati
 from planner.kernels.workspace import accept
-from problems import PROBLEMS
 
 LOOP, ROUNDS = 200, 60  # calls in a compiled loop; how often each phase has its turn
 
@@ -137,7 +139,7 @@ def measure(name: str) -> dict[str, Any]:
         "engine_us": engine_call,
         "solve_us": us_of["solve"],
         "per_iteration_us": us_of["solve"] / len(plan.history),
-        # What solve adds to its iterations: start, loop, history, plan.
+        # What solve adds to its iterations: first rollout, history, plan, and search batches after the first.
         "around_us": us_of["solve"] - searched * engine_call - (len(plan.history) - searched) * (
             engine_call - us_of["rollout"] - us_of["accept"]
         ),
@@ -152,7 +154,8 @@ def report(as_json: bool) -> None:
             print(json.dumps(p), flush=True)
             continue
         rest = p["iterate_us"] - sum(p[f"{k}_us"] for k in ("linearize", "gradients", "riccati", "rollout", "accept"))
-        print(f"{name}: {p['solve_us']:.1f} us = {p['iterations']} iterations of {p['per_iteration_us']:.2f} us, all told")
+        count, each = p["iterations"], p["per_iteration_us"]
+        print(f"{name}: {p['solve_us']:.1f} us = {count} iterations of {each:.2f} us, all told")
         for label, value in (
             ("linearize (Eq. 35)", p["linearize_us"]),
             ("gradients of the stage costs", p["gradients_us"]),
@@ -164,11 +167,11 @@ def report(as_json: bool) -> None:
             ("Python to compiled code and back", p["dispatch_us"]),
             ("engine", p["engine_us"] - p["iterate_us"] - p["dispatch_us"]),
             ("= one iteration's engine call", p["engine_us"]),
-            ("around all iterations, per solve", p["around_us"]),
+            ("around them, per solve", p["around_us"]),
         ):
             print(f"    {label:<34} {value:7.2f} us")
         print()
 
 
 if __name__ == "__main__":
-    report(False)
+    report("--json" in sys.argv)

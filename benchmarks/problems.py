@@ -14,6 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# The environment of every measured process: libraries read it when they are imported.
+SINGLE_THREAD = {
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1", "JAX_PLATFORMS": "cpu",
+}  # fmt: skip
+
 # A solver stops when its model promises less than this, or at its own tolerance below; 1e-10 of the costs here.
 DECREASE = 1e-7
 TOLERANCE = 1e-8

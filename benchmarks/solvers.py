@@ -121,7 +121,7 @@ def make_crocoddyl(hopper: Hopper) -> Solve:
             data.xnext = np.array([y + dt * v, v + dt * (force - h.gravity), p + dt * flow])
             data.cost = 0.5 * dt * (h.piston_weight * p * p + h.flow_weight * flow * flow)
 
-        def calcDiff(self, data, x, u=None) -> None:  # noqa: N802 (Crocoddyl's name)
+        def calcDiff(self, data, x, u=None) -> None:
             y, _, p = x.tolist()
             slope = dt * h.spring(p - y)[1]
             data.Fx = np.array([[1.0, dt, 0.0], [-slope, 1.0, slope], [0.0, 0.0, 1.0]])
@@ -138,7 +138,7 @@ def make_crocoddyl(hopper: Hopper) -> Solve:
             data.xnext = x.copy()
             data.cost = 0.5 * h.final_weight * (x[0] - h.height) ** 2 + x[1] ** 2
 
-        def calcDiff(self, data, x, u=None) -> None:  # noqa: N802
+        def calcDiff(self, data, x, u=None) -> None:
             data.Lx = np.array([h.final_weight * (x[0] - h.height), 2.0 * x[1], 0.0])
             data.Lxx = np.diag([h.final_weight, 2.0, 0.0])
 

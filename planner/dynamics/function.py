@@ -60,10 +60,8 @@ class FunctionDynamics:
         # A batch of three different states: a function of one state cannot return the same for it by chance.
         rng = np.random.default_rng(0)
         xs, us = rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
-        single = [np.asarray(self._f(x.copy(), u.copy()), dtype=float) for x, u in zip(xs, us, strict=True)]
-        for value in single:
-            if value.shape != (self.nx,):
-                raise PlannerError(f"f(x, u) has shape {value.shape}, expected ({self.nx},).")
+        values = [self._f(x.copy(), u.copy()) for x, u in zip(xs, us, strict=True)]
+        single = [array("f(x, u)", value, (self.nx,)) for value in values]
         try:
             many = np.asarray(self._f(xs.copy(), us.copy()), dtype=float)
         except Exception:  # whatever a function of one state does with a batch

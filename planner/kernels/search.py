@@ -45,28 +45,26 @@ def batches(rule):
 
 @jit
 def _too_long(rule, alpha, J, S, J0, S0):
-    """Whether the rule's steps lie before this one."""
+    """Whether the rule's steps lie before this one. A step must lower the cost, to a finite one."""
     c = GOLDSTEIN_C if rule == GOLDSTEIN else SUFFICIENT
-    if not J0 + c * alpha * S0 >= J:  # also when J is NaN
+    if not (J <= J0 + c * alpha * S0 and -np.inf < J < J0):  # also when J is NaN
         return True
-    return rule == WOLFE and S > -CURVATURE * S0
+    return rule == WOLFE and not S <= -CURVATURE * S0
 
 
 @jit
 def _too_short(rule, alpha, J, S, J0, S0):
-    """Whether the rule's steps lie beyond this one."""
+    """Whether the rule's steps lie beyond this one, which is not too long."""
     if rule == GOLDSTEIN:
-        return J0 + (1.0 - GOLDSTEIN_C) * alpha * S0 > J
-    if rule == WOLFE:
-        return S < CURVATURE * S0
-    return False
+        return J < J0 + (1.0 - GOLDSTEIN_C) * alpha * S0
+    return rule == WOLFE and S < CURVATURE * S0
 
 
 @jit
 def _choose_exact(alpha, J, J0, bracket):
     best = -1
     for i in range(alpha.shape[0]):
-        if J[i] < J0 and (best < 0 or J[i] < J[best]):
+        if -np.inf < J[i] < J0 and (best < 0 or J[i] < J[best]):
             best = i
     if best < 0:
         for i in range(alpha.shape[0]):
@@ -89,10 +87,11 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
     for i in range(alpha.shape[0]):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
-        elif _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            bracket[0] = max(bracket[0], alpha[i])
-        else:
+        elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
             return i
+    for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
+        if alpha[i] < bracket[1]:
+            bracket[0] = max(bracket[0], alpha[i])
     return -1
 
 
@@ -101,6 +100,7 @@ def refine(rule, alpha, bracket):
     """The next candidates: shorter by powers of two (armijo), else inside the bracket or beyond its open end."""
     lanes = alpha.shape[0]
     low, high, best = bracket[0], bracket[1], bracket[2]
+    before = lanes // 2  # of the exact rule's candidates, so many between low and best
     for i in range(lanes):
         if rule == ARMIJO:
             alpha[i] *= 0.5**lanes
@@ -108,7 +108,9 @@ def refine(rule, alpha, bracket):
             alpha[i] = max(low, best) * 2.0 ** (i if rule == EXACT else i + 1)
         elif low == 0.0 and best == 0.0:
             alpha[i] = high * 0.5 ** (i + 1)
-        else:
+        elif rule != EXACT:
             alpha[i] = low + (high - low) * (i + 1) / (lanes + 1)
-    if rule == EXACT and best > 0.0:  # carry the best along, so that the last batch holds it
-        alpha[0] = best
+        elif i <= before:  # from the best so far, which is carried along, down to low
+            alpha[i] = best - (best - low) * i / (before + 1)
+        else:
+            alpha[i] = best + (high - best) * (i - before) / (lanes - before)

@@ -1,0 +1,303 @@
+"""The LQ subproblem: the sweep against one dense linear solve, the identities of section 3, and kernels against lq."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag, solve_discrete_are
+
+from planner import FunctionDynamics, TrackingCost, lq
+from planner.cost import Quadratic
+from planner.kernels import riccati as kernels
+from planner.kernels.lanes import WIDTH
+from planner.kernels.workspace import workspace
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def spd(rng, n, least=0.1):
+    """A random symmetric matrix with eigenvalues of at least `least`."""
+    root = rng.normal(size=(n, n)) / np.sqrt(n)
+    return root @ root.T + least * np.eye(n)
+
+
+def random_problem(seed, N, nx, nu):
+    """A (N, nx, nx), B, and the quadratic model; state weights of low rank where chance has it."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(N, nx, nx)) / np.sqrt(nx) * rng.uniform(0.5, 1.3)
+    B = rng.normal(size=(N, nx, nu))
+    Q = np.array([spd(rng, nx, 0.0) * rng.integers(0, 2) for _ in range(N + 1)])
+    R = np.array([spd(rng, nu) for _ in range(N)])
+    return A, B, Quadratic(Q, rng.normal(size=(N + 1, nx)), R, rng.normal(size=(N, nu)))
+
+
+sizes = {"N": st.integers(1, 12), "nx": st.integers(1, 12), "nu": st.integers(1, 3)}
+
+
+def dense(A, B, m, dx0):
+    """The whole quadratic program at once: minimize over all dx(1..N), du(0..N-1) with the dynamics as constraints.
+
+    Returns dxs (N+1, nx), dus (N, nu), multipliers (N, nx) and the least value.
+    """
+    N, nx, nu = B.shape
+    H = block_diag(*m.R, *m.Q[1:])
+    g = np.concatenate([m.r.ravel(), m.q[1:].ravel()])
+    C, c = np.zeros((N * nx, len(g))), np.zeros(N * nx)  # A dx(n) + B du(n) - dx(n+1) = -c
+    for n in range(N):
+        rows = slice(n * nx, (n + 1) * nx)
+        C[rows, n * nu : (n + 1) * nu] = B[n]
+        C[rows, N * nu + n * nx : N * nu + (n + 1) * nx] = -np.eye(nx)
+        if n > 0:
+            C[rows, N * nu + (n - 1) * nx : N * nu + n * nx] = A[n]
+    c[:nx] = A[0] @ dx0
+    kkt = np.block([[H, C.T], [C, np.zeros((N * nx, N * nx))]])
+    z, multipliers = np.split(np.linalg.solve(kkt, -np.concatenate([g, c])), [len(g)])
+    value = 0.5 * z @ H @ z + g @ z + 0.5 * dx0 @ m.Q[0] @ dx0 + m.q[0] @ dx0
+    dxs = np.concatenate([dx0, z[N * nu :]]).reshape(N + 1, nx)
+    return dxs, z[: N * nu].reshape(N, nu), multipliers.reshape(N, nx), value
+
+
+def assert_close(ours, theirs, digits=9):
+    scale = max(1.0, float(np.abs(theirs).max()))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=10.0**-digits * scale)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=seeds, **sizes)
+def test_sweep_solves_the_quadratic_program(seed, N, nx, nu):
+    A, B, m = random_problem(seed, N, nx, nu)
+    sweep = lq.riccati(A, B, m)
+    dxs, dus = lq.direction(A, B, sweep)
+    dense_dxs, dense_dus, multipliers, value = dense(A, B, m, np.zeros(nx))
+    assert_close(dxs, dense_dxs)
+    assert_close(dus, dense_dus)
+    # Eq. 28 in our signs: the multipliers of the dynamics are P dx + s.
+    assert_close(np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:], multipliers)
+    assert_close(0.5 * sweep.slope, value)  # the decrease promised is the least value of the model
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, **sizes)
+def test_gains_and_value_function_hold_from_any_start(seed, N, nx, nu):
+    """From dx(0) = d: du = k + K dx is the program's solution, and its value is 1/2 d'Pd + s'd plus a constant."""
+    A, B, m = random_problem(seed, N, nx, nu)
+    sweep = lq.riccati(A, B, m)
+    d = np.random.default_rng(seed + 1).normal(size=nx)
+    _, dus, _, value = dense(A, B, m, d)
+    dx = d
+    for n in range(N):
+        du = sweep.k[n] + sweep.K[n] @ dx
+        assert_close(du, dus[n])
+        dx = A[n] @ dx + B[n] @ du
+    assert_close(0.5 * d @ sweep.P[0] @ d + sweep.s[0] @ d + 0.5 * sweep.slope, value)
+    for P in sweep.P:
+        np.testing.assert_array_equal(P, P.T)
+        assert np.linalg.eigvalsh(P).min() >= -1e-9 * max(1.0, np.abs(P).max())
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=seeds, mu=st.sampled_from([0.0, 0.0, 0.3, 30.0]), **sizes)
+def test_descent_identity(seed, mu, N, nx, nu):
+    """Eq. 42: grad J . dU = -(sum dx'Q dx + du'R du), all of it negative; with mu on R's diagonal."""
+    A, B, m = random_problem(seed, N, nx, nu)
+    sweep = lq.riccati(A, B, m, mu)
+    dxs, dus = lq.direction(A, B, sweep)
+    along = float(np.sum(lq.gradient(A, B, m) * dus))
+    energy = np.einsum("ni,nij,nj->", dxs, m.Q, dxs) + np.einsum("ni,nij,nj->", dus, m.R, dus) + mu * np.sum(dus**2)
+    assert along == pytest.approx(-energy, rel=1e-8)
+    assert along == pytest.approx(sweep.slope, rel=1e-8)
+    assert along < 0.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, mu=st.floats(1e-6, 1e3), **sizes)
+def test_regularisation_is_a_heavier_control_weight(seed, mu, N, nx, nu):
+    A, B, m = random_problem(seed, N, nx, nu)
+    heavier = m._replace(R=m.R + mu * np.eye(nu))
+    for ours, theirs in zip(lq.riccati(A, B, m, mu), lq.riccati(A, B, heavier), strict=True):
+        assert_close(ours, theirs, 11)
+
+
+def table_1(A, B, Q, R, x_ref, u_ref):
+    """The paper's Table 1 as printed, with its inverses M(n) and its offsets, from dx(0) = 0."""
+    N, nx, nu = B.shape
+    P, s = [None] * N + [Q[N]], [None] * N + [-Q[N] @ x_ref[N]]
+    M = [None] * N
+    for n in reversed(range(N)):
+        BRB = B[n] @ np.linalg.solve(R[n], B[n].T)
+        M[n] = np.linalg.inv(np.eye(nx) + BRB @ P[n + 1])
+        PM = P[n + 1] @ M[n]
+        P[n] = Q[n] + A[n].T @ PM @ A[n]
+        s[n] = A[n].T @ (np.eye(nx) - PM @ BRB) @ s[n + 1] + A[n].T @ PM @ B[n] @ u_ref[n] - Q[n] @ x_ref[n]
+    x, us = np.zeros(nx), np.empty((N, nu))
+    for n in range(N):
+        v = M[n] @ B[n] @ (u_ref[n] - np.linalg.solve(R[n], B[n].T @ s[n + 1]))
+        x = M[n] @ A[n] @ x + v
+        us[n] = u_ref[n] - np.linalg.solve(R[n], B[n].T @ (P[n + 1] @ x + s[n + 1]))
+    return np.array(P), np.array(s), us
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, **sizes)
+def test_sweep_is_table_1(seed, N, nx, nu):
+    A, B, m = random_problem(seed, N, nx, nu)
+    rng = np.random.default_rng(seed)
+    x_ref, u_ref = rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu))
+    q, r = -np.einsum("nij,nj->ni", m.Q, x_ref), -np.einsum("nij,nj->ni", m.R, u_ref)
+    sweep = lq.riccati(A, B, Quadratic(m.Q, q, m.R, r))
+    P, s, us = table_1(A, B, m.Q, m.R, x_ref, u_ref)
+    assert_close(sweep.P, P, 8)
+    assert_close(sweep.s, s, 8)
+    assert_close(lq.direction(A, B, sweep)[1], us, 8)
+
+
+def test_long_horizons_end_in_the_algebraic_riccati_equation():
+    rng = np.random.default_rng(4)
+    nx, nu, N = 4, 2, 200
+    A, B, Q, R = rng.normal(size=(nx, nx)), rng.normal(size=(nx, nu)), spd(rng, nx), spd(rng, nu)
+    assert np.abs(np.linalg.eigvals(A)).max() > 1.0  # an unstable plant, held by the gains
+    model = Quadratic(np.tile(Q, (N + 1, 1, 1)), np.zeros((N + 1, nx)), np.tile(R, (N, 1, 1)), np.zeros((N, nu)))
+    sweep = lq.riccati(np.tile(A, (N, 1, 1)), np.tile(B, (N, 1, 1)), model)
+    P = solve_discrete_are(A, B, Q, R)
+    np.testing.assert_allclose(sweep.P[0], P, rtol=1e-9)
+    np.testing.assert_allclose(sweep.K[0], -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), rtol=1e-9)
+
+
+def pendulum(x, u):
+    return np.stack([x[..., 1], u[..., 0] - np.sin(x[..., 0]) + 0.2 * u[..., 1] * x[..., 1]], axis=-1)
+
+
+def rollout(dynamics, x0, us):
+    xs = [np.asarray(x0, dtype=float)]
+    for u in us:
+        xs.append(dynamics.step(xs[-1][None], u[None])[0])
+    return np.array(xs)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds, N=st.integers(1, 10), integrator=st.sampled_from(["euler", "semi-implicit-euler", "rk4"]))
+def test_gradient_is_that_of_the_cost(seed, N, integrator):
+    """Eq. 16-19 against differences of J itself, through rollouts of nonlinear dynamics."""
+    rng = np.random.default_rng(seed)
+    dynamics = FunctionDynamics(pendulum, 2, 2, 0.2, integrator)
+    cost = TrackingCost(
+        [spd(rng, 2) for _ in range(N + 1)], [spd(rng, 2) for _ in range(N)],
+        rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 2)),
+    )  # fmt: skip
+    x0, us = rng.normal(size=2), rng.normal(size=(N, 2))
+    xs = rollout(dynamics, x0, us)
+    A, B = dynamics.linearize(xs, us)
+    model = cost.quadratize(xs, us)
+    gradient = lq.gradient(A, B, model)
+    costate = lq.costates(A, model)
+    h = 1e-5  # central: rounding 1e-16 J / h and h^2 leave about 1e-9
+
+    def J(dx0, dus):
+        return cost.value(rollout(dynamics, x0 + dx0, us + dus), us + dus)
+
+    for n in range(N):
+        for a in range(2):
+            d = np.zeros((N, 2))
+            d[n, a] = h
+            assert (J(0.0, d) - J(0.0, -d)) / (2 * h) == pytest.approx(gradient[n, a], rel=1e-6, abs=1e-6)
+    for i in range(2):  # Eq. 14: the costate at 0 is the derivative with respect to the start
+        d = h * np.eye(2)[i]
+        assert (J(d, 0.0) - J(-d, 0.0)) / (2 * h) == pytest.approx(costate[0, i], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("stage", [0, 2, 4])
+def test_an_indefinite_stage_is_found(stage):
+    """R + B'PB + mu I is indefinite at one stage: None, until mu lifts its least eigenvalue above zero."""
+    A, B, m = random_problem(5, 5, 3, 2)
+    m = m._replace(Q=0.0 * m.Q)  # so that B'PB is zero and R decides
+    m.R[stage] = np.array([[1.0, 2.0], [2.0, 1.0]])  # eigenvalues 3 and -1
+    assert lq.riccati(A, B, m) is None
+    assert lq.riccati(A, B, m, 0.99) is None
+    assert lq.riccati(A, B, m, 1.01) is not None
+    w = filled(A, B, m)
+    assert [kernels.riccati(w, mu)[2] for mu in (0.0, 0.99, 1.01)] == [False, False, True]
+
+
+# The compiled sweep
+
+
+def filled(A, B, m):
+    """A workspace that holds the problem; columns beyond the problem's own stay zero."""
+    N, nx, nu = B.shape
+    w = workspace(m.Q, m.R, np.zeros((N + 1, nx)), np.zeros((N, nu)))
+    w.F[:, :, :nu], w.F[:, :, nu : nu + nx] = B, A
+    w.l[:N, :nu], w.l[:, nu : nu + nx] = m.r, m.q
+    return w
+
+
+# (nx, nu): one block of eight columns filled and part filled, exactly two, and more than two.
+BLOCKS = [(1, 1), (3, 1), (4, 2), (6, 2), (7, 1), (8, 1), (5, 3), (12, 3), (12, 2), (14, 2), (15, 3), (1, 3)]
+
+
+@pytest.mark.parametrize(("nx", "nu"), BLOCKS)
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds, N=st.integers(1, 10), mu=st.sampled_from([0.0, 0.5]))
+def test_compiled_sweep_is_its_twin(nx, nu, seed, N, mu):
+    A, B, m = random_problem(seed, N, nx, nu)
+    twin = lq.riccati(A, B, m, mu)
+    w = filled(A, B, m)
+    norm, slope, definite = kernels.riccati(w, mu)
+    assert definite
+    gradient = lq.gradient(A, B, m)
+    assert_close(w.gradient, gradient, 11)
+    assert norm == pytest.approx(np.linalg.norm(gradient), rel=1e-11)
+    assert slope == pytest.approx(twin.slope, rel=1e-9)
+    assert_close(w.k, twin.k)
+    assert_close(w.K[:, :, nu : nu + nx], twin.K)
+    assert not w.K[:, :, nu + nx :].any()  # padding stays zero
+    kernels.direction(w)
+    assert_close(w.dus, lq.direction(A, B, twin)[1])
+
+
+@pytest.mark.parametrize(("nx", "nu"), [(3, 1), (12, 3)])
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds, N=st.integers(1, 10))
+def test_compiled_gradients_are_the_costs(nx, nu, seed, N):
+    rng = np.random.default_rng(seed)
+    A, B, m = random_problem(seed, N, nx, nu)
+    cost = TrackingCost(m.Q, m.R, rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu)))
+    w = workspace(cost.Q, cost.R, cost.x_ref, cost.u_ref)
+    w.xs[:], w.us[:] = rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu))
+    w.F[:, :, :nu], w.F[:, :, nu : nu + nx] = B, A
+    kernels.gradients(w)
+    model = cost.quadratize(w.xs, w.us)
+    np.testing.assert_allclose(w.l[:N, :nu], model.r, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(w.l[:, nu : nu + nx], model.q, rtol=1e-12, atol=1e-12)
+    assert not w.l[N, :nu].any()  # there is no control at the end
+    kernels.riccati(w, 0.0)
+    assert_close(w.gradient, lq.gradient(A, B, model), 11)
+
+
+def test_compiled_sweep_forgets_the_last_one():
+    """A workspace is used again and again: nothing of an earlier sweep may leak, least of a failed one."""
+    nx, nu, N = 12, 3, 6
+    fresh = [filled(*random_problem(seed, N, nx, nu)) for seed in (1, 2)]
+    used = filled(*random_problem(1, N, nx, nu))
+    kernels.riccati(used, 0.0)
+    used.R[3, 0, 0], used.W[3, 0, 0] = -1e6, -1e6
+    assert not kernels.riccati(used, 0.0)[2]
+    second = filled(*random_problem(2, N, nx, nu))
+    for name in ("F", "l", "W"):
+        getattr(used, name)[:] = getattr(second, name)
+    expected, ours = kernels.riccati(fresh[1], 0.0), kernels.riccati(used, 0.0)
+    assert ours == expected
+    np.testing.assert_array_equal(used.K, fresh[1].K)
+    np.testing.assert_array_equal(used.k, fresh[1].k)
+
+
+def test_rows_are_whole_lanes():
+    """What the sweep relies on: rows of the padded arrays start on a cache line, and W = diag(R, Q)."""
+    rng = np.random.default_rng(0)
+    Q, R = np.array([spd(rng, 12) for _ in range(4)]), np.array([spd(rng, 3) for _ in range(3)])
+    w = workspace(Q, R, np.zeros((4, 12)), np.zeros((3, 3)))
+    for a in (w.W, w.F, w.K, w.H, w.G, w.l):
+        assert a.shape[-1] % WIDTH == 0
+        assert a.ctypes.data % 64 == 0  # bytes of eight doubles
+    np.testing.assert_array_equal(w.W[1, :, :15], block_diag(R[1], Q[1]))
+    np.testing.assert_array_equal(w.W[3, :, :15], block_diag(np.zeros((3, 3)), Q[3]))
+    assert not w.W[:, :, 15:].any()
