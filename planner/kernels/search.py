@@ -47,7 +47,7 @@ def batches(rule):
 def _too_long(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie before this one. A step must lower the cost, to a finite one."""
     c = GOLDSTEIN_C if rule == GOLDSTEIN else SUFFICIENT
-    if not (J <= J0 + c * alpha * S0 and -np.inf < J < J0):  # also when J is NaN
+    if not (J0 + c * alpha * S0 >= J and -np.inf < J < J0):  # also when J is NaN
         return True
     return rule == WOLFE and not S <= -CURVATURE * S0
 
@@ -56,7 +56,7 @@ def _too_long(rule, alpha, J, S, J0, S0):
 def _too_short(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie beyond this one, which is not too long."""
     if rule == GOLDSTEIN:
-        return J < J0 + (1.0 - GOLDSTEIN_C) * alpha * S0
+        return J0 + (1.0 - GOLDSTEIN_C) * alpha * S0 > J
     return rule == WOLFE and S < CURVATURE * S0
 
 
