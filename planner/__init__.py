@@ -14,9 +14,10 @@ from planner import cases
 from planner.cost import Cost, Quadratic, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
+from planner.parity import parity
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
-from planner.proof import Proof, parity, prove
+from planner.proof import Proof, prove
 from planner.replay import Replay, replay
 from planner.slq import solve
 from planner.twin import Twin

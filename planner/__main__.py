@@ -23,7 +23,8 @@ _COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     # A kill must clean up like an exception: no hidden folders are left behind.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    for kill in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(kill, lambda number, _: sys.exit(128 + number))
     words = list(sys.argv[1:] if argv is None else argv)
     console = Console(as_json="--json" in words, quiet="--quiet" in words)
     try:
@@ -33,20 +34,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.command is None:
             parser.build().print_help()
             return 0
-        return _COMMANDS[arguments.command](arguments, console)
+        code = _COMMANDS[arguments.command](arguments, console)
+        if console.lost:
+            console.complain(f"the results could not be printed: {console.lost}.")
+            return 2
+        return code
     except PlannerError as error:
-        console.complain(str(error))
-        console.document({"error": str(error), "exit_code": 2})
-        return 2
+        return _refuse(console, str(error), 2)
     except MemoryError:
-        console.complain("there is not enough memory for this problem, expected a shorter horizon.")
-        return 2
-    except BrokenPipeError:  # the reader of our output went away, e.g. `planner list | head`
-        sys.stderr.close()
-        return 1
+        return _refuse(console, "there is not enough memory for this problem, expected a shorter horizon.", 2)
     except KeyboardInterrupt:
-        console.complain("interrupted; nothing was written.")
-        return 130
+        return _refuse(console, "interrupted; nothing was written.", 130)
+
+
+def _refuse(console: Console, sentence: str, code: int) -> int:
+    console.complain(sentence)
+    console.document({"error": sentence, "exit_code": code})
+    return code
 
 
 if __name__ == "__main__":

@@ -13,19 +13,24 @@ import numpy as np
 from planner.errors import PlannerError
 
 
-def number(name: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
-    """A finite float, greater than `above` or at least `least` where given."""
+def number(
+    name: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
+) -> float:
+    """A finite float, greater than `above`, at least `least` and at most `most` where given."""
     try:
         result = float(value)
     except (TypeError, ValueError):
         result = math.nan
     too_small = (above is not None and result <= above) or (least is not None and result < least)
-    if too_small or not math.isfinite(result):
+    too_large = most is not None and result > most
+    if too_small or too_large or not math.isfinite(result):
         expected = "a finite number"
         if above is not None:
             expected += f" greater than {above:g}"
         if least is not None:
             expected += f" of at least {least:g}"
+        if most is not None:
+            expected += f" and at most {most:g}"
         raise PlannerError(f"{name} is {value!r}, expected {expected}.")
     return result
 
@@ -52,8 +57,8 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     raise PlannerError(f"{name} is {value!r}, expected one of: {', '.join(known)}.{hint}")
 
 
-def array(name: str, value: Any, shape: tuple[int | str, ...]) -> np.ndarray:
-    """A finite float64 array in C order. Sizes in `shape` that are letters match anything."""
+def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: bool = False) -> np.ndarray:
+    """A float64 array in C order, finite unless any_value. Sizes in `shape` that are letters match anything."""
     wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     try:
         result = np.array(value, dtype=np.float64, order="C")
@@ -64,7 +69,7 @@ def array(name: str, value: Any, shape: tuple[int | str, ...]) -> np.ndarray:
     )
     if not fits:
         raise PlannerError(f"{name} has shape {result.shape}, expected {wanted}.")
-    if not np.isfinite(result).all():
+    if not any_value and not np.isfinite(result).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
     return result

@@ -6,24 +6,14 @@ With --json stdout carries one JSON document and nothing else.
 from __future__ import annotations
 
 import json
-import math
+import os
 import sys
 import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from planner.jsonable import finite
 from planner.plan import Iteration
-
-
-def finite(value: Any) -> Any:
-    """The same value as JSON can say it: what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 class Console:
@@ -37,26 +27,40 @@ class Console:
     def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
         self.as_json = as_json
         self.quiet = quiet
-        self._live = sys.stderr.isatty()
+        self.lost = ""  # why results could not be printed
+        self._live = sys.stderr is not None and sys.stderr.isatty()
         self._drawn = 0.0
+
+    def _print(self, text: str, *, result: bool, end: str = "\n") -> None:
+        """Print, or remember why not: a reader that went away must not undo work that is done."""
+        stream = sys.stdout if result else sys.stderr
+        if stream is None or (result and self.lost):
+            return
+        try:
+            print(text, file=stream, end=end, flush=True)
+        except OSError as error:
+            # What is still buffered would fail again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            if result:
+                self.lost = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
 
     def say(self, text: str = "") -> None:
         """A line of the result; with --json it goes to stderr."""
-        print(text, file=sys.stderr if self.as_json else sys.stdout, flush=True)
+        self._print(text, result=not self.as_json)
 
     def note(self, text: str) -> None:
         """A line about the work in progress."""
         if not self.quiet:
-            print(text, file=sys.stderr, flush=True)
+            self._print(text, result=False)
 
     def complain(self, text: str) -> None:
         """What was wrong, in one sentence."""
-        print(f"planner: {text}", file=sys.stderr, flush=True)
+        self._print(f"planner: {text}", result=False)
 
     def document(self, content: dict[str, Any]) -> None:
         """The result for machines; only with --json."""
         if self.as_json:
-            print(json.dumps(finite(content), indent=2, allow_nan=False), flush=True)
+            self._print(json.dumps(finite(content), indent=2, allow_nan=False), result=True)
 
     def table(self, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         """A table with aligned columns: the first to the left, the others as their heads."""
@@ -83,6 +87,6 @@ class Console:
         if self._live and (done == total or now - self._drawn > 0.1):
             self._drawn = now
             end = "\n" if done == total else ""
-            print(f"\r{what}: {done}/{total}", end=end, file=sys.stderr, flush=True)
+            self._print(f"\r{what}: {done}/{total}", result=False, end=end)
         elif not self._live and done == total:
             self.note(f"{what}: {done}/{total}")

@@ -37,7 +37,7 @@ class Cost(Protocol):
 
 def _weights(name: str, value: Any, stages: int, size: int) -> np.ndarray:
     """(stages, size, size) from a number, a diagonal (size,), a matrix, or one of these per stage."""
-    given = np.asarray(value, dtype=float)
+    given = _numbers(name, value)
     if given.ndim == 0:
         given = np.full(size, given)
     if given.ndim == 1:
@@ -49,8 +49,15 @@ def _weights(name: str, value: Any, stages: int, size: int) -> np.ndarray:
     return array(name, given, (stages, size, size))
 
 
+def _numbers(name: str, value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise PlannerError(f"{name} is {value!r}, expected numbers.") from None
+
+
 def _references(name: str, value: Any, stages: int, size: int) -> np.ndarray:
-    given = np.asarray(value, dtype=float)
+    given = _numbers(name, value)
     if given.ndim <= 1:
         given = np.broadcast_to(given, (stages, size))
     return array(name, given, (stages, size))
@@ -73,7 +80,7 @@ class TrackingCost:
 
     def __init__(self, Q: Any, R: Any, x_ref: Any = 0.0, u_ref: Any = 0.0) -> None:
         self.Q, self.R = array("Q", Q, ("N+1", "nx", "nx")), array("R", R, ("N", "nu", "nu"))
-        self.N, self.nx, self.nu = len(self.R), self.Q.shape[1], self.R.shape[1]
+        self.N, self.nx, self.nu = count("N, the number of stages in R", len(self.R)), self.Q.shape[1], self.R.shape[1]
         array("Q", self.Q, (self.N + 1, self.nx, self.nx))
         array("R", self.R, (self.N, self.nu, self.nu))
         self.x_ref = _references("x_ref", x_ref, self.N + 1, self.nx)
@@ -87,6 +94,8 @@ class TrackingCost:
         largest = np.abs(self.Q).max()
         if np.linalg.eigvalsh(self.Q).min() < -1e-10 * largest:
             raise PlannerError("Q has a negative eigenvalue, expected positive semidefinite state weights.")
+        for fixed in (self.Q, self.R, self.x_ref, self.u_ref):  # solves keep copies of their own
+            fixed.flags.writeable = False
 
     @classmethod
     def reach(

@@ -12,8 +12,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from planner import lq
-from planner.cost import TrackingCost
+from planner.cost import Quadratic, TrackingCost
 from planner.dynamics import CompiledDynamics
+from planner.errors import PlannerError
 from planner.kernels import search
 from planner.kernels.jit import announce
 from planner.kernels.lanes import WIDTH
@@ -36,7 +37,7 @@ class Engine(Protocol):
     """One solve's memory. Not shared between threads.
 
     Attributes:
-        largest_control_weight: The largest entry of R, the measure of what regularises R + B'PB.
+        largest_control_weight: The largest magnitude in R, the measure of what regularises R + B'PB.
     """
 
     largest_control_weight: float
@@ -67,7 +68,7 @@ class CompiledEngine:
     def __init__(self, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
         self._dynamics = dynamics
         self._w = workspace(cost.Q, cost.R, cost.x_ref, cost.u_ref)
-        self.largest_control_weight = float(cost.R.max())
+        self.largest_control_weight = float(np.abs(cost.R).max())
 
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
         """Roll out the first guess; its cost."""
@@ -103,6 +104,8 @@ class NumpyEngine:
         self._together = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
+        self._sweep: lq.Sweep | None = None
+        self._gains = (problem.N, problem.dynamics.nu, problem.dynamics.nx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
@@ -111,7 +114,8 @@ class NumpyEngine:
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
         if np.isfinite(J[0]):
-            self.largest_control_weight = float(self._cost.quadratize(*self._nominal).R.max())
+            _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
+            self.largest_control_weight = float(np.abs(self._cost.quadratize(*self._nominal).R).max()) or 1.0
         return float(J[0])
 
     def _rollout(
@@ -125,17 +129,17 @@ class NumpyEngine:
             for n in range(N):
                 if K is not None:
                     us[n] += (xs[n] - nominal[n]) @ K[n].T
-                xs[n + 1] = self._dynamics.step(xs[n], us[n])
+                xs[n + 1] = self._dynamics.step(xs[n], us[n])  # Eq. 10
             J = np.array([self._cost.value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
         return xs, J
 
-    def _slope(self, xs: np.ndarray, us: np.ndarray, feedback: bool) -> float:
+    def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
         model = self._cost.quadratize(xs, us)
         dx, total = np.zeros(xs.shape[1]), 0.0
         for n in range(len(us)):
-            du = self._sweep.k[n] + self._sweep.K[n] @ dx if feedback else self._dus[n]
+            du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
             total += float(model.q[n] @ dx + model.r[n] @ du)
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
@@ -147,7 +151,7 @@ class NumpyEngine:
         """Linearise (if `fresh`), sweep, search, accept."""
         xs0, us0 = self._nominal
         if fresh:
-            self._A, self._B = self._dynamics.linearize(xs0, us0)
+            self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             self._model = self._cost.quadratize(xs0, us0)
             self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
         sweep = lq.riccati(self._A, self._B, self._model, mu)
@@ -163,11 +167,11 @@ class NumpyEngine:
         slopes = np.zeros_like(alpha)
         # One candidate at a time must be allowed as many tries as eight.
         for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
-            us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]
+            us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]  # Eq. 36
             xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
             if rule == search.WOLFE:
                 for c in np.flatnonzero(np.isfinite(J)):
-                    slopes[c] = self._slope(xs[:, c], us[:, c], feedback)
+                    slopes[c] = self._slope(xs[:, c], us[:, c], sweep.K if feedback else None)
             lane = search.choose(rule, alpha, J, slopes, cost, slope, bracket)
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
@@ -183,7 +187,16 @@ class NumpyEngine:
 
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, nx)."""
-        return self._sweep.K.copy()
+        return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
+
+
+def _check_shapes(model: Quadratic, N: int, nu: int, nx: int) -> None:
+    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
+    expected = {"Q": (N + 1, nx, nx), "q": (N + 1, nx), "R": (N, nu, nu), "r": (N, nu)}
+    for name, shape in expected.items():
+        have = np.shape(getattr(model, name))
+        if have != shape:
+            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")
 
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result.

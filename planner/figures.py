@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
+
+from planner.jsonable import finite
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,17 @@ class Figure:
 
     def __str__(self) -> str:
         bound = "" if self.bound is None else f" (bound {self.bound:.3g})"
-        return f"{self.name.replace('_', ' ')} {self.value:.4g} {self.unit}".rstrip() + bound
+        return f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip() + bound
 
     def to_dict(self) -> dict[str, Any]:
         """The figure as JSON values; what is not finite becomes null (JSON has no infinity)."""
-        finite = float(self.value) if math.isfinite(self.value) else None
         return {
-            "value": finite, "unit": self.unit, "bound": self.bound, "passed": self.passed, "note": self.note
-        }  # fmt: skip
+            "value": finite(float(self.value)),
+            "unit": self.unit,
+            "bound": self.bound,
+            "passed": self.passed,
+            "note": self.note,
+        }
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,15 @@ where planner imports mujoco, after looking at what is installed, and never befo
 from __future__ import annotations
 
 import ctypes
+import importlib
+import logging
 import os
 import sys
-from types import ModuleType
+from typing import Any
 
 from planner.errors import RenderingUnavailable
+
+_log = logging.getLogger("planner")
 
 # What MUJOCO_GL may be set to in order to have no drawing at all.
 _OFF = ("disable", "disabled", "off", "false", "0")
@@ -37,7 +41,7 @@ def backend() -> str | None:
     return next((name for name in (wish, "osmesa", "egl") if _usable(name)), None)
 
 
-def load_mujoco() -> ModuleType:
+def load_mujoco() -> Any:
     """The module mujoco, imported ready to draw if anything here can; without that everything but drawing works."""
     if "mujoco" in sys.modules:
         return sys.modules["mujoco"]
@@ -46,13 +50,15 @@ def load_mujoco() -> ModuleType:
     if chosen != "native":
         os.environ["MUJOCO_GL"] = chosen or "disable"
     try:
-        import mujoco
+        mujoco: Any = importlib.import_module("mujoco")
     finally:
         # The choice is this process's. A child, or the user's next program, shall choose for itself.
         if before is None:
             os.environ.pop("MUJOCO_GL", None)
         else:
             os.environ["MUJOCO_GL"] = before
+    if mujoco.get_mju_user_warning() is None:  # MuJoCo's own handler writes a file into the user's folder
+        mujoco.set_mju_user_warning(lambda message: _log.info("MuJoCo: %s", message))
     return mujoco
 
 

@@ -64,13 +64,15 @@ def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0)
             U = np.linalg.cholesky(quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu)).T
         except np.linalg.LinAlgError:
             return None
+        if np.isnan(U).any():  # NumPy lets a NaN through
+            return None
         Y = np.linalg.solve(U.T, BtP @ A[n])
         y = np.linalg.solve(U.T, quadratic.r[n] + B[n].T @ s[n + 1])
         K[n], k[n] = -np.linalg.solve(U, Y), -np.linalg.solve(U, y)
         P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] - Y.T @ Y  # Eq. 33
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = quadratic.q[n] + A[n].T @ s[n + 1] - Y.T @ y  # Eq. 34
-        slope -= float(y @ y)
+        slope -= float(y @ y)  # Eq. 42
     return Sweep(K, k, P, s, slope)
 
 
@@ -79,6 +81,6 @@ def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, n
     N, nx, nu = B.shape
     dxs, dus = np.zeros((N + 1, nx)), np.empty((N, nu))
     for n in range(N):
-        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]
-        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]
+        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
     return dxs, dus

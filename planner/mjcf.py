@@ -30,7 +30,10 @@ def model_text(path: str | Path) -> str:
     Raises:
         ModelError: A file that is missing, is not XML, or includes itself.
     """
-    return ElementTree.tostring(_resolved(Path(path), ()), encoding="unicode")
+    try:
+        return ElementTree.tostring(_resolved(Path(path), ()), encoding="unicode")
+    except RecursionError:
+        raise ModelError(f"the model {path} is nested too deeply, expected MJCF of some tens of levels.") from None
 
 
 def _resolved(path: Path, parents: tuple[Path, ...]) -> ElementTree.Element:

@@ -160,7 +160,8 @@ def draw_hopper(results: dict[str, Any], path: Path) -> None:
     for column, phase in enumerate(results["phases"]):
         plan = _long_plan(phase["height"], phase["duration"])
         top, bottom = grid[0, column], grid[1, column]
-        e = plan.xs[:, 2] - plan.xs[:, 0]
+        # Touching counts from half the smoothing on, as in the list of events.
+        e = plan.xs[:, 2] - plan.xs[:, 0] - 0.5 * float(plan.parameters["smoothing"])
         top.plot(plan.t, plan.xs[:, 0], color="C0", label="height y")
         top.plot(plan.t, plan.xs[:, 2], color="C1", label="piston $y_p$")
         top.axhline(phase["height"], color="0.6", lw=0.8, ls=":")

@@ -11,11 +11,8 @@ per iteration, columns as in Iteration) and meta, one JSON string. No pickle.
 from __future__ import annotations
 
 import functools
-import json
 import math
 import platform
-import zipfile
-import zlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib import metadata
@@ -24,14 +21,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from planner.archive import plan_name, read_archive, write_archive
 from planner.errors import FileError, PlannerError
-from planner.files import write_atomically
 from planner.twin import Twin
 
 if TYPE_CHECKING:
     from planner.problem import Problem
-
-FORMAT_VERSION = 1
 
 
 class Status(StrEnum):
@@ -158,24 +153,21 @@ class Plan:
         Raises:
             FileError: The file cannot be written.
         """
-        path = plan_name(path)
         meta = {
-            "format_version": FORMAT_VERSION,
             "case": self.case,
             "parameters": self.parameters,
             "status": self.status.name,
-            "cost": _json_number(self.cost),
-            "gradient_norm": _json_number(self.gradient_norm),
+            "cost": float(self.cost),
+            "gradient_norm": float(self.gradient_norm),
             "iterations": self.nit,
             "versions": self.versions,
             "twin": None if self.twin is None else self.twin.to_dict(),
             "mjcf": None if self.twin is None else self.twin.mjcf,
         }
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
-        text = np.array(json.dumps(meta, allow_nan=False))
-        with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
-            np.savez(file, t=self.t, xs=self.xs, us=self.us, K=self.K, history=history, meta=text)
-        return path
+        arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
+        write_archive(plan_name(path), arrays, meta)
+        return Path(path)
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -184,94 +176,37 @@ class Plan:
         Raises:
             FileError: No such file, not a plan, damaged, or written by a newer version.
         """
-        arrays, meta = _read(Path(path))
-        t, xs, us, K, history = (arrays[name] for name in ("t", "xs", "us", "K", "history"))
-        twin = meta["twin"]
-        plan = cls(
-            t, xs, us, K,
-            cost=math.nan if meta["cost"] is None else float(meta["cost"]),
-            gradient_norm=math.nan if meta["gradient_norm"] is None else float(meta["gradient_norm"]),
-            status=Status[meta["status"]],
-            history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in history),
-            case=meta["case"], parameters=meta["parameters"],
-            twin=None if twin is None else Twin(mjcf=meta["mjcf"], **twin),
-            made_with=meta["versions"],
-        )  # fmt: skip
-        if plan.case is None:
-            return plan
-        from planner import cases  # a case builds on everything above it; only a file's name leads back here
-
+        arrays, meta = read_archive(Path(path), len(Iteration._fields))
         try:
-            problem = cases.build(plan.case, **plan.parameters)
-        except PlannerError as error:
-            raise FileError(f"{path} holds a plan of a case that cannot be rebuilt: {error}") from None
-        if xs.shape[1:] != (problem.dynamics.nx,) or us.shape != (problem.N, problem.dynamics.nu):
-            raise FileError(f"{path} is damaged: its arrays do not fit its case {plan.case!r}.")
-        return replace(plan, problem=problem)
-
-
-def plan_name(path: str | Path) -> Path:
-    """A name that a plan can be saved under.
-
-    Raises:
-        FileError: It does not end in .npz.
-    """
-    if Path(path).suffix != ".npz":
-        raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
-    return Path(path)
-
-
-def _json_number(value: float) -> float | None:
-    """JSON has no NaN and no infinity: null."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and meta of a plan file, checked against each other."""
-    if not path.is_file():
-        raise FileError(f"{path} is not a file, expected a plan.npz.")
-    foreign = FileError(f"{path} is not a plan: expected an .npz with t, xs, us, K, history and meta.")
-    try:
-        # Our own handle: np.load leaks its file when the archive is broken.
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in ("t", "xs", "us", "K", "history", "meta")}
-    except OSError as error:
-        if error.errno is not None:
-            raise FileError(f"cannot read {path}: {error.strerror}.") from None
-        raise foreign from None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, TypeError):
-        raise foreign from None
-    try:
-        meta = json.loads(str(arrays.pop("meta")))
-        version = int(meta["format_version"])
-    except (ValueError, KeyError, TypeError):
-        raise foreign from None
-    if version > FORMAT_VERSION:
-        made = meta.get("versions", {}).get("planner", "a newer version")
-        raise FileError(
-            f"{path} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
-        )
-    N, nx, nu = len(arrays["us"]), arrays["xs"].shape[-1], arrays["us"].shape[-1]
-    shapes = {
-        "t": (N + 1,), "xs": (N + 1, nx), "us": (N, nu), "K": (N, nu, nx),
-        "history": (len(arrays["history"]), len(Iteration._fields)),
-    }  # fmt: skip
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape or arrays[name].dtype != np.float64:
-            raise FileError(
-                f"{path} is damaged: {name} is {arrays[name].dtype} {arrays[name].shape}, expected float64 {shape}."
+            plan = cls(
+                *(arrays[name] for name in ("t", "xs", "us", "K")),
+                cost=math.nan if meta["cost"] is None else float(meta["cost"]),
+                gradient_norm=math.nan if meta["gradient_norm"] is None else float(meta["gradient_norm"]),
+                status=Status[meta["status"]],
+                history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
+                case=meta["case"],
+                parameters=meta["parameters"],
+                twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"]),
+                made_with=meta["versions"],
             )
-    expected = {
-        "case": (str, type(None)), "parameters": dict, "status": str, "cost": (int, float, type(None)),
-        "gradient_norm": (int, float, type(None)), "versions": dict, "twin": (dict, type(None)),
-        "mjcf": (str, type(None)),
-    }  # fmt: skip
-    for name, kind in expected.items():
-        if name not in meta or not isinstance(meta[name], kind):
-            raise FileError(f"{path} is damaged: its meta has no usable {name!r}.")
-    if meta["status"] not in Status.__members__:
-        raise FileError(f"{path} is damaged: {meta['status']!r} is no status.")
-    return arrays, meta
+            return plan if plan.case is None else replace(plan, problem=_rebuilt(plan, plan.case))
+        except PlannerError as error:
+            raise FileError(f"{path} is damaged or of a case that cannot be rebuilt: {error}") from None
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
+            raise FileError(f"{path} is damaged: {type(error).__name__} in its meta, {error}.") from None
+
+
+def _rebuilt(plan: Plan, case: str) -> Problem:
+    """The problem of a stored plan."""
+    from planner import cases  # a case builds on everything above it; only a file's name leads back here
+
+    problem = cases.build(case, **plan.parameters)
+    if problem.parameters != plan.parameters:
+        missing = sorted(set(problem.parameters) - set(plan.parameters))
+        raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
+    if plan.xs.shape[1] != problem.dynamics.nx or plan.us.shape != (problem.N, problem.dynamics.nu):
+        raise PlannerError(f"its arrays do not fit its case {case!r}.")
+    return problem
 
 
 @functools.cache

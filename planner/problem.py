@@ -25,19 +25,19 @@ class Requirements:
     """What a case asks of a proof beyond the general rules.
 
     Attributes:
-        smooth: (rng, K) -> K random plan states (K, nx) at which the twin must accelerate exactly as the plan's
-            dynamics do; None when the two models have no such states.
+        equal_states: (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the
+            plan's dynamics do.
         rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
-        start: Keyframe of the twin that must be the plan's own start; "" for none.
-        same_step: Why a replay at the plan's own step says nothing here; "" when it does.
+        start: Keyframe of the twin that must be the plan's own start.
+        no_same_step: Why a replay at the plan's own step says nothing here.
         tracking: Replay -> the Section that judges it.
         goal: Replay -> the Section that judges whether the goal was reached.
     """
 
-    smooth: Callable[[np.random.Generator, int], np.ndarray] | None
+    equal_states: Callable[[np.random.Generator, int], np.ndarray]
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray]
     start: str
-    same_step: str
+    no_same_step: str
     tracking: Callable[[Replay], Section]
     goal: Callable[[Replay], Section]
 
@@ -76,13 +76,14 @@ class Problem:
     def __post_init__(self) -> None:
         nx, nu = self.dynamics.nx, self.dynamics.nu
         object.__setattr__(self, "x0", array("x0", self.x0, (nx,)))
+        us = None if self.us is None else array("us", self.us, ("N", nu))
         N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
-        if N is None and self.us is not None:
-            N = len(self.us)
+        if N is None and us is not None:
+            N = len(us)
         if N is None:
             raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
         N = count("horizon", N)
-        us = np.zeros((N, nu)) if self.us is None else array("us", self.us, (N, nu))
+        us = np.zeros((N, nu)) if us is None else array("us", us, (N, nu))
         object.__setattr__(self, "horizon", N)
         object.__setattr__(self, "us", us)
         for name, size, asked in (("N", N, "horizon"), ("nx", nx, "dynamics.nx"), ("nu", nu, "dynamics.nu")):

@@ -1,11 +1,12 @@
 """prove(): what an independent engine says of a plan, step by step, with every figure beside its bound.
 
+    0. plan         the file's numbers agree with each other: start, states, cost, gradient, times
     1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
     2. same step    MuJoCo with the plan's own integrator and step: proves the transcription, nothing else
     3. refined      MuJoCo at a refined step, open loop and with the plan's gains
     4. goal         whether the replay gets where the cost wanted it
 
-PASS needs parity, step 3 in one of its modes, and step 4 in the same mode. Open loop is tried first.
+PASS needs 0, 1 and 2 (where they apply), and steps 3 and 4 in the same mode. Open loop is tried first.
 """
 
 from __future__ import annotations
@@ -16,19 +17,24 @@ from typing import Any
 
 import numpy as np
 
+from planner import lq
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.mjcf import model_text
+from planner.parity import parity
 from planner.plan import Plan
-from planner.problem import Problem, Requirements
-from planner.replay import Replay, matching_model, replay
+from planner.problem import Problem
+from planner.replay import Replay, replay
 from planner.twin import Twin
 
-PARITY_STATES = 256
-PARITY_BOUND = 1e-10  # relative; the study of open chains found 3e-14
+CONSISTENCY_BOUND = 1e-9  # relative; a plan and its file agree to rounding
+SAME_STEP_BOUND = 1e-8  # of the largest state; unstable machines amplify rounding along the plan
 STATE_BOUND = 1e-2  # end state, in rad, m, rad/s, m/s: what the general rules ask
 COST_BOUND = 1.0  # %
+
+# The integrators of a plan that MuJoCo has too.
+_MUJOCO_INTEGRATORS = {"rk4": "RK4", "semi-implicit-euler": "EULER"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +45,7 @@ class Proof:
         verdict: "PASS" or "FAIL".
         mode: "open-loop" or "feedback", the mode that passed; None when neither did.
         reason: The verdict in a sentence.
+        plan: Step 0.
         parity: Step 1.
         same_step: Step 2.
         refined_open_loop: Step 3 without gains.
@@ -50,6 +57,7 @@ class Proof:
     verdict: str
     mode: str | None
     reason: str
+    plan: Section
     parity: Section
     same_step: Section
     refined_open_loop: Section
@@ -65,7 +73,7 @@ class Proof:
     @property
     def sections(self) -> dict[str, Section]:
         """The steps in order."""
-        names = ("parity", "same_step", "refined_open_loop", "refined_feedback", "goal")
+        names = ("plan", "parity", "same_step", "refined_open_loop", "refined_feedback", "goal")
         return {name: getattr(self, name) for name in names}
 
     def __str__(self) -> str:
@@ -110,101 +118,92 @@ def prove(plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = Non
     if twin is not None and mjcf is not None:
         text = mjcf if isinstance(mjcf, str) and mjcf.lstrip().startswith("<") else model_text(mjcf)
         twin = replace(twin, mjcf=text)
-    requirements = plan.problem.requirements
-    open_loop = replay(plan, twin=twin)
-    feedback = replay(plan, twin=twin, feedback=True)
-    assert twin is not None  # replay has checked
-    first = parity(plan.problem, twin, seed)
-    steps = {"open-loop": (open_loop, *_judge(open_loop, requirements)),
-             "feedback": (feedback, *_judge(feedback, requirements))}  # fmt: skip
-    mode = next((m for m, (_, track, goal) in steps.items() if first.passed and track.passed and goal.passed), None)
-    shown, tracking, goal = steps[mode or "open-loop"]
+    runs = {"open-loop": replay(plan, twin=twin), "feedback": replay(plan, twin=twin, feedback=True)}
+    first = (consistency(plan, plan.problem), parity(plan.problem, twin, seed), _same_step(plan, plan.problem, twin))
+    judged = {mode: (_tracking(run, plan.problem), _goal(run, plan.problem)) for mode, run in runs.items()}
+    sound = all(section.passed for section in first)
+    mode = next((m for m, steps in judged.items() if sound and all(step.passed for step in steps)), None)
+    shown = mode or "open-loop"
     return Proof(
         verdict="FAIL" if mode is None else "PASS",
         mode=mode,
-        reason=_reason(mode, first, tracking, goal, shown),
-        parity=first,
-        same_step=_same_step(requirements),
-        refined_open_loop=steps["open-loop"][1],
-        refined_feedback=steps["feedback"][1],
-        goal=goal,
-        replay=shown,
+        reason=_reason(mode, (*first, *judged[shown]), runs[shown]),
+        plan=first[0],
+        parity=first[1],
+        same_step=first[2],
+        refined_open_loop=judged["open-loop"][0],
+        refined_feedback=judged["feedback"][0],
+        goal=judged[shown][1],
+        replay=runs[shown],
     )
 
 
-def parity(problem: Problem, twin: Twin | None = None, seed: int = 0) -> Section:
-    """Compare dx/dt of the plan's dynamics with MuJoCo's at random states where the two models are the same."""
-    requirements = problem.requirements
-    if requirements is None or requirements.smooth is None:
-        return Section("parity", not_applicable="the case names no states at which the two models are the same")
-    mujoco = load_mujoco()
-    twin = twin or problem.twin
-    if twin is None:
-        raise PlannerError("the problem has no MuJoCo model to be compared with, expected a twin.")
-    model = matching_model(twin, problem.dynamics.nu)
-    data = mujoco.MjData(model)
-    nq, nv = model.nq, model.nv
-    rng = np.random.default_rng(seed)
-    xs = requirements.smooth(rng, PARITY_STATES)
-    us = rng.normal(size=(PARITY_STATES, problem.dynamics.nu))
-    ours = requirements.rates(xs, us)
-    theirs = np.empty_like(ours)
-    for i, w in enumerate(twin.sim_of(xs)):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [nq, nq + nv])
-        data.ctrl[:] = us[i]
-        mujoco.mj_forward(model, data)
-        theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
-    error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
-    note = f"largest over {PARITY_STATES} random states (seed {seed}), relative to the largest rate"
-    figures = [Figure("rate_error", float(error.max()), "", PARITY_BOUND, note)]
-    if requirements.start:
-        figures.append(_start(problem, twin, model, requirements.start))
-    return Section("parity", tuple(figures))
+def consistency(plan: Plan, problem: Problem) -> Section:
+    """Step 0: whether a plan is what it says it is, by the plan's own dynamics and cost."""
+    dynamics, cost = problem.dynamics, problem.cost
+    ends = dynamics.step(plan.xs[:-1], plan.us)
+    A, B = dynamics.linearize(plan.xs, plan.us)
+    norm = float(np.linalg.norm(lq.gradient(A, B, cost.quadratize(plan.xs, plan.us))))
+    scale = max(1.0, abs(plan.cost))
+    largest = max(1.0, float(np.abs(plan.xs).max()))
+    t = dynamics.dt * np.arange(plan.N + 1)
+    errors = {
+        "start_state_error": (np.abs(plan.xs[0] - problem.x0).max() / largest, "first state against the problem's x0"),
+        "stage_error": (np.abs(ends - plan.xs[1:]).max() / largest, "each state against one stage from the last"),
+        "cost_error": (abs(cost.value(plan.xs, plan.us) - plan.cost) / scale, "the cost recomputed"),
+        "gradient_error": (abs(norm - plan.gradient_norm) / scale, "the norm of Eq. 19 recomputed"),
+        "time_error": (np.abs(plan.t - t).max() / problem.duration, "the knots against n dt"),
+    }
+    return Section(
+        "plan",
+        tuple(Figure(n, float(e), "", CONSISTENCY_BOUND, f"{note}, relative") for n, (e, note) in errors.items()),
+    )
 
 
-def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Figure:
-    """Whether a keyframe of the model is the plan's own start."""
-    note = f"keyframe {name!r} of the model against the plan's start, largest component"
-    key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
-    if key is None:
-        return Figure("start_error", np.inf, "", PARITY_BOUND, note)
-    w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
-    error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
-    return Figure("start_error", error, "", PARITY_BOUND, note)
+def _same_step(plan: Plan, problem: Problem, twin: Twin | None) -> Section:
+    """Step 2: MuJoCo with the plan's own integrator and step."""
+    if problem.requirements is not None:
+        return Section("same step", not_applicable=problem.requirements.no_same_step)
+    integrator = _MUJOCO_INTEGRATORS.get(getattr(problem.dynamics, "integrator", ""))
+    if integrator is None:
+        return Section("same step", not_applicable="MuJoCo does not have the plan's integrator")
+    run = replay(plan, twin=twin, substeps=1, integrator=integrator)
+    error = float(np.abs(run.error).max()) / max(1.0, float(np.abs(plan.xs).max()))
+    note = f"MuJoCo's {integrator} at the plan's step, largest component over the path, relative to the largest state"
+    return Section("same step", (Figure("state_error", error, "", SAME_STEP_BOUND, note),))
 
 
-def _judge(run: Replay, requirements: Requirements | None) -> tuple[Section, Section]:
-    """Step 3 and step 4 of one replay."""
-    if requirements is not None:
-        return requirements.tracking(run), requirements.goal(run)
-    which = "feedback" if run.feedback else "open loop"
+def _tracking(run: Replay, problem: Problem) -> Section:
+    """Step 3 of one replay."""
+    warnings = Figure("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings))
+    if problem.requirements is not None:
+        section = problem.requirements.tracking(run)
+        return replace(section, figures=(*section.figures, warnings))
     end = float(np.max(np.abs(run.xs[-1] - run.plan.xs[-1])))
     cost = 100.0 * abs(run.cost - run.plan.cost) / max(abs(run.plan.cost), 1e-12)
-    tracking = Section(
-        f"refined, {which}",
+    return Section(
+        run.title,
         (
             Figure("end_state_error", end, "", STATE_BOUND, "largest component, MuJoCo against the plan"),
             Figure("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
+            warnings,
         ),
     )
-    return tracking, Section("goal", not_applicable="the problem states no goal apart from its cost")
 
 
-def _same_step(requirements: Requirements | None) -> Section:
-    why = requirements.same_step if requirements is not None else "the problem states no rates to compare"
-    return Section("same step", not_applicable=why)
+def _goal(run: Replay, problem: Problem) -> Section:
+    """Step 4 of one replay."""
+    if problem.requirements is not None:
+        return problem.requirements.goal(run)
+    return Section("goal", not_applicable="the problem states no goal apart from its cost")
 
 
-def _reason(mode: str | None, first: Section, tracking: Section, goal: Section, run: Replay) -> str:
+def _reason(mode: str | None, steps: tuple[Section, ...], run: Replay) -> str:
     """The verdict in a sentence: what held, or what broke and by how much."""
-    if mode is not None:
-        worst = max(
-            (f for f in (*tracking.figures, *goal.figures) if f.bound),
-            key=lambda f: f.value / (f.bound or 1.0),
-        )
-        how = "with the plan's gains" if mode == "feedback" else "open loop"
-        return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."
-    for section in (first, tracking, goal):
-        if section.failures:
-            return f"{section.title}: {'; '.join(str(f) for f in section.failures)}."
-    return "the plan does not pass with its gains either."
+    if mode is None:
+        broken = next(section for section in steps if section.failures)
+        return f"{broken.title}: {'; '.join(map(str, broken.failures))}."
+    judged = [figure for section in steps[-2:] for figure in section.figures if figure.bound]
+    worst = max(judged, key=lambda figure: figure.value / (figure.bound or 1.0))
+    how = "with the plan's gains" if mode == "feedback" else "open loop"
+    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -209,6 +209,8 @@ def _draw_strip(film: Film, job: _Job) -> np.ndarray:
     strip = np.full((job.height, job.width, 3), 255, np.uint8)
     # What the division leaves over goes to both sides.
     left = (job.width - tile * len(film) - gap * (len(film) - 1)) // 2
+    # One camera for all poses, so that their heights compare.
+    film = replace(film, rise=np.full(len(film), 0.5 * (film.rise.min() + film.rise.max())))
     with Scene(film, tile, job.height, ghost=False) as scene:
         for frame in range(len(film)):
             column = left + frame * (tile + gap)

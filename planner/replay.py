@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import count
+from planner.arguments import count, number
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.plan import Plan
 from planner.twin import Twin
 
 REFINEMENT = 20  # simulator steps per stage, at least
+MOST_STEPS = 5_000_000  # some minutes and 1 GB
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,12 @@ class Replay:
     @property
     def timestep(self) -> float:
         """The simulator's step, s."""
-        return self.plan.dt / self.substeps
+        return float(self.t[1])
+
+    @property
+    def title(self) -> str:
+        """What a section about this replay is called."""
+        return "refined, feedback" if self.feedback else "refined, open loop"
 
     @property
     def error(self) -> np.ndarray:
@@ -88,7 +94,7 @@ def compile_model(mjcf: str) -> Any:
     mujoco = load_mujoco()
     try:
         return mujoco.MjModel.from_xml_string(mjcf)
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ModelError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from None
 
 
@@ -109,7 +115,14 @@ def matching_model(twin: Twin, nu: int) -> Any:
     return model
 
 
-def replay(plan: Plan, *, feedback: bool = False, twin: Twin | None = None, substeps: int | None = None) -> Replay:
+def replay(
+    plan: Plan,
+    *,
+    feedback: bool = False,
+    twin: Twin | None = None,
+    substeps: int | None = None,
+    integrator: str = "RK4",
+) -> Replay:
     """Replay a plan in MuJoCo at a refined step.
 
     Args:
@@ -117,6 +130,7 @@ def replay(plan: Plan, *, feedback: bool = False, twin: Twin | None = None, subs
         feedback: Apply u = us[n] + K[n] @ (x - x_plan(t)) at every simulator step instead of us[n].
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
+        integrator: MuJoCo's, "RK4" or "EULER", whatever the file says.
 
     Raises:
         PlannerError: The plan has no twin or is not finite, or feedback without the problem to interpolate it.
@@ -130,25 +144,25 @@ def replay(plan: Plan, *, feedback: bool = False, twin: Twin | None = None, subs
     if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
         raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
     model = matching_model(twin, plan.us.shape[1])
+    dt = plan.problem.dynamics.dt
     if substeps is None:
-        substeps = max(REFINEMENT, math.ceil(plan.dt / model.opt.timestep - 1e-9))
+        step = number("the model's timestep", model.opt.timestep, above=0.0)
+        substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
     n = count("substeps", substeps)
-    mujoco = load_mujoco()
-    model.opt.timestep = plan.dt / n
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # the refined truth, whatever the file's own choice
-    handler = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)  # MuJoCo's own would write a file into the user's folder
-    try:
-        return _run(plan, twin, model, feedback, n)
-    finally:
-        mujoco.set_mju_user_warning(handler)
+    if n * plan.N > MOST_STEPS:
+        raise PlannerError(
+            f"the replay would take {n * plan.N} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}."
+        )
+    model.opt.timestep = dt / n
+    model.opt.integrator = getattr(load_mujoco().mjtIntegrator, f"mjINT_{integrator}")
+    return _run(plan, twin, model, feedback, n)
 
 
 def between_knots(plan: Plan, substeps: int) -> np.ndarray:
     """The plan at every simulator step (N * substeps + 1, nx): its own integrator over parts of each stage."""
     assert plan.problem is not None
     N, nx = plan.N, plan.xs.shape[1]
-    parts = np.tile(plan.dt / substeps * np.arange(substeps), N)
+    parts = np.tile(plan.problem.dynamics.dt / substeps * np.arange(substeps), N)
     xs, us = np.repeat(plan.xs[:-1], substeps, axis=0), np.repeat(plan.us, substeps, axis=0)
     inside = plan.problem.dynamics.step(xs, us, parts).reshape(N, substeps, nx)
     inside[:, 0] = plan.xs[:-1]
@@ -163,7 +177,8 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     w = np.empty((M + 1, nq + nv + model.na))
     ctrl = np.empty((M, model.nu))
     force, point = np.zeros(M + 1), np.full((M + 1, 3), np.nan)
-    w[0] = twin.sim_of(plan.xs[0])
+    assert plan.problem is not None  # replay has checked
+    w[0] = twin.sim_of(plan.problem.x0)  # the problem's start, not what the plan says of it
     data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
     for i in range(M):
         u = plan.us[i // substeps]
@@ -176,7 +191,7 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     force[M], point[M] = _contact(mujoco, model, data, probe)
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
-        t=plan.dt / substeps * np.arange(M + 1), qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :],
+        t=model.opt.timestep * np.arange(M + 1), qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :],
         ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
         warnings=_warnings(mujoco, data),
     )  # fmt: skip

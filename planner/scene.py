@@ -13,8 +13,9 @@ import numpy as np
 from PIL import Image
 
 from planner import gl
-from planner.errors import ModelError, RenderingUnavailable
+from planner.errors import RenderingUnavailable
 from planner.film import Film
+from planner.replay import compile_model
 from planner.stage import Stage
 
 GHOST = (0.05, 0.62, 0.48, 0.34)
@@ -51,10 +52,7 @@ class Scene:
         self._stage = film.stage or Stage(title="")
         self._ghost = ghost
         self._width, self._height = width, height
-        try:
-            model = mujoco.MjModel.from_xml_string(film.mjcf)
-        except ValueError as error:
-            raise ModelError(f"The model cannot be drawn: {str(error).splitlines()[0]}") from error
+        model = compile_model(film.mjcf)
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0

@@ -49,7 +49,7 @@ def solve(
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         max_iterations: Limit.
-        gradient_tolerance: Stop when the norm of Eq. 19 falls below this times max(1, J).
+        gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J).
         callback: Called with each Iteration; print makes a table. It may raise StopIteration to end the solve.
 
@@ -76,9 +76,8 @@ def solve(
     try:
         for i in range(max_iterations):
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
-            scale = max(1.0, abs(cost))
-            promise = decrease_tolerance * scale if mu == 0.0 else -1.0
-            done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance * scale, promise)
+            promise = decrease_tolerance * max(1.0, abs(cost)) if mu == 0.0 else -1.0
+            done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance, promise)
 
             line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest)
             history.append(line)
@@ -100,12 +99,13 @@ def solve(
         status = Status.INTERRUPTED
 
     xs, us = engine.trajectory()
-    if status is Status.CONVERGED and mu == 0.0:
-        gradient_norm = history[-1].gradient_norm
-    else:  # the gains belong to an earlier trajectory, or to a regularised model
+    gradient_norm = history[-1].gradient_norm if history else math.nan
+    if status is not Status.CONVERGED:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
         gradient_norm = _sweep(engine, cost, largest)
         history.append(Iteration(len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
+    elif mu > 0.0:  # the gains belong to a regularised model
+        _sweep(engine, cost, largest)
     plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
     give_back(problem, engine)
     return plan

@@ -19,7 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from planner.arguments import array
 from planner.errors import PlannerError
+
+_MAPS: dict[str, tuple[int | str, ...]] = {
+    "to_x": ("nx", "nw"), "to_x_offset": ("nx",), "to_sim": ("K", "nw", "nx"), "to_sim_offset": ("K", "nw"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class Twin:
     to_sim_offset: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("to_x", "to_x_offset", "to_sim", "to_sim_offset"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        for name, sizes in _MAPS.items():
+            object.__setattr__(self, name, array(f"Twin: {name}", getattr(self, name), sizes))
         nx, nw = self.to_x.shape
         K = self.to_sim.shape[0]
         expected = {"to_x_offset": (nx,), "to_sim": (K, nw, nx), "to_sim_offset": (K, nw)}
@@ -60,4 +65,15 @@ class Twin:
 
     def to_dict(self) -> dict[str, Any]:
         """The maps (not the text) as JSON values."""
-        return {name: getattr(self, name).tolist() for name in ("to_x", "to_x_offset", "to_sim", "to_sim_offset")}
+        return {name: getattr(self, name).tolist() for name in _MAPS}
+
+    @classmethod
+    def from_dict(cls, mjcf: str | None, maps: dict[str, Any]) -> Twin:
+        """A twin from its text and what to_dict() gave.
+
+        Raises:
+            PlannerError: The maps or the text are missing, or do not fit together.
+        """
+        if not isinstance(mjcf, str) or set(maps) != set(_MAPS):
+            raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
+        return cls(mjcf, **maps)

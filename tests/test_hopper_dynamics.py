@@ -237,7 +237,25 @@ def sentence(error):
 def test_parameters_must_be_positive_numbers(name, value):
     with pytest.raises(PlannerError) as error:
         HopperDynamics(**{"dt": 0.01, name: value})
-    assert sentence(error) == f"{name} is {value!r}, expected a finite number greater than 0."
+    assert sentence(error).startswith(f"{name} is {value!r}, expected a finite number greater than 0")
+
+
+@pytest.mark.parametrize("name", ["stiffness", "smoothing", "gravity"])
+def test_parameters_may_not_overflow(name):
+    with pytest.raises(PlannerError, match="at most 1e\\+09"):
+        HopperDynamics(0.01, **{name: 2e9})
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_state_that_ran_away_stays_so(integrator):
+    """A candidate of a line search may overflow: its end must say so, and its neighbours must not."""
+    hopper = HopperDynamics(0.01, integrator)
+    xs, us = sample(3, 9, 0.1)
+    sound = hopper.step(xs, us)
+    xs[4] = [np.nan, np.inf, -np.inf]
+    ends = hopper.step(xs, us)
+    assert not np.isfinite(ends[4]).any()
+    np.testing.assert_array_equal(np.delete(ends, 4, axis=0), np.delete(sound, 4, axis=0))
 
 
 def test_integrators_are_listed():

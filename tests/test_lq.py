@@ -218,6 +218,17 @@ def test_an_indefinite_stage_is_found(stage):
     assert [kernels.riccati(w, mu)[2] for mu in (0.0, 0.99, 1.01)] == [False, False, True]
 
 
+@pytest.mark.parametrize("where", [(0, 0), (1, 1), (0, 1)])
+@pytest.mark.parametrize("nu", [1, 2])
+def test_nan_is_not_positive_definite(nu, where):
+    """A weight that is not a number has no gains; LAPACK may factorise it without complaint."""
+    i, j = min(where[0], nu - 1), min(where[1], nu - 1)
+    A, B, m = random_problem(6, 3, 3, nu)
+    m.R[1, i, j] = m.R[1, j, i] = np.nan
+    assert not kernels.riccati(filled(A, B, m), 0.0)[2]
+    assert lq.riccati(A, B, m) is None
+
+
 # The compiled sweep
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import planner
+from planner.archive import FORMAT_VERSION
 from planner.errors import FileError
-from planner.plan import FORMAT_VERSION, Iteration
+from planner.plan import Iteration
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +170,7 @@ def test_newer_format_names_its_version(saved):
         ({"case": "tower"}, "expected one of: hopper"),
         ({"parameters": {"height": -1.0}}, "height is -1.0"),
         ({"parameters": {"hight": 1.0}}, "no parameter 'hight'"),
-        ({"status": "PERFECT"}, "no status"),
+        ({"status": "PERFECT"}, "PERFECT"),
         ({"cost": "cheap"}, "'cost'"),
         ({"meta": np.array("[]")}, "is not a plan"),
     ],

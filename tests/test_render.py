@@ -345,7 +345,7 @@ def test_errors_of_the_child_are_the_parents(tmp_path, opengl, monkeypatch):
     monkeypatch.setattr(gl, "can_render_here", lambda: False)
     replay = make_replay()
     object.__setattr__(replay.twin, "mjcf", "<mujoco><nonsense/></mujoco>")
-    with pytest.raises(PlannerError, match="model cannot be drawn"):
+    with pytest.raises(PlannerError, match="MuJoCo refuses the model"):
         render.render_frame(replay, 0.0, width=64, height=36)
 
 

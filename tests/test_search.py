@@ -134,6 +134,15 @@ def test_armijo_is_the_first_power_of_a_half_that_passes(make, scale, height):
     assert asked_of_one[-1] == expected  # alone, no candidate is rolled out after the one taken
 
 
+@pytest.mark.parametrize(("beyond", "enough"), [(2e-4, True), (5e-5, False), (-1e-3, False)])
+def test_armijo_asks_for_a_share_of_the_promise(beyond, enough):
+    """A quadratic whose minimum lies at (1 + e) / 2: step 1 gains 4e of its height h, and c1 = 1e-4 asks for 4e-4 h."""
+    f, df = quadratic(0.5 * (1.0 + beyond), 3.0)
+    assert (f(1.0) < f(0.0)) is (beyond > 0.0)
+    a, _ = find(ARMIJO, f, df)
+    assert a == (1.0 if enough else 0.5)
+
+
 @every_rule
 @settings(max_examples=30, deadline=None)
 @given(slope=st.floats(1e-6, 1e6), curvature=st.floats(0.0, 1e6))

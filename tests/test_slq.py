@@ -149,8 +149,8 @@ def same_bits(a, b):
 
 
 def assert_stationary(problem, plan):
-    """Eq. 20 as far as the documented criteria carry it, relative to max(1, J): a gradient of at most 1e-8, or a
-    promised decrease 1/2 g'H^-1 g of at most 1e-10, which bounds the gradient by the model's Hessian H."""
+    """Eq. 20 as far as the documented criteria carry it: a gradient of at most 1e-8, or a promised decrease
+    1/2 g'H^-1 g of at most 1e-10 max(1, J), which bounds the gradient by the model's Hessian H."""
     A, B, model, _ = sweep_along(problem, plan)
     gradient = np.linalg.norm(lq.gradient(A, B, model))
     N, nx, nu = B.shape
@@ -161,10 +161,10 @@ def assert_stationary(problem, plan):
         H += S.T @ model.Q[n + 1] @ S
     scale = max(1.0, plan.cost)
     largest = np.linalg.eigvalsh(H)[-1]
-    assert gradient <= max(1e-8 * scale, np.sqrt(2.0 * 1e-10 * scale * largest)) * (1.0 + 1e-6)
+    assert gradient <= max(1e-8, np.sqrt(2.0 * 1e-10 * scale * largest)) * (1.0 + 1e-6)
     last = plan.history[-1]
-    assert last.gradient_norm <= 1e-8 * scale or last.expected <= 1e-10 * scale
-    assert all(h.gradient_norm > 1e-8 * max(1.0, h.cost) for h in plan.history[:-1])  # and not a line too late
+    assert last.gradient_norm <= 1e-8 or last.expected <= 1e-10 * scale
+    assert all(h.gradient_norm > 1e-8 for h in plan.history[:-1])  # and not a line too late
 
 
 # What the paper proves
@@ -635,14 +635,13 @@ def test_an_indefinite_control_weight_is_regularised(guess, update):
     problem = Problem(dynamics, Wavy(), [1.0], np.array(guess)[:, None], horizon=5)
     plan = planner.solve(problem, update=update)
     assert plan.success
-    assert plan.gradient_norm <= 1e-7
-    assert_consistent(problem, plan)
+    assert_stationary(problem, plan)
+    assert_consistent(problem, plan)  # its gains are those of the plain model
     lines = plan.history
     if min(np.cos(guess)) < -0.1:  # B'PB is of the order dt^2, and does not help
         assert lines[0].step == 0.0
         assert max(h.regularisation for h in lines) > 0.0
     assert all(h.actual > 0.0 for h in lines if h.step > 0.0)
-    assert lines[-1].regularisation == 0.0  # the plan's gains are those of the plain model
 
 
 # What is asked and told
@@ -722,7 +721,7 @@ class NoHorizon:
         ({"x0": [-np.inf, 0.0]}, "x0[0] is -inf, expected finite numbers."),
         ({"x0": "rest"}, "x0 is not an array of numbers, expected shape (2,)."),
         ({"us": np.zeros((19, 1))}, "us has shape (19, 1), expected (20, 1)."),
-        ({"us": np.zeros(20)}, "us has shape (20,), expected (20, 1)."),
+        ({"us": np.zeros(20)}, "us has shape (20,), expected (N, 1)."),
         ({"us": np.full((20, 1), np.inf)}, "us[0, 0] is inf, expected finite numbers."),
         ({"horizon": 19}, "the cost is made for N = 20, expected horizon = 19."),
         ({"horizon": 0}, "horizon is 0, expected a whole number of at least 1."),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planner.commands.results import write_json
+from planner.commands.results import json_text
 from planner.console import Console
 from planner.files import staged_folder
 from planner.paper import draw_hopper, hopper_markdown, hopper_results
@@ -20,7 +20,7 @@ def paper(arguments: argparse.Namespace, console: Console) -> int:
         results = hopper_results()
         text = hopper_markdown(results)
         (staged.path / "hopper.md").write_text(text, encoding="utf-8")
-        write_json(results, staged.path / "hopper.json")
+        (staged.path / "hopper.json").write_text(json_text(results), encoding="utf-8")
         draw_hopper(results, staged.path / "hopper.png")
     console.say(text)
     console.say(f"{folder}: {', '.join(names)}")

@@ -9,18 +9,28 @@ from pathlib import Path
 import numpy as np
 
 from planner import cases
+from planner.archive import plan_name
 from planner.arguments import count
-from planner.commands.results import OUTPUTS, plan_facts, show_plan, show_proof, write_json, write_results
+from planner.commands.results import (
+    INTERRUPTED,
+    OUTPUTS,
+    json_text,
+    plan_facts,
+    show_plan,
+    show_proof,
+    write_results,
+)
 from planner.console import Console
 from planner.errors import PlannerError
 from planner.files import staged_folder, write_atomically
 from planner.mjcf import model_text
-from planner.plan import Plan, plan_name
+from planner.parity import parity
+from planner.plan import Plan
 from planner.problem import Problem
-from planner.proof import Proof, parity, prove
+from planner.proof import Proof, prove
 from planner.slq import solve
 
-DONE, NOT_DONE = 0, 1
+DONE, NOT_DONE, INTERRUPTED_CODE = 0, 1, 130
 
 
 def _problem(arguments: argparse.Namespace) -> Problem:
@@ -57,6 +67,8 @@ def _exit_code(plan: Plan, proof: Proof | None) -> int:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, prove, plot and film a case into a folder."""
     problem = _problem(arguments)
+    if arguments.out == "":
+        raise PlannerError("--out is empty, expected the name of a folder.")
     folder = Path(arguments.out or f"renders/{arguments.case}")
     with staged_folder(folder, OUTPUTS) as staged:
         first = parity(problem)
@@ -68,7 +80,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if proof is not None:
             show_proof(proof, console)
         note = write_results(plan, proof, staged.path, not arguments.no_video, console)
-    code = _exit_code(plan, proof)
+    code = INTERRUPTED_CODE if note == INTERRUPTED else _exit_code(plan, proof)
     files = [name for name in OUTPUTS if (folder / name).is_file()]
     console.say(f"\n{folder}: {', '.join(files)}")
     if note and not arguments.no_video:
@@ -109,10 +121,16 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = Plan.load(arguments.plan)
     mjcf = None if arguments.mjcf is None else model_text(arguments.mjcf)
-    proof = prove(plan, mjcf=mjcf)
+    if arguments.out is None:
+        proof = prove(plan, mjcf=mjcf)
+    elif Path(arguments.out).suffix != ".json":
+        raise PlannerError(f"cannot write the proof as {arguments.out!r}: expected a name ending in .json.")
+    else:
+        with write_atomically(arguments.out) as unfinished:  # fails now rather than after the work
+            proof = prove(plan, mjcf=mjcf)
+            unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")
     show_proof(proof, console)
     if arguments.out is not None:
-        write_json(proof.to_dict(), Path(arguments.out))
         console.say(arguments.out)
     code = DONE if proof.passed else NOT_DONE
     console.document({"command": "prove", "plan": plan_facts(plan), "proof": proof.to_dict(), "exit_code": code})

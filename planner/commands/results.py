@@ -6,21 +6,22 @@ import json
 from pathlib import Path
 from typing import Any
 
-from planner.console import Console, finite
+from planner.console import Console
 from planner.errors import RenderingUnavailable
-from planner.files import write_atomically
+from planner.jsonable import finite
 from planner.plan import Plan
 from planner.plots import plot_plan
 from planner.proof import Proof
+from planner.replay import Replay
 from planner.report import write_report
 
+INTERRUPTED = "The pictures were interrupted."
 OUTPUTS = ("plan.npz", "proof.json", "plots.png", "strip.png", "video.mp4", "report.html")
 
 
-def write_json(content: dict[str, Any], path: Path) -> None:
-    """Write a JSON document, atomically."""
-    with write_atomically(path) as unfinished:
-        unfinished.write_text(json.dumps(finite(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+def json_text(content: dict[str, Any]) -> str:
+    """A JSON document as the files of a run hold it."""
+    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
 
 
 def write_results(plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console) -> str:
@@ -34,28 +35,29 @@ def write_results(plan: Plan, proof: Proof | None, folder: Path, video: bool, co
         console: For progress.
     """
     plan.save(folder / "plan.npz")
-    write_json(proof.to_dict() if proof is not None else _no_proof(plan), folder / "proof.json")
+    content = proof.to_dict() if proof is not None else _no_proof(plan)
+    (folder / "proof.json").write_text(json_text(content), encoding="utf-8")
     replay = proof.replay if proof is not None else None
-    plot_plan(plan, replay, folder / "plots.png")
     note = "" if video else "It was not asked for (--no-video)."
-    if replay is None:
-        note = "There is nothing to film: the plan was not replayed."
-    elif video:
-        from planner.render import render_strip, render_video
-
-        try:
-            render_strip(replay, folder / "strip.png")
-            render_video(
-                replay,
-                folder / "video.mp4",
-                progress=lambda done, total: console.progress("video", done, total),
-            )
-        except RenderingUnavailable as error:
-            note = str(error)
-        except KeyboardInterrupt:  # the plan and its proof are worth keeping without a film
-            note = "The film was interrupted."
+    try:
+        plot_plan(plan, replay, folder / "plots.png")
+        if replay is None:
+            note = "There is nothing to film: the plan was not replayed."
+        elif video:
+            _draw(replay, folder, console)
+    except RenderingUnavailable as error:
+        note = str(error)
+    except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
+        note = INTERRUPTED
     write_report(plan, proof, folder, video_note=note)
     return note
+
+
+def _draw(replay: Replay, folder: Path, console: Console) -> None:
+    from planner.render import render_strip, render_video
+
+    render_strip(replay, folder / "strip.png")
+    render_video(replay, folder / "video.mp4", progress=lambda done, total: console.progress("video", done, total))
 
 
 def _no_proof(plan: Plan) -> dict[str, Any]:
@@ -88,7 +90,7 @@ def show_proof(proof: Proof, console: Console) -> None:
         for figure in section.figures:
             bound = "" if figure.bound is None else f"{figure.bound:g}"
             mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
-            value = f"{figure.value:.4g} {figure.unit}".rstrip()
+            value = f"{figure.value:.5g} {figure.unit}".rstrip()
             rows.append((section.title, figure.name.replace("_", " "), value, bound, mark))
     console.say()
     console.table(("step", "figure", "value", "bound", ""), rows)

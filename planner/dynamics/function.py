@@ -32,7 +32,7 @@ class FunctionDynamics:
         jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), batched if f is; central differences by default.
 
     Raises:
-        PlannerError: A wrong argument, or an f that does not return finite numbers of the right shape.
+        PlannerError: A wrong argument, or an f that does not return numbers of the right shape.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class FunctionDynamics:
         rng = np.random.default_rng(0)
         xs, us = rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
         values = [self._f(x.copy(), u.copy()) for x, u in zip(xs, us, strict=True)]
-        single = [array("f(x, u)", value, (self.nx,)) for value in values]
+        single = [array("f(x, u)", value, (self.nx,), any_value=True) for value in values]
         try:
             many = np.asarray(self._f(xs.copy(), us.copy()), dtype=float)
         except Exception:  # whatever a function of one state does with a batch

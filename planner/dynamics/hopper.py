@@ -35,16 +35,16 @@ class HopperDynamics:
     ) -> None:  # fmt: skip
         self.dt = number("dt", dt, above=0.0)
         self.integrator = choice("integrator", integrator, INTEGRATORS)
-        self.stiffness = number("stiffness", stiffness, above=0.0)
-        self.smoothing = number("smoothing", smoothing, above=0.0)
-        self.gravity = number("gravity", gravity, above=0.0)
+        self.stiffness = number("stiffness", stiffness, above=0.0, most=1e9)
+        self.smoothing = number("smoothing", smoothing, above=0.0, most=1e9)
+        self.gravity = number("gravity", gravity, above=0.0, most=1e9)
         self._code = INTEGRATORS.index(self.integrator)
         self._parameters = np.array([self.stiffness, self.smoothing, self.gravity])
 
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
         """The ends (K, 3) of K stages from xs (K, 3) with us (K, 1); see Dynamics.step."""
-        xs = array("xs", xs, ("K", 3))
-        us = array("us", us, (len(xs), 1))
+        xs = array("xs", xs, ("K", 3), any_value=True)
+        us = array("us", us, (len(xs), 1), any_value=True)
         dt = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         ends = np.empty_like(xs)
         kernels.steps(self._code, self._parameters, xs, us, dt, ends)
@@ -52,16 +52,16 @@ class HopperDynamics:
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """dx/dt (K, 3) at xs (K, 3) with us (K, 1), section 2.4."""
-        xs = array("xs", xs, ("K", 3))
-        us = array("us", us, (len(xs), 1))
+        xs = array("xs", xs, ("K", 3), any_value=True)
+        us = array("us", us, (len(xs), 1), any_value=True)
         rates = np.empty_like(xs)
         kernels.rates(self._parameters, xs, us, rates)
         return rates
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Exact A (N, 3, 3) and B (N, 3, 1) along xs (N+1, 3), us (N, 1)."""
-        us = array("us", us, ("N", 1))
-        xs = array("xs", xs, (len(us) + 1, 3))
+        us = array("us", us, ("N", 1), any_value=True)
+        xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
         F = lane_array(len(us), 3, WIDTH)
         kernels.linearize(self._code, self.dt, self._parameters, xs, us, lane_array(7, WIDTH), F)
         return F[:, :, 1:4].copy(), F[:, :, :1].copy()

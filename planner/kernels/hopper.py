@@ -174,7 +174,7 @@ def rollout(integrator, dt, parameters, w, feedback, slopes):
             du_dalpha = du + (Ky * dy + Kv * dv + Kp * dp)
         else:
             du = load(dus, n)
-            u = load(us, n) + alpha * du
+            u = load(us, n) + alpha * du  # Eq. 36
             du_dalpha = spread(du)
         store(U8, n, u)
         gu = load(R, n) * (u - load(u_ref, n))

@@ -97,7 +97,7 @@ def riccati(w, mu):
             store(H, a * NZ + a, np.sqrt(pivot))
             ha = scale * load(h, a)
             store(h, a, ha)
-            slope -= ha * ha
+            slope -= ha * ha  # Eq. 42
             for b in range(a + 1, nz):  # Eq. 33, 34
                 factor = load(H, a * NZ + b)
                 for j0 in range(0, NZ, WIDTH):
@@ -129,13 +129,13 @@ def direction(w):
             total = w.k[n, a]
             for i in range(nx):
                 total += w.K[n, a, nu + i] * dx[i]
-            w.dus[n, a] = total
+            w.dus[n, a] = total  # Eq. 25
         for i in range(nx):
             total = 0.0
             for a in range(nu):
                 total += w.F[n, i, a] * w.dus[n, a]
             for j in range(nx):
                 total += w.F[n, i, nu + j] * dx[j]
-            dx_next[i] = total
+            dx_next[i] = total  # Eq. 30
         for i in range(nx):
             dx[i] = dx_next[i]

@@ -52,8 +52,9 @@ def workspace(Q: np.ndarray, R: np.ndarray, x_ref: np.ndarray, u_ref: np.ndarray
     W[:N, :nu, :nu] = R
     W[:, nu:, nu:nz] = Q
     return Workspace(
-        xs=np.zeros((N + 1, nx)), us=np.zeros((N, nu)), Q=Q, R=R, x_ref=x_ref, u_ref=u_ref, W=W,
-        l=lane_array(N + 1, NZ), F=lane_array(N, nx, NZ), K=lane_array(N, nu, NZ), k=np.zeros((N, nu)),
+        xs=np.zeros((N + 1, nx)), us=np.zeros((N, nu)), Q=Q.copy(), R=R.copy(), x_ref=x_ref.copy(),
+        u_ref=u_ref.copy(), W=W, l=lane_array(N + 1, NZ), F=lane_array(N, nx, NZ), K=lane_array(N, nu, NZ),
+        k=np.zeros((N, nu)),
         dus=np.zeros((N, nu)), gradient=np.zeros((N, nu)), H=lane_array(2, nz, NZ), G=lane_array(nx, NZ),
         h=lane_array(2 * NZ), costate=lane_array(2 * NZ), dx=np.zeros((2, nx)), knots=lane_array(nz + nx, WIDTH),
         X8=lane_array((N + 1) * nx, WIDTH), U8=lane_array(N * nu, WIDTH), J8=lane_array(1, WIDTH),
