@@ -1,5 +1,7 @@
 """A user's own dynamics with an MJCF twin goes through the same proof by the general rules."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,16 @@ def test_a_right_plan_passes():
     assert plan.success
     assert proof.passed, proof.reason
     assert proof.refined_open_loop.figures[0].name == "end_state_error"
+    assert proof.same_step.figures[0].value <= 1e-10  # the same RK4 at the same step: rounding
+
+
+def test_states_that_are_not_the_rollout_fail():
+    plan = planner.solve(problem("rk4", 0.02))
+    xs = plan.xs.copy()
+    xs[1:-1] = 1e3
+    proof = planner.prove(replace(plan, xs=xs))
+    assert proof.verdict == "FAIL"
+    assert "stage_error" in [figure.name for figure in proof.plan.failures]
 
 
 def test_a_plan_of_coarse_euler_steps_fails():
