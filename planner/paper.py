@@ -124,7 +124,7 @@ def _on_smoothing(results: dict[str, Any]) -> str:
     return (
         f"Ours converges at every height down to alpha = {min(sound):g}. At {first:g} some fail already; at "
         f"{min(map(float, sweep)):g} the heights {_heights(results, [c is None for c in last])} fail and "
-        f"{_heights(results, [c is not None for c in last])} do not. The paper's threshold of 1e-5 is not what we find: "
+        f"{_heights(results, [c is not None for c in last])} do not. The paper's threshold of 1e-5 is not ours: "
         "a failure depends on the height more than on alpha, and is slow convergence up to the limit, not divergence."
     )
 
