@@ -6,6 +6,7 @@ dynamics and cost, for a user's own Python. Both use the line search of kernels.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
@@ -53,6 +54,10 @@ class Engine(Protocol):
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
+    def sweep(self, mu: float, fresh: bool) -> Outcome:
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        ...
+
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
         ...
@@ -83,6 +88,10 @@ class CompiledEngine:
         """Linearise (if `fresh`), sweep, search, accept."""
         kind = self._dynamics.iterate(self._w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         return Outcome(kind, *self._w.out.tolist())
+
+    def sweep(self, mu: float, fresh: bool) -> Outcome:
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
@@ -179,6 +188,10 @@ class NumpyEngine:
                 return Outcome(ACCEPTED, self._norm, slope, step, -slope * step * (1.0 - 0.5 * step), float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -0.5 * slope, cost)
+
+    def sweep(self, mu: float, fresh: bool) -> Outcome:
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""

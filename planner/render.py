@@ -220,12 +220,8 @@ def _draw_strip(film: Film, job: _Job) -> np.ndarray:
 
 
 def _marks(scene: Scene, stage: Stage) -> list[overlay.Mark]:
-    """The labels of the scene and where they stand in the last drawn picture."""
+    """The goal's label and where it stands in the last drawn picture."""
     marks: list[overlay.Mark] = []
-    for point, words in stage.labels:
-        place = scene.project(np.asarray(point))
-        if place is not None:
-            marks.append((place, words, "mm"))
     if stage.goal_line is not None:
         ends = [scene.project(np.asarray(end)) for end in stage.goal_line]
         seen = [end for end in ends if end is not None]

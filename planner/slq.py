@@ -102,20 +102,20 @@ def solve(
     gradient_norm = history[-1].gradient_norm if history else math.nan
     if status is not Status.CONVERGED:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
-        gradient_norm = _sweep(engine, cost, largest)
+        gradient_norm = _sweep(engine, largest)
         history.append(Iteration(len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
     elif mu > 0.0:  # the gains belong to a regularised model
-        _sweep(engine, cost, largest)
+        _sweep(engine, largest)
     plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
     give_back(problem, engine)
     return plan
 
 
-def _sweep(engine: Engine, cost: float, largest: float) -> float:
+def _sweep(engine: Engine, largest: float) -> float:
     """Linearise and sweep without a search, as little regularised as it goes; the gradient norm."""
     mu, fresh = 0.0, True
     while True:
-        done = engine.iterate(True, 0, mu * largest, fresh, cost, math.inf, math.inf)
+        done = engine.sweep(mu * largest, fresh)
         if done.kind == CONVERGED or mu > _MU_MOST:
             return done.gradient_norm
         mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False

@@ -32,7 +32,6 @@ class Stage:
         ghost_offset: Where the ghost of the plan stands, relative to the simulated machine.
         goal_line: Two end points of a line that marks the goal, or None.
         goal_label: Written beside that line.
-        labels: Words written at points of the scene, e.g. along a ruler.
         look_at: The point the camera looks at.
         follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
         distance: From the camera to its point.
@@ -49,7 +48,6 @@ class Stage:
     ghost_offset: Point = (0.0, 0.0, 0.0)
     goal_line: tuple[Point, Point] | None = None
     goal_label: str = "goal"
-    labels: tuple[tuple[Point, str], ...] = ()
     look_at: Point = (0.0, 0.0, 0.0)
     follow: tuple[int, float] | None = None
     distance: float = 5.0
