@@ -21,7 +21,6 @@ from planner.engine import borrow
 from planner.kernels.workspace import ACCEPTED, workspace
 from planner.slq import LINE_SEARCHES, UPDATES
 
-
 FRESH = """
 import hashlib, sys
 sys.path.insert(0, {folder!r})
