@@ -70,8 +70,8 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         if error.errno is not None:
             raise FileError(f"cannot read {path}: {error.strerror}.") from None
         raise foreign from None
-    except (ValueError, KeyError, EOFError, TypeError, NotImplementedError, RecursionError, MemoryError) as error:
-        raise foreign from error
+    except (ValueError, KeyError, EOFError, TypeError, RuntimeError, MemoryError) as error:
+        raise foreign from error  # a RuntimeError: an unknown compression, or JSON nested too deeply
     except (zipfile.BadZipFile, zlib.error) as error:
         raise foreign from error
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:

@@ -21,6 +21,7 @@ import numpy as np
 from PIL import Image
 
 from planner import errors, gl, overlay
+from planner.arguments import count, number
 from planner.encode import Encoder
 from planner.errors import PlannerError, RenderingUnavailable
 from planner.files import PathLike, file_error, write_atomically
@@ -70,10 +71,10 @@ def render_video(
     """
     _check_suffix(path, ".mp4")
     _check_size(width, height, even=True)
-    _check_positive("fps", fps)
+    number("fps", fps, above=0.0)
     if speed is None:
         speed = (stage_of(replay) or Stage(title="")).speed
-    _check_positive("speed", speed)
+    number("speed", speed, above=0.0)
     start, end = float(replay.t[0]), float(replay.t[-1])
     if not (end - start) * fps / speed < _LONGEST:
         raise PlannerError(
@@ -109,8 +110,7 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     """
     _check_suffix(path, ".png")
     _check_size(width, height)
-    if not isinstance(poses, int) or not 2 <= poses <= width // 16:
-        raise PlannerError(f"poses must be an integer from 2 to {width // 16} (16 pixels each), got {poses!r}.")
+    count("poses", poses, least=2, most=max(2, width // 16))  # 16 pixels each
     film = Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses))
     gl.require_backend()
     with write_atomically(path) as hidden:
@@ -289,15 +289,8 @@ def _check_suffix(path: PathLike, suffix: str) -> None:
 
 def _check_size(width: int, height: int, *, even: bool = False) -> None:
     for name, value in (("width", width), ("height", height)):
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not whole or not 16 <= value <= _LARGEST or (even and value % 2):
-            wanted = "an even number" if even else "a whole number"
-            raise PlannerError(f"{name} must be {wanted} of pixels from 16 to {_LARGEST}, got {value!r}.")
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (isinstance(value, (int, float, np.number)) and math.isfinite(value) and value > 0):
-        raise PlannerError(f"{name} must be a positive number, got {value!r}.")
+        if count(name, value, least=16, most=_LARGEST) % 2 and even:
+            raise PlannerError(f"{name} is {value!r}, expected an even number of pixels: H.264 films need it.")
 
 
 if __name__ == "__main__":

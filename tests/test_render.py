@@ -32,12 +32,6 @@ STAGE = Stage(
 )  # fmt: skip
 
 
-@pytest.fixture
-def opengl():
-    if gl.backend() is None:
-        pytest.skip("no headless OpenGL library")
-
-
 def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
     """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
     t = np.linspace(0.0, 0.2, 201)
@@ -195,7 +189,7 @@ def test_mujoco_loads_where_nothing_can_draw(wish):
 
 
 @pytest.mark.render
-def test_video_has_size_frames_and_format(tmp_path, opengl):
+def test_video_has_size_frames_and_format(tmp_path):
     reports = []
     path = render.render_video(
         make_replay(),
@@ -224,7 +218,7 @@ def test_video_has_size_frames_and_format(tmp_path, opengl):
 
 
 @pytest.mark.render
-def test_video_speed_comes_from_the_stage_unless_given(tmp_path, opengl):
+def test_video_speed_comes_from_the_stage_unless_given(tmp_path):
     totals = []
     render.render_video(
         make_replay(), tmp_path / "film.mp4", width=64, height=36, fps=10, speed=1.0,
@@ -234,7 +228,7 @@ def test_video_speed_comes_from_the_stage_unless_given(tmp_path, opengl):
 
 
 @pytest.mark.render
-def test_ghost_is_visible_beside_the_machine(opengl):
+def test_ghost_is_visible_beside_the_machine():
     film = Film.of(make_replay(), np.array([0.1]))
     with Scene(film, 320, 180) as both:
         picture = both.draw(0)
@@ -252,7 +246,7 @@ def test_ghost_is_visible_beside_the_machine(opengl):
 
 
 @pytest.mark.render
-def test_force_arrow_only_in_contact(opengl):
+def test_force_arrow_only_in_contact():
     pushing, idle = make_replay(force=400.0), make_replay(force=0.0)
 
     def pictures(replay):
@@ -269,7 +263,7 @@ def test_force_arrow_only_in_contact(opengl):
 
 
 @pytest.mark.render
-def test_projection_points_at_what_is_drawn(opengl):
+def test_projection_points_at_what_is_drawn():
     """The goal line is dark; around the middle of it there must be dark pixels where project() says."""
     stage = Stage(title="", goal_line=((-16.0, 0.0, 60.0), (42.0, 0.0, 60.0)), look_at=(13.0, 0.0, 50.0), distance=90.0)
     with Scene(Film.of(make_replay(stage), np.array([0.0])), 320, 180) as scene:
@@ -284,7 +278,7 @@ def test_projection_points_at_what_is_drawn(opengl):
 
 
 @pytest.mark.render
-def test_strip(tmp_path, opengl):
+def test_strip(tmp_path):
     path = render.render_strip(make_replay(), tmp_path / "strip.png", poses=4, width=401, height=150)
     picture = np.asarray(Image.open(path))
     assert picture.shape == (150, 401, 3)
@@ -295,7 +289,7 @@ def test_strip(tmp_path, opengl):
 
 
 @pytest.mark.render
-def test_frame_without_a_stage_shows_the_whole_model(opengl):
+def test_frame_without_a_stage_shows_the_whole_model():
     picture = render.render_frame(make_replay(None), 0.1, width=160, height=120)
     assert picture.shape == (120, 160, 3)
     assert picture.dtype == np.uint8
@@ -303,7 +297,7 @@ def test_frame_without_a_stage_shows_the_whole_model(opengl):
 
 
 @pytest.mark.render
-def test_no_speckles_on_the_floor(opengl):
+def test_no_speckles_on_the_floor():
     """Shadow acne: single dark pixels on a light floor. The shadow itself is large and off this patch."""
     stage = Stage(title="", look_at=(0.0, -40.0, 0.0), distance=100.0, azimuth=100.0, elevation=-40.0)
     with Scene(Film.of(make_replay(stage, plan_offset=500.0), np.array([0.1])), 320, 180, ghost=False) as scene:
@@ -328,7 +322,7 @@ assert render.render_frame(make_replay(), 0.1, width=64, height=36).std() > 10
 
 
 @pytest.mark.render
-def test_child_process_draws_when_mujoco_came_first(tmp_path, opengl):
+def test_child_process_draws_when_mujoco_came_first(tmp_path):
     hidden = ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
     code = CHILD.format(root=str(ROOT), tests=str(ROOT / "tests"))
@@ -341,7 +335,7 @@ def test_child_process_draws_when_mujoco_came_first(tmp_path, opengl):
 
 
 @pytest.mark.render
-def test_errors_of_the_child_are_the_parents(tmp_path, opengl, monkeypatch):
+def test_errors_of_the_child_are_the_parents(tmp_path, monkeypatch):
     monkeypatch.setattr(gl, "can_render_here", lambda: False)
     replay = make_replay()
     object.__setattr__(replay.twin, "mjcf", "<mujoco><nonsense/></mujoco>")
@@ -354,7 +348,7 @@ def test_errors_of_the_child_are_the_parents(tmp_path, opengl, monkeypatch):
 
 @pytest.mark.render
 @pytest.mark.parametrize("script", ["exit 1", "head -c 9000 >/dev/null; echo 'No space left on device' >&2; exit 1"])
-def test_failed_encoder_leaves_nothing_behind(tmp_path, opengl, monkeypatch, script):
+def test_failed_encoder_leaves_nothing_behind(tmp_path, monkeypatch, script):
     fake = tmp_path / "ffmpeg"
     fake.write_text(f"#!/bin/sh\n{script}\n")
     fake.chmod(0o755)
@@ -369,7 +363,7 @@ def test_failed_encoder_leaves_nothing_behind(tmp_path, opengl, monkeypatch, scr
 
 
 @pytest.mark.render
-def test_interruption_leaves_nothing_behind(tmp_path, opengl):
+def test_interruption_leaves_nothing_behind(tmp_path):
     def interrupt(done, total):
         raise KeyboardInterrupt
 
@@ -378,8 +372,7 @@ def test_interruption_leaves_nothing_behind(tmp_path, opengl):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.render
 def test_missing_folder_is_a_file_error(tmp_path):
-    if gl.backend() is None:
-        pytest.skip("no headless OpenGL library")
     with pytest.raises(FileError, match="does not exist"):
         render.render_video(make_replay(), tmp_path / "no" / "film.mp4", **SMALL)
