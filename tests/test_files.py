@@ -49,7 +49,7 @@ def sentence(error):
     return text
 
 
-linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="these paths are Linux's")
+linux = pytest.mark.skipif(not os.path.isdir("/proc"), reason="these paths are Linux's")
 
 
 @pytest.fixture
