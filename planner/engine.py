@@ -19,8 +19,9 @@ from planner.errors import PlannerError
 from planner.kernels import search
 from planner.kernels.jit import announce
 from planner.kernels.lanes import WIDTH
-from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, workspace
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, OUT, Workspace
 from planner.problem import Problem
+from planner.space import space_of
 
 
 class Outcome(NamedTuple):
@@ -63,31 +64,34 @@ class Engine(Protocol):
         ...
 
     def gains(self) -> np.ndarray:
-        """A copy of K (N, nu, nx)."""
+        """A copy of K (N, nu, ndx)."""
         ...
 
 
 class CompiledEngine:
     """Dynamics and a tracking cost whose iteration is one compiled call."""
 
-    def __init__(self, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
-        self._dynamics = dynamics
-        self._w = workspace(cost.Q, cost.R, cost.x_ref, cost.u_ref)
+    def __init__(self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
+        self._problem, self._dynamics = problem, dynamics
+        self._w = Workspace(cost, space_of(dynamics), dynamics.structured)
+        self._memory = dynamics.memory(problem.N)
         self.largest_control_weight = float(np.abs(cost.R).max())
 
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
         """Roll out the first guess; its cost."""
         self._w.xs[0] = x0
         self._w.us[:] = us
-        return self._dynamics.start(self._w)
+        return self._dynamics.start(self._w, self._memory)
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> Outcome:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
-        kind = self._dynamics.iterate(self._w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
-        return Outcome(kind, *self._w.out.tolist())
+        kind = self._dynamics.iterate(
+            self._w, self._memory, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
+        )
+        return Outcome(kind, *self._w.search[OUT, :5].tolist())
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
@@ -98,9 +102,9 @@ class CompiledEngine:
         return self._w.xs.copy(), self._w.us.copy()
 
     def gains(self) -> np.ndarray:
-        """A copy of K (N, nu, nx)."""
+        """A copy of K (N, nu, ndx)."""
         nu = self._w.us.shape[1]
-        return self._w.K[:, :, nu : nu + self._w.xs.shape[1]].copy()
+        return self._w.K[:, :, nu : nu + self._w.ndx].copy()
 
 
 class NumpyEngine:
@@ -114,7 +118,8 @@ class NumpyEngine:
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
         self._sweep: lq.Sweep | None = None
-        self._gains = (problem.N, problem.dynamics.nu, problem.dynamics.nx)
+        self._space = space_of(problem.dynamics)
+        self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
@@ -137,7 +142,7 @@ class NumpyEngine:
         with np.errstate(all="ignore"):  # a candidate may run away: its cost says so
             for n in range(N):
                 if K is not None:
-                    us[n] += (xs[n] - nominal[n]) @ K[n].T
+                    us[n] += self._space.difference(xs[n], nominal[n]) @ K[n].T
                 xs[n + 1] = self._dynamics.step(xs[n], us[n])  # Eq. 10
             J = np.array([self._cost.value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
         return xs, J
@@ -146,7 +151,9 @@ class NumpyEngine:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
         model = self._cost.quadratize(xs, us)
-        dx, total = np.zeros(xs.shape[1]), 0.0
+        if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
+            K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
+        dx, total = np.zeros(self._space.ndx), 0.0
         for n in range(len(us)):
             du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
             total += float(model.q[n] @ dx + model.r[n] @ du)
@@ -161,6 +168,7 @@ class NumpyEngine:
         xs0, us0 = self._nominal
         if fresh:
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
+            _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._cost.quadratize(xs0, us0)
             self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
         sweep = lq.riccati(self._A, self._B, self._model, mu)
@@ -199,13 +207,20 @@ class NumpyEngine:
         return xs.copy(), us.copy()
 
     def gains(self) -> np.ndarray:
-        """A copy of K (N, nu, nx)."""
+        """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
 
-def _check_shapes(model: Quadratic, N: int, nu: int, nx: int) -> None:
+def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:
+    """With quaternions a user's own derivatives are easily of the wrong size."""
+    for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
+        if have != shape:
+            raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")
+
+
+def _check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
     """A wrong shape from a user's cost could broadcast into a wrong gradient."""
-    expected = {"Q": (N + 1, nx, nx), "q": (N + 1, nx), "R": (N, nu, nu), "r": (N, nu)}
+    expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
     for name, shape in expected.items():
         have = np.shape(getattr(model, name))
         if have != shape:
@@ -224,7 +239,7 @@ def borrow(problem: Problem) -> Engine:
     except IndexError:
         pass
     if isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics):
-        return CompiledEngine(problem.dynamics, problem.cost)
+        return CompiledEngine(problem, problem.dynamics, problem.cost)
     return NumpyEngine(problem)
 
 

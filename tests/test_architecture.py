@@ -18,6 +18,12 @@ ORDER = [
     ["figures", "stage"],
     ["arguments", "files", "gl", "mjcf"],
     ["twin", "archive"],
+    ["space"],
+    ["mechanism"],
+    ["default_stage"],
+    ["mechanism_refusals"],
+    ["mechanism_edits"],
+    ["mechanism_reader"],
     ["kernels"],
     ["dynamics"],
     ["cost"],
@@ -27,10 +33,12 @@ ORDER = [
     ["engine"],
     ["slq"],
     ["cases"],
+    ["ranges"],
     ["replay"],
-    ["parity"],
+    ["rigid_parity"],
+    ["parity", "same_step"],
     ["proof"],
-    ["film", "overlay", "scene", "encode", "render"],
+    ["camera", "film", "overlay", "scene", "encode", "render"],
     ["plots"],
     ["report"],
     ["paper"],
@@ -79,7 +87,8 @@ def test_mujoco_is_imported_by_gl_alone(path):
     names = [name.split(".")[0] for name, _ in imports(path)]
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
-    users = {"gl", "replay", "parity", "proof", "render", "scene"}
+    users = {"gl", "mechanism_reader", "mechanism_refusals", "replay", "parity", "proof", "render", "scene"}
+    users |= {"camera", "ranges", "rigid_parity", "same_step"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

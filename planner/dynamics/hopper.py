@@ -28,6 +28,8 @@ class HopperDynamics:
 
     nx = 3
     nu = 1
+    structured = False
+    has_slopes = True
 
     def __init__(
         self, dt: float, integrator: str = "rk4", *, stiffness: float = 100.0, smoothing: float = 0.1,
@@ -62,21 +64,24 @@ class HopperDynamics:
         """Exact A (N, 3, 3) and B (N, 3, 1) along xs (N+1, 3), us (N, 1)."""
         us = array("us", us, ("N", 1), any_value=True)
         xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
-        F = lane_array(len(us), 3, WIDTH)
-        kernels.linearize(self._code, self.dt, self._parameters, xs, us, lane_array(7, WIDTH), F)
+        F = np.empty((len(us), 3, WIDTH))
+        kernels.linearize_arrays(self._code, self.dt, self._parameters, xs, us, F, lane_array(7, WIDTH))
         return F[:, :, 1:4].copy(), F[:, :, :1].copy()
 
-    def start(self, w: Workspace) -> float:
+    def memory(self, N: int) -> None:
+        """Scratch of one solve of N stages: none."""
+
+    def start(self, w: Workspace, memory: None) -> float:
         """Roll out w.us from w.xs[0]; the cost."""
         announce(kernels.iterate)
-        return kernels.start(self._code, self.dt, self._parameters, w)
+        return kernels.start(self._code, self.dt, self._parameters, w.table, w.search)
 
     def iterate(
-        self, w: Workspace, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
+        self, w: Workspace, memory: None, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> int:  # fmt: skip
         """One SLQ iteration; the outcome, with w.out filled."""
         return kernels.iterate(
-            self._code, self.dt, self._parameters, w, rule, feedback, mu, fresh, cost,
+            self._code, self.dt, self._parameters, w.table, w.search, rule, feedback, mu, fresh, cost,
             gradient_tolerance, decrease_tolerance,
         )  # fmt: skip

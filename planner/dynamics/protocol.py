@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +15,9 @@ control is held over a stage."""
 
 class Dynamics(Protocol):
     """Discrete dynamics with a control that is held over each stage.
+
+    States that are not plain vectors (orientations as unit quaternions) come with one more attribute, `space`, a
+    StateSpace: then A, B and a plan's gains act on its deviations, ndx numbers. Without it ndx is nx.
 
     Attributes:
         nx: Size of the state.
@@ -40,20 +43,37 @@ class Dynamics(Protocol):
         ...
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A (N, nx, nx) and B (N, nx, nu) along xs (N+1, nx), us (N, nu)."""
+        """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu).
+
+        The deviation of the end of a stage is A dx + B du for a deviation dx of its start and du of the control.
+        """
         ...
 
 
 @runtime_checkable
 class CompiledDynamics(Protocol):
-    """Dynamics whose whole iteration is one compiled call on a Workspace (see kernels)."""
+    """Dynamics whose whole iteration is one compiled call on a Workspace (see kernels).
 
-    def start(self, w: Workspace) -> float:
+    Attributes:
+        structured: Whether F holds accelerations only (see Workspace).
+        has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
+    """
+
+    @property
+    def structured(self) -> bool: ...  # noqa: D102
+    @property
+    def has_slopes(self) -> bool: ...  # noqa: D102
+
+    def memory(self, N: int) -> Any:
+        """Scratch of one solve of N stages, for start and iterate."""
+        ...
+
+    def start(self, w: Workspace, memory: Any) -> float:
         """Roll out w.us from w.xs[0]; the cost."""
         ...
 
     def iterate(
-        self, w: Workspace, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
+        self, w: Workspace, memory: Any, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> int:  # fmt: skip
         """One SLQ iteration; the outcome, with w.out filled."""

@@ -11,10 +11,56 @@ search direction gives the slope of the cost.
 from __future__ import annotations
 
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import WIDTH, load, maximum, minimum, pointer, spread, store
+from planner.kernels.lanes import (
+    WIDTH,
+    as_floats,
+    at,
+    floats,
+    integers,
+    lanes,
+    load,
+    maximum,
+    minimum,
+    pointer,
+    spread,
+    store,
+)
 from planner.kernels.riccati import direction, gradients, riccati
 from planner.kernels.search import WOLFE, batches, choose, ladder, refine
-from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, accept
+from planner.kernels.workspace import (
+    ACCEPTED,
+    ALPHA,
+    BRACKET,
+    CONTROL_VALUE,
+    CONVERGED,
+    COSTS,
+    DIRECTION,
+    E8,
+    FEEDFORWARD,
+    FINAL_COLUMN,
+    FINAL_ROW,
+    FINAL_TERMS,
+    FINAL_VALUE,
+    GAINS,
+    INDEFINITE,
+    LINEAR,
+    NO_STEP,
+    NZ,
+    OUT,
+    SLOPES,
+    STAGE_COLUMN,
+    STAGE_ROW,
+    STAGE_TERMS,
+    STAGE_VALUE,
+    U8,
+    U_REF,
+    US,
+    X8,
+    X_REF,
+    XS,
+    N,
+    accept,
+)  # fmt: skip
 
 EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2
 
@@ -102,19 +148,17 @@ def rates(parameters, xs, us, rates):
 
 
 @jit
-def linearize(integrator, dt, parameters, xs, us, knots, F):
-    """F[n, i, :] = (B | A) row i of stage n, eight stages at a time; knots (7, 8) is workspace."""
+def linearize(integrator, dt, parameters, xs, us, N, F, width, knots):
+    """F[n, i, :] = (B | A) row i of stage n, eight stages at a time; all pointers, knots seven lanes of scratch."""
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
-    N = us.shape[0]
-    lanes = pointer(knots)
-    flat = F.reshape(-1)
+    flat = as_floats(knots)
     for n0 in range(0, N, WIDTH):
         for lane in range(WIDTH):
             n = min(n0 + lane, N - 1)
-            knots[0, lane] = us[n, 0]
+            store(flat, lane, load(us, n))
             for i in range(3):
-                knots[1 + i, lane] = xs[n, i]
-        u, y, v, p = load(lanes, 0), load(lanes, 1), load(lanes, 2), load(lanes, 3)
+                store(flat, (1 + i) * WIDTH + lane, load(xs, 3 * n + i))
+        u, y, v, p = load(knots, 0), load(knots, 1), load(knots, 2), load(knots, 3)
         _, _, _, s1, s2, s3, s4 = step(integrator, y, v, p, u, dt, stiffness, smoothing, gravity)
         for column in range(4):  # the unit changes of u, y, v, p
             du = spread(1.0 if column == 0 else 0.0)
@@ -122,61 +166,88 @@ def linearize(integrator, dt, parameters, xs, us, knots, F):
             dv = spread(1.0 if column == 2 else 0.0)
             dp = spread(1.0 if column == 3 else 0.0)
             dy, dv, dp = push(integrator, dy, dv, dp, du, s1, s2, s3, s4, dt)
-            store(lanes, 4, dy)
-            store(lanes, 5, dv)
-            store(lanes, 6, dp)
+            store(knots, 4, dy)
+            store(knots, 5, dv)
+            store(knots, 6, dp)
             for lane in range(min(WIDTH, N - n0)):
-                at = (n0 + lane) * 3 * WIDTH + column
-                flat[at] = knots[4, lane]
-                flat[at + WIDTH] = knots[5, lane]
-                flat[at + 2 * WIDTH] = knots[6, lane]
+                at_row = (n0 + lane) * 3 * width + column
+                store(F, at_row, load(flat, 4 * WIDTH + lane))
+                store(F, at_row + width, load(flat, 5 * WIDTH + lane))
+                store(F, at_row + 2 * width, load(flat, 6 * WIDTH + lane))
 
 
 @jit
-def rollout(integrator, dt, parameters, w, feedback, slopes):
-    """Eight step lengths w.alpha at once: states w.X8, controls w.U8, costs w.J8 and, if asked, their slopes w.S8.
+def linearize_arrays(integrator, dt, parameters, xs, us, F, knots):
+    """The same on arrays xs (N+1, 3), us (N, 1), F (N, 3, width), knots (7, 8)."""
+    linearize(
+        integrator, dt, parameters, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0],
+        pointer(F.reshape(-1)), F.shape[2], pointer(knots),
+    )  # fmt: skip
+
+
+@inline
+def _tracking(e, d, row, column, value, terms, slopes):
+    """1/2 e'Qe and, if asked, its slope along d, from the terms of Q."""
+    J, S = spread(0.0), spread(0.0)
+    for t in range(terms):
+        i, j, q = load(row, t), load(column, t), load(value, t)
+        factor = 0.5 * q if i == j else q
+        J += factor * (load(e, i) * load(e, j))
+        if slopes:
+            S += factor * (load(e, i) * load(d, j) + load(e, j) * load(d, i))
+    return J, S
+
+
+@jit
+def rollout(integrator, dt, parameters, w, search, feedback, slopes):
+    """Eight step lengths at once: states X8, controls U8, costs and, if asked, their slopes.
 
     The control is us + alpha k + K (x - xs) with feedback, us + alpha dus without (Eq. 36).
     """
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
-    N = w.us.shape[0]
-    xs, us = pointer(w.xs.reshape(-1)), pointer(w.us.reshape(-1))
-    K, k = pointer(w.K.reshape(-1)), pointer(w.k.reshape(-1))
-    dus = pointer(w.dus.reshape(-1))
-    Q, R = pointer(w.Q.reshape(-1)), pointer(w.R.reshape(-1))
-    x_ref, u_ref = pointer(w.x_ref.reshape(-1)), pointer(w.u_ref.reshape(-1))
-    X8, U8 = pointer(w.X8), pointer(w.U8)
-    alpha = load(pointer(w.alpha), 0)
-    y, v, p = spread(w.xs[0, 0]), spread(w.xs[0, 1]), spread(w.xs[0, 2])
+    stages, width = w[N], w[NZ]
+    xs, us, K, k = floats(w, XS), floats(w, US), floats(w, GAINS), floats(w, FEEDFORWARD)
+    dus, x_ref, u_ref = floats(w, DIRECTION), floats(w, X_REF), floats(w, U_REF)
+    stage_row, stage_column = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN)
+    R, terms = floats(w, CONTROL_VALUE), w[STAGE_TERMS]
+    X8_, U8_, e = lanes(w, X8), lanes(w, U8), lanes(w, E8)
+    d = at(e, 3)
+    alpha = load(pointer(search), ALPHA)
+    y, v, p = spread(load(xs, 0)), spread(load(xs, 1)), spread(load(xs, 2))
     zero = spread(0.0)
     dy, dv, dp = zero, zero, zero
     J, S = zero, zero
-    for n in range(N + 1):
-        store(X8, 3 * n, y)
-        store(X8, 3 * n + 1, v)
-        store(X8, 3 * n + 2, p)
-        ey, ev, ep = y - load(x_ref, 3 * n), v - load(x_ref, 3 * n + 1), p - load(x_ref, 3 * n + 2)
-        q = 9 * n
-        gy = load(Q, q) * ey + load(Q, q + 1) * ev + load(Q, q + 2) * ep
-        gv = load(Q, q + 3) * ey + load(Q, q + 4) * ev + load(Q, q + 5) * ep
-        gp = load(Q, q + 6) * ey + load(Q, q + 7) * ev + load(Q, q + 8) * ep
-        J += 0.5 * (ey * gy + ev * gv + ep * gp)
-        if slopes:
-            S += gy * dy + gv * dv + gp * dp
-        if n == N:
+    for n in range(stages + 1):
+        store(X8_, 3 * n, y)
+        store(X8_, 3 * n + 1, v)
+        store(X8_, 3 * n + 2, p)
+        store(e, 0, y - load(x_ref, 3 * n))
+        store(e, 1, v - load(x_ref, 3 * n + 1))
+        store(e, 2, p - load(x_ref, 3 * n + 2))
+        store(d, 0, dy)
+        store(d, 1, dv)
+        store(d, 2, dp)
+        if n == stages:
+            row, column, last = integers(w, FINAL_ROW), integers(w, FINAL_COLUMN), w[FINAL_TERMS]
+            dJ, dS = _tracking(e, d, row, column, floats(w, FINAL_VALUE), last, slopes)
+            J += dJ
+            S += dS
             break
+        dJ, dS = _tracking(e, d, stage_row, stage_column, at(floats(w, STAGE_VALUE), n * terms), terms, slopes)
+        J += dJ
+        S += dS
         if feedback:
             du = load(k, n)
             u = load(us, n) + alpha * du
-            at = n * WIDTH + 1  # a row of K is kept behind its columns of u, as in F
-            Ky, Kv, Kp = load(K, at), load(K, at + 1), load(K, at + 2)
+            o = n * width + 1  # a row of K is kept behind its columns of u, as in F
+            Ky, Kv, Kp = load(K, o), load(K, o + 1), load(K, o + 2)
             u += Ky * (y - load(xs, 3 * n)) + Kv * (v - load(xs, 3 * n + 1)) + Kp * (p - load(xs, 3 * n + 2))
             du_dalpha = du + (Ky * dy + Kv * dv + Kp * dp)
         else:
             du = load(dus, n)
             u = load(us, n) + alpha * du  # Eq. 36
             du_dalpha = spread(du)
-        store(U8, n, u)
+        store(U8_, n, u)
         gu = load(R, n) * (u - load(u_ref, n))
         J += 0.5 * gu * (u - load(u_ref, n))
         if slopes:
@@ -184,47 +255,53 @@ def rollout(integrator, dt, parameters, w, feedback, slopes):
         y, v, p, s1, s2, s3, s4 = step(integrator, y, v, p, u, dt, stiffness, smoothing, gravity)
         if slopes:
             dy, dv, dp = push(integrator, dy, dv, dp, du_dalpha, s1, s2, s3, s4, dt)
-    store(pointer(w.J8), 0, J)
-    store(pointer(w.S8), 0, S)
+    store(pointer(search), COSTS, J)
+    store(pointer(search), SLOPES, S)
 
 
 @jit
-def start(integrator, dt, parameters, w):
-    """Roll out the controls in w.us from w.xs[0]; returns the cost."""
-    w.alpha[:] = 0.0
-    w.dus[:] = 0.0
-    rollout(integrator, dt, parameters, w, False, False)
+def start(integrator, dt, parameters, w, search):
+    """Roll out the controls in US from the first state in XS; returns the cost."""
+    for i in range(WIDTH):
+        search[ALPHA, i] = 0.0
+    for n in range(w[N]):
+        store(floats(w, DIRECTION), n, 0.0)
+    rollout(integrator, dt, parameters, w, search, False, False)
     accept(w, 0)
-    return w.J8[0, 0]
+    return search[COSTS, 0]
 
 
 @jit
-def iterate(integrator, dt, parameters, w, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance):
+def iterate(
+    integrator, dt, parameters, w, search, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
+):
     """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
 
-    Fills w.out = (gradient norm, slope, step, expected decrease, cost after).
+    Fills row OUT of `search` with (gradient norm, slope, step, expected decrease, cost after).
     """
     if fresh:
-        linearize(integrator, dt, parameters, w.xs, w.us, w.knots, w.F)
+        linearize(
+            integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[NZ], lanes(w, E8)
+        )
         gradients(w)
-    norm, slope, definite = riccati(w, mu)
-    out = w.out
+    norm, slope, definite = riccati(w, mu, dt)
+    out = search[OUT]
     out[0], out[1], out[2], out[3], out[4] = norm, slope, 0.0, -0.5 * slope, cost
     if not definite:
         return INDEFINITE
     if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
         return CONVERGED
     if not feedback:
-        direction(w)
-    alpha, J8, S8 = w.alpha[0], w.J8[0], w.S8[0]
-    ladder(rule, alpha, w.bracket)
+        direction(w, dt)
+    alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
+    ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(integrator, dt, parameters, w, feedback, rule == WOLFE)
-        lane = choose(rule, alpha, J8, S8, cost, slope, w.bracket)
+        rollout(integrator, dt, parameters, w, search, feedback, rule == WOLFE)
+        lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             accept(w, lane)
             step = alpha[lane]
-            out[2], out[3], out[4] = step, -slope * step * (1.0 - 0.5 * step), J8[lane]
+            out[2], out[3], out[4] = step, -slope * step * (1.0 - 0.5 * step), costs[lane]
             return ACCEPTED
-        refine(rule, alpha, w.bracket)
+        refine(rule, alpha, bracket)
     return NO_STEP

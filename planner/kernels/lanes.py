@@ -4,14 +4,17 @@ A kernel is written once, as if for one float, and runs on eight knots or on eig
 LLVM lowers <8 x double> to one zmm, two ymm or four xmm or NEON registers. A plain inner loop over eight does
 not vectorise (unknown aliasing), hence the explicit type.
 
-    p = pointer(a)        a raw pointer: (K, 8) float64 arrays give lanes, (K,) arrays give floats
-    load(p, k)            a[k, :] as V8, or a[k] as float64
+    p = pointer(a)        a raw pointer: (K, 8) float64 arrays give lanes, (K,) arrays give floats or integers
+    load(p, k)            a[k, :] as V8, or a[k]
     store(p, k, v)        a[k, :] = v (a float is spread), or a[k] = v
     load8(p, k)           eight consecutive doubles of a (K,) array, as V8
     store8(p, k, v)
+    at(p, k)              the pointer to entry k
+    lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k], t an int64 array
 
 Pointers are taken once, at a kernel's entry: arrays used inside loops are reference counted, which spills every
-vector register around each use.
+vector register around each use. A table of addresses in one int64 array carries all memory of a solve across the
+boundary from Python at the price of one argument (thirty arrays cost 4 us a call).
 """
 
 from __future__ import annotations
@@ -65,18 +68,27 @@ class _LaneModel(models.PrimitiveModel):
 
 
 class _PointerType(types.Type):
-    def __init__(self, lanes: bool) -> None:
-        self.lanes = lanes
-        super().__init__(name="LanePointer" if lanes else "FloatPointer")
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        super().__init__(name=f"{kind}Pointer")
+
+    @property
+    def lanes(self) -> bool:
+        return self.kind == "Lane"
+
+    @property
+    def entry(self) -> Any:
+        return {"Lane": V8, "Float": types.float64, "Integer": types.int64}[self.kind]
 
 
-_LANES, _FLOATS = _PointerType(True), _PointerType(False)
+_LANES, _FLOATS, _INTEGERS = _PointerType("Lane"), _PointerType("Float"), _PointerType("Integer")
+_ENTRY = {"Lane": _VECTOR, "Float": ir.DoubleType(), "Integer": ir.IntType(64)}
 
 
 @register_model(_PointerType)
 class _PointerModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, ir.PointerType(_VECTOR if fe_type.lanes else ir.DoubleType()))
+        super().__init__(dmm, fe_type, ir.PointerType(_ENTRY[fe_type.kind]))
 
 
 def _spread(builder: Any, x: Any) -> Any:
@@ -125,8 +137,8 @@ for _function, _instruction in (
 
 @intrinsic
 def pointer(typingctx: Any, array: Any) -> Any:
-    """The raw pointer of a C-contiguous float64 array: of lanes if it is (K, 8), of floats if it is (K,)."""
-    result = _LANES if array.ndim == 2 else _FLOATS
+    """The raw pointer of a C-contiguous array: of lanes if it is (K, 8), else of floats or integers."""
+    result = _LANES if array.ndim == 2 else _INTEGERS if isinstance(array.dtype, types.Integer) else _FLOATS
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
@@ -142,7 +154,7 @@ def load(typingctx: Any, p: Any, k: Any) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(builder.gep(args[0], [args[1]]), align=8)
 
-    return (V8 if p.lanes else types.float64)(p, types.intp), lower
+    return p.entry(p, types.intp), lower
 
 
 @intrinsic
@@ -156,7 +168,43 @@ def store(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
         builder.store(v, builder.gep(args[0], [args[1]]), align=8)
         return context.get_dummy_value()
 
-    return types.void(p, types.intp, value if p.lanes else types.float64), lower
+    return types.void(p, types.intp, value if p.lanes else p.entry), lower
+
+
+@intrinsic
+def at(typingctx: Any, p: Any, k: Any) -> Any:
+    """The pointer to entry k."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.gep(args[0], [args[1]])
+
+    return p(p, types.intp), lower
+
+
+@intrinsic
+def as_floats(typingctx: Any, p: Any) -> Any:
+    """The doubles of lanes, eight to an entry."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], context.get_value_type(_FLOATS))
+
+    return _FLOATS(p), lower
+
+
+def _define_entry(result: _PointerType) -> Any:
+    @intrinsic
+    def entry(typingctx: Any, table: Any, k: Any) -> Any:
+        def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            data = context.make_array(sig.args[0])(context, builder, args[0]).data
+            address = builder.load(builder.gep(data, [args[1]]))
+            return builder.inttoptr(address, context.get_value_type(result))
+
+        return result(table, types.intp), lower
+
+    return entry
+
+
+lanes, floats, integers = (_define_entry(kind) for kind in (_LANES, _FLOATS, _INTEGERS))
 
 
 def _wide(builder: Any, args: Any) -> Any:

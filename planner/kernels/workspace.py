@@ -1,74 +1,114 @@
-"""The memory of one solve, allocated once: nothing is allocated inside iterations."""
+"""The memory of one solve, allocated once: nothing is allocated inside iterations.
+
+Kernels see one int64 table: sizes, then addresses (see `lanes`). Here each array has its name and shape. nz = nu + ndx,
+NZ is nz padded to whole lanes; rows and columns are ordered z = (u | x), x in deviations.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from planner.kernels.jit import jit
-from planner.kernels.lanes import WIDTH, lane_array, padded
+from planner.kernels.lanes import WIDTH, floats, lane_array, load, padded, store
 
 # Outcomes of one iteration
 ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
-
-class Workspace(NamedTuple):
-    """Arrays of one solve; nz = nu + nx, NZ = nz padded to whole lanes. Rows ordered z = (u | x)."""
-
-    xs: np.ndarray  # (N+1, nx)
-    us: np.ndarray  # (N, nu)
-    Q: np.ndarray  # (N+1, nx, nx)
-    R: np.ndarray  # (N, nu, nu)
-    x_ref: np.ndarray  # (N+1, nx)
-    u_ref: np.ndarray  # (N, nu)
-    W: np.ndarray  # (N+1, nz, NZ) diag(R, Q)
-    l: np.ndarray  # (N+1, NZ) gradients of the stage costs
-    F: np.ndarray  # (N, nx, NZ) = (B | A)
-    K: np.ndarray  # (N, nu, NZ), gains in the columns of x
-    k: np.ndarray  # (N, nu)
-    dus: np.ndarray  # (N, nu) the LQ problem's own controls
-    gradient: np.ndarray  # (N, nu) Eq. 19
-    H: np.ndarray  # (2, nz, NZ)
-    G: np.ndarray  # (nx, NZ)
-    h: np.ndarray  # (2 NZ,)
-    costate: np.ndarray  # (2 NZ,)
-    dx: np.ndarray  # (2, nx)
-    knots: np.ndarray  # (nz + nx, 8)
-    X8: np.ndarray  # ((N+1) nx, 8) the eight candidates
-    U8: np.ndarray  # (N nu, 8)
-    J8: np.ndarray  # (1, 8)
-    S8: np.ndarray  # (1, 8)
-    alpha: np.ndarray  # (1, 8)
-    bracket: np.ndarray  # (3,)
-    out: np.ndarray  # (5,) gradient norm, slope, step, expected decrease, cost after
+_SIZES = (
+    "N", "nx", "ndx", "nu", "NZ", "structured", "vectors", "quaternions", "stage_terms", "final_terms",
+    "control_terms",
+)  # fmt: skip
+_ARRAYS = (
+    "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
+    "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
+    "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
+    "costate", "dx", "X8", "U8", "E8", "trial_xs", "trial_us", "trial_F",
+)  # fmt: skip
+N, NX, NDX, NU, NZ, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, FINAL_TERMS, CONTROL_TERMS = range(11)
+(
+    XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW,
+    STAGE_COLUMN, STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN,
+    CONTROL_VALUE, ERROR, TURN, STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h,
+    COSTATE, DX, X8, U8, E8, TRIAL_XS, TRIAL_US, TRIAL_LINEAR,
+) = range(11, 50)  # fmt: skip
+SEARCH_ROWS = 5  # of the search's array: step lengths, costs, slopes, the bracket, what an iteration reports
+ALPHA, COSTS, SLOPES, BRACKET, OUT = range(SEARCH_ROWS)
 
 
-def workspace(Q: np.ndarray, R: np.ndarray, x_ref: np.ndarray, u_ref: np.ndarray) -> Workspace:
-    """Memory for a tracking cost with Q (N+1, nx, nx), R (N, nu, nu) and its references."""
-    N, nu, nx = R.shape[0], R.shape[1], Q.shape[1]
-    nz, NZ = nu + nx, padded(nu + nx)
-    W = lane_array(N + 1, nz, NZ)
-    W[:N, :nu, :nu] = R
-    W[:, nu:, nu:nz] = Q
-    return Workspace(
-        xs=np.zeros((N + 1, nx)), us=np.zeros((N, nu)), Q=Q.copy(), R=R.copy(), x_ref=x_ref.copy(),
-        u_ref=u_ref.copy(), W=W, l=lane_array(N + 1, NZ), F=lane_array(N, nx, NZ), K=lane_array(N, nu, NZ),
-        k=np.zeros((N, nu)),
-        dus=np.zeros((N, nu)), gradient=np.zeros((N, nu)), H=lane_array(2, nz, NZ), G=lane_array(nx, NZ),
-        h=lane_array(2 * NZ), costate=lane_array(2 * NZ), dx=np.zeros((2, nx)), knots=lane_array(nz + nx, WIDTH),
-        X8=lane_array((N + 1) * nx, WIDTH), U8=lane_array(N * nu, WIDTH), J8=lane_array(1, WIDTH),
-        S8=lane_array(1, WIDTH), alpha=lane_array(1, WIDTH), bracket=np.zeros(3), out=np.zeros(5),
-    )  # fmt: skip
+class Workspace:
+    """Arrays of one solve, and the table that kernels take.
+
+    Args:
+        cost: A TrackingCost: Q (N+1, ndx, ndx), R (N, nu, nu), x_ref (N+1, nx), u_ref (N, nu).
+        space: A StateSpace.
+        structured: F holds accelerations only, (N, nv, NZ), for semi-implicit Euler: x+ = E (x + [0; dt F z]), where E
+            adds dt times the velocity to the position. Else F = (B | A), (N, ndx, NZ).
+
+    Attributes of interest outside: xs (N+1, nx), us (N, nu), K (N, nu, NZ) with the gains in the columns of x,
+    search (5, 8), table.
+    """
+
+    def __init__(self, cost: Any, space: Any, structured: bool) -> None:
+        Q, R = cost.Q, cost.R
+        N, nu = R.shape[:2]
+        nx, ndx = space.nx, space.ndx
+        self.ndx = ndx
+        nz, width = nu + ndx, padded(nu + ndx)
+        rows = padded(nz) + WIDTH
+        quaternions = np.array(space.quaternions, dtype=np.int64).reshape(-1, 2)
+        in_x, in_dx = np.ones(nx, dtype=bool), np.ones(ndx, dtype=bool)
+        ball = np.full(ndx, -1)
+        for number, (i, j) in enumerate(quaternions):
+            in_x[i : i + 4], in_dx[j : j + 3], ball[j : j + 3] = False, False, number
+        stage, final, control = _terms(Q[:-1]), _terms(Q[-1:]), _terms(R)
+        states = ndx // 2 if structured else ndx
+        self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
+        self.search = lane_array(SEARCH_ROWS, WIDTH)
+        self.F = lane_array(N * states * width + WIDTH)
+        slack = WIDTH  # rows are read eight at a time, past their ends
+        self._arrays: dict[str, np.ndarray] = {
+            "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
+            "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
+            "quaternion_x": quaternions[:, 0].copy(), "quaternion_dx": quaternions[:, 1].copy(), "ball": ball,
+            "stage_row": stage[0], "stage_column": stage[1], "stage_value": stage[2],
+            "final_row": final[0], "final_column": final[1], "final_value": final[2],
+            "control_row": control[0], "control_column": control[1], "control_value": control[2],
+            "error": np.zeros(ndx + WIDTH), "turn": np.zeros(((N + 1), len(quaternions), 9)),
+            "l": lane_array((N + 1) * width + slack), "F": self.F,
+            "transport": np.zeros((N, len(quaternions), 18)), "K": self.K, "k": np.zeros((N, nu)),
+            "dus": np.zeros((N, nu)), "gradient": np.zeros((N, nu)), "H": lane_array(rows * width + slack),
+            "G": lane_array((padded(ndx) + WIDTH) * width + slack),
+            "S": lane_array((padded(ndx) + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
+            "h": lane_array(3 * width + slack),
+            "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)), "X8": lane_array((N + 1) * nx, WIDTH),
+            "U8": lane_array(N * nu, WIDTH), "E8": lane_array(2 * ndx + nu + 8, WIDTH),
+            "trial_xs": np.zeros((N + 1, nx)), "trial_us": np.zeros((N, nu)), "trial_F": np.zeros(0),
+        }  # fmt: skip
+        sizes = (
+            N, nx, ndx, nu, width, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]), len(final[0]),
+            len(control[0]),
+        )  # fmt: skip
+        self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
+        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+
+
+def _terms(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The upper entries (row, column, value (stages, terms)) of symmetric weights that are not always zero."""
+    row, column = np.nonzero(np.triu(np.any(weights != 0.0, axis=0)))
+    return row, column, np.ascontiguousarray(weights[:, row, column])
 
 
 @jit
 def accept(w, lane):
     """Make candidate `lane` the nominal trajectory."""
-    N, nu, nx = w.us.shape[0], w.us.shape[1], w.xs.shape[1]
-    for n in range(N + 1):
-        for i in range(nx):
-            w.xs[n, i] = w.X8[n * nx + i, lane]
-    for n in range(N):
-        for i in range(nu):
-            w.us[n, i] = w.U8[n * nu + i, lane]
+    take_lane(floats(w, XS), floats(w, X8), w[NX] * (w[N] + 1), lane)
+    take_lane(floats(w, US), floats(w, U8), w[NU] * w[N], lane)
+
+
+@jit
+def take_lane(to, candidates, count, lane):
+    """Copy one lane of `count` entries of eight."""
+    for i in range(count):
+        store(to, i, load(candidates, i * WIDTH + lane))

@@ -1,0 +1,76 @@
+"""Functions of floats and of V8 alike: rounding, square root, sine and cosine, and the transpose of eight V8."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from planner.kernels.jit import inline
+from planner.kernels.lanes import V8, WIDTH, intrinsic
+
+
+def _define_function(name: str) -> Any:
+    """An LLVM intrinsic of one argument."""
+
+    @intrinsic
+    def function(typingctx: Any, x: Any) -> Any:
+        suffix = f"v{WIDTH}f64" if x is V8 else "f64"
+
+        def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = ir.FunctionType(args[0].type, [args[0].type])
+            return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{suffix}"), args)
+
+        return x(x), lower
+
+    return function
+
+
+rint, floor, sqrt = (_define_function(name) for name in ("rint", "floor", "sqrt"))
+
+# pi in two parts, so that subtracting multiples of it loses nothing.
+_PI, _PI_REST, _INVERSE_PI = math.pi, 1.2246467991473532e-16, 1.0 / math.pi
+# Taylor coefficients: on |r| <= pi/2 the first term left out is below 1e-18.
+_S2, _S3, _S4, _S5, _S6, _S7, _S8, _S9, _S10, _S11 = ((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 11))
+_C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11 = ((-1) ** k / math.factorial(2 * k) for k in range(1, 12))
+
+
+@inline
+def sincos(x):
+    """Sine and cosine, to about one unit in the last place of 1."""
+    k = rint(x * _INVERSE_PI)
+    r = (x - k * _PI) - k * _PI_REST
+    sign = 1.0 - 2.0 * (k - 2.0 * floor(k * 0.5))
+    z = r * r
+    s = ((((((((_S11 * z + _S10) * z + _S9) * z + _S8) * z + _S7) * z + _S6) * z + _S5) * z + _S4) * z + _S3) * z
+    s = (s + _S2) * z
+    c = ((((((((_C11 * z + _C10) * z + _C9) * z + _C8) * z + _C7) * z + _C6) * z + _C5) * z + _C4) * z + _C3) * z
+    c = ((c + _C2) * z + _C1) * z
+    return sign * (r + r * s), sign * (1.0 + c)
+
+
+@intrinsic
+def transpose(typingctx: Any, rows: Any) -> Any:
+    """Eight V8 with rows and lanes exchanged."""
+    result = types.UniTuple(V8, WIDTH)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        def shuffled(a: Any, b: Any, order: list[int]) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), order))
+
+        r = [builder.extract_value(args[0], i) for i in range(WIDTH)]
+        size = 1
+        while size < WIDTH:  # exchange the off-diagonal blocks of growing size
+            low = [j if not j & size else WIDTH + j - size for j in range(WIDTH)]
+            high = [j + size if not j & size else WIDTH + j for j in range(WIDTH)]
+            for i in range(WIDTH):
+                if not i & size:
+                    a, b = r[i], r[i + size]
+                    r[i], r[i + size] = shuffled(a, b, low), shuffled(a, b, high)
+            size *= 2
+        return context.make_tuple(builder, result, r)
+
+    return result(rows), lower

@@ -1,0 +1,321 @@
+"""Where the links of a tree are, and how they accelerate: Fig. 2's recursions in the frame of the tree's origin.
+
+Expressed in one fixed frame, composite inertias and forces are plain sums and no 6x6 transformation is needed: the
+work is linear in the number of links (forward dynamics: Featherstone's articulated bodies, the paper's [21]). Twists,
+screws and wrenches are (angular, linear) at the origin. All entries are V8: eight knots or candidates at once.
+
+Every link has a record of RECORD entries in the scratch memory `ws`.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.jit import inline, jit
+from planner.kernels.lane_math import sincos
+from planner.kernels.lanes import floats, integers, load, spread, store
+from planner.kernels.model import (
+    ARMATURE,
+    BALL,
+    BALL_NEXT,
+    BASE,
+    BASE_ACCELERATION,
+    INERTIA,
+    KIND,
+    NV,
+    PARENT,
+    PRESCRIBED,
+    Q_ADDRESS,
+    SLIDING,
+    C,
+    S,
+)  # fmt: skip
+from planner.kernels.spatial import (
+    add,
+    add3,
+    add6,
+    axpy,
+    cross,
+    dot,
+    load3,
+    load6,
+    rotated,
+    row_times,
+    scaled,
+    store3,
+    store6,
+    symmetric,
+)  # fmt: skip
+
+RECORD = 88
+# Offsets in a record; the second group is the forward dynamics' own.
+ROTATION, PLACE, SCREW_AXIS, TWIST, ACCELERATION = 0, 9, 12, 18, 24
+CORIOLIS, ARTICULATED, BIAS, U_SCREW, PIVOT, REST_FORCE = 30, 36, 57, 63, 69, 70
+
+
+@inline
+def _by_screw(C, i, k, s, c1):
+    """A row of three of C0 + sin Cs + (1 - cos) Cc."""
+    a = 48 * i + k
+    return (
+        load(C, a) + s * load(C, a + 12) + c1 * load(C, a + 24),
+        load(C, a + 1) + s * load(C, a + 13) + c1 * load(C, a + 25),
+        load(C, a + 2) + s * load(C, a + 14) + c1 * load(C, a + 26),
+    )
+
+
+@inline
+def _slid(C, i, k, x, row):
+    """The row with x Ct added."""
+    a = 48 * i + 36 + k
+    return row[0] + x * load(C, a), row[1] + x * load(C, a + 1), row[2] + x * load(C, a + 2)
+
+
+@inline
+def quaternion_rows(w, x, y, z):
+    """The rows of the rotation of a quaternion, which need not be normalised."""
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return (
+        (1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),
+        (s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)),
+        (s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)),
+    )
+
+
+@inline
+def _relative(kind, q_address, C, sliding, i, q):
+    """Rows of the rotation and the translation of link i relative to its parent (not of BALL_NEXT)."""
+    a = load(q_address, i)
+    if load(kind, i) == BALL:
+        r0, r1, r2 = quaternion_rows(load(q, a), load(q, a + 1), load(q, a + 2), load(q, a + 3))
+        c = 48 * i
+        h0, h1, h2 = load3(C, c), load3(C, c + 3), load3(C, c + 6)
+        anchor = load3(C, c + 12)
+        moved = (anchor[0] - dot(r0, anchor), anchor[1] - dot(r1, anchor), anchor[2] - dot(r2, anchor))
+        t = (
+            load(C, c + 9) + dot(h0, moved), load(C, c + 10) + dot(h1, moved), load(C, c + 11) + dot(h2, moved),
+        )  # fmt: skip
+        return row_times(h0, r0, r1, r2), row_times(h1, r0, r1, r2), row_times(h2, r0, r1, r2), t
+    x = load(q, a)
+    s, c = sincos(x)
+    c1 = 1.0 - c
+    t0, t1, t2 = _by_screw(C, i, 0, s, c1), _by_screw(C, i, 3, s, c1), _by_screw(C, i, 6, s, c1)
+    t = _by_screw(C, i, 9, s, c1)
+    if load(sliding, i):
+        t = _slid(C, i, 9, x, t)
+    return t0, t1, t2, t
+
+
+@inline
+def place(parent, kind, q_address, C, S, sliding, i, q, ws):
+    """Pose and screw of link i, stored; returns rotation, position and the screw's two halves."""
+    b = i * RECORD
+    p = load(parent, i)
+    pb = p * RECORD
+    if load(kind, i) == BALL_NEXT:
+        R0, R1, R2, P = load3(ws, pb), load3(ws, pb + 3), load3(ws, pb + 6), load3(ws, pb + PLACE)
+    else:
+        t0, t1, t2, tp = _relative(kind, q_address, C, sliding, i, q)
+        if p >= 0:
+            r0, r1, r2, pp = load3(ws, pb), load3(ws, pb + 3), load3(ws, pb + 6), load3(ws, pb + PLACE)
+            R0, R1, R2 = row_times(r0, t0, t1, t2), row_times(r1, t0, t1, t2), row_times(r2, t0, t1, t2)
+            P = (pp[0] + dot(r0, tp), pp[1] + dot(r1, tp), pp[2] + dot(r2, tp))
+        else:
+            R0, R1, R2, P = t0, t1, t2, tp
+    store3(ws, b, R0)
+    store3(ws, b + 3, R1)
+    store3(ws, b + 6, R2)
+    store3(ws, b + PLACE, P)
+    R = (R0[0], R0[1], R0[2], R1[0], R1[1], R1[2], R2[0], R2[1], R2[2])
+    sw = rotated(R, (load(S, 6 * i), load(S, 6 * i + 1), load(S, 6 * i + 2)))
+    sv = add(rotated(R, (load(S, 6 * i + 3), load(S, 6 * i + 4), load(S, 6 * i + 5))), cross(P, sw))
+    store3(ws, b + SCREW_AXIS, sw)
+    store3(ws, b + SCREW_AXIS + 3, sv)
+    return R, P, sw, sv
+
+
+@inline
+def moved_inertia(inertia, i, R, P):
+    """First moment and second moment of link i about the origin."""
+    m = load(inertia, 10 * i)
+    a = 10 * i
+    rh = rotated(R, (load(inertia, a + 1), load(inertia, a + 2), load(inertia, a + 3)))
+    J = (
+        load(inertia, a + 4), load(inertia, a + 5), load(inertia, a + 6), load(inertia, a + 7),
+        load(inertia, a + 8), load(inertia, a + 9),
+    )  # fmt: skip
+    a0, a1, a2 = symmetric(J, (R[0], R[1], R[2])), symmetric(J, (R[3], R[4], R[5])), symmetric(J, (R[6], R[7], R[8]))
+    # R J R' + 2 (P.b) 1 - P b' - b P' + m (P.P 1 - P P') with b = R h: the last two terms together, by g = b + m P / 2
+    g = axpy(rh, 0.5 * m, P)
+    t = 2.0 * dot(P, g)
+    return axpy(rh, m, P), (
+        R[0] * a0[0] + R[1] * a0[1] + R[2] * a0[2] + t - 2.0 * P[0] * g[0],
+        R[0] * a1[0] + R[1] * a1[1] + R[2] * a1[2] - P[0] * g[1] - P[1] * g[0],
+        R[0] * a2[0] + R[1] * a2[1] + R[2] * a2[2] - P[0] * g[2] - P[2] * g[0],
+        R[3] * a1[0] + R[4] * a1[1] + R[5] * a1[2] + t - 2.0 * P[1] * g[1],
+        R[3] * a2[0] + R[4] * a2[1] + R[5] * a2[2] - P[1] * g[2] - P[2] * g[1],
+        R[6] * a2[0] + R[7] * a2[1] + R[8] * a2[2] + t - 2.0 * P[2] * g[2],
+    )
+
+
+@jit
+def place_all(m, q, ws):
+    """Poses and screws of all links."""
+    parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
+    C_, S_, sliding = floats(m, C), floats(m, S), integers(m, SLIDING)
+    for i in range(m[NV]):
+        place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+
+
+@jit
+def forward_dynamics(m, q, v, tau, a, ws, reaction):
+    """Accelerations from forces (Fig. 2, right; the paper's Case 3 where accelerations are prescribed).
+
+    q (nq), v (nv), tau (nv) and a (nv) are lanes; tau is the whole applied force, a prescribed joint's entry of a is
+    read and, with `reaction`, its entry of tau becomes the force that it takes.
+    """
+    n = m[NV]
+    parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
+    C_, S_, sliding, inertia = floats(m, C), floats(m, S), integers(m, SLIDING), floats(m, INERTIA)
+    armature, prescribed, g = floats(m, ARMATURE), integers(m, PRESCRIBED), floats(m, BASE_ACCELERATION)
+    zero = spread(0.0)
+    none = (zero, zero, zero)
+    for i in range(n):
+        R, P, sw, sv = place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        b = i * RECORD
+        p = load(parent, i)
+        rate = load(v, i)
+        w, u = scaled(rate, sw), scaled(rate, sv)
+        if p >= 0:
+            o = load(base, i) * RECORD + TWIST  # V_base x S qd: the screw is carried by what it moves on
+            cw, cv = none, none
+            if load(base, i) >= 0:
+                bw, bv = load3(ws, o), load3(ws, o + 3)
+                cw, cv = cross(bw, w), add(cross(bw, u), cross(bv, w))
+            store3(ws, b + CORIOLIS, cw)
+            store3(ws, b + CORIOLIS + 3, cv)
+            w, u = add(w, load3(ws, p * RECORD + TWIST)), add(u, load3(ws, p * RECORD + TWIST + 3))
+        store3(ws, b + TWIST, w)
+        store3(ws, b + TWIST + 3, u)
+        mass = load(inertia, 10 * i)
+        if mass > 0.0:
+            h, J = moved_inertia(inertia, i, R, P)
+            f = axpy(cross(w, h), mass, u)
+            moment = add(symmetric(J, w), cross(h, u))
+            store3(ws, b + BIAS, add(cross(w, moment), cross(u, f)))
+            store3(ws, b + BIAS + 3, cross(w, f))
+            k = b + ARTICULATED  # J (6) | H = hat(h) (9) | the linear block (6)
+            store6(ws, k, J)
+            store3(ws, k + 6, (zero, -1.0 * h[2], h[1]))
+            store3(ws, k + 9, (h[2], zero, -1.0 * h[0]))
+            store3(ws, k + 12, (-1.0 * h[1], h[0], zero))
+            store6(ws, k + 15, (zero + mass, zero, zero, zero + mass, zero, zero + mass))
+        else:
+            for k in range(b + ARTICULATED, b + BIAS + 6):
+                store(ws, k, zero)
+    for i in range(n - 1, -1, -1):
+        b = i * RECORD
+        p = load(parent, i)
+        k = b + ARTICULATED
+        sw, sv = load3(ws, b + SCREW_AXIS), load3(ws, b + SCREW_AXIS + 3)
+        J, L = load6(ws, k), load6(ws, k + 15)
+        H0, H1, H2 = load3(ws, k + 6), load3(ws, k + 9), load3(ws, k + 12)
+        bw, bv = load3(ws, b + BIAS), load3(ws, b + BIAS + 3)
+        Uw = add(symmetric(J, sw), (dot(H0, sv), dot(H1, sv), dot(H2, sv)))
+        Uv = add(symmetric(L, sv), axpy(axpy(scaled(sw[0], H0), sw[1], H1), sw[2], H2))
+        store3(ws, b + U_SCREW, Uw)
+        store3(ws, b + U_SCREW + 3, Uv)
+        moves = load(prescribed, i) < 0
+        D = zero
+        u = zero
+        if moves:
+            D = 1.0 / (dot(sw, Uw) + dot(sv, Uv) + load(armature, i))
+            u = load(tau, i) - dot(sw, bw) - dot(sv, bv)
+        store(ws, b + PIVOT, D)
+        store(ws, b + REST_FORCE, u)
+        if p >= 0:
+            pb = p * RECORD
+            cw, cv = load3(ws, b + CORIOLIS), load3(ws, b + CORIOLIS + 3)
+            Icw = add(symmetric(J, cw), (dot(H0, cv), dot(H1, cv), dot(H2, cv)))
+            Icv = add(symmetric(L, cv), axpy(axpy(scaled(cw[0], H0), cw[1], H1), cw[2], H2))
+            t = D * (u - dot(Uw, cw) - dot(Uv, cv)) if moves else load(a, i)
+            add3(ws, pb + BIAS, axpy(add(bw, Icw), t, Uw))
+            add3(ws, pb + BIAS + 3, axpy(add(bv, Icv), t, Uv))
+            Ew, Ev = scaled(-1.0 * D, Uw), scaled(-1.0 * D, Uv)
+            k = pb + ARTICULATED
+            add6(ws, k, (
+                J[0] + Ew[0] * Uw[0], J[1] + Ew[0] * Uw[1], J[2] + Ew[0] * Uw[2],
+                J[3] + Ew[1] * Uw[1], J[4] + Ew[1] * Uw[2], J[5] + Ew[2] * Uw[2],
+            ))  # fmt: skip
+            add3(ws, k + 6, axpy(H0, Ew[0], Uv))
+            add3(ws, k + 9, axpy(H1, Ew[1], Uv))
+            add3(ws, k + 12, axpy(H2, Ew[2], Uv))
+            add6(ws, k + 15, (
+                L[0] + Ev[0] * Uv[0], L[1] + Ev[0] * Uv[1], L[2] + Ev[0] * Uv[2],
+                L[3] + Ev[1] * Uv[1], L[4] + Ev[1] * Uv[2], L[5] + Ev[2] * Uv[2],
+            ))  # fmt: skip
+    for i in range(n):
+        b = i * RECORD
+        p = load(parent, i)
+        sw, sv = load3(ws, b + SCREW_AXIS), load3(ws, b + SCREW_AXIS + 3)
+        if p >= 0:
+            pb = p * RECORD + ACCELERATION
+            aw, av = add(load3(ws, pb), load3(ws, b + CORIOLIS)), add(load3(ws, pb + 3), load3(ws, b + CORIOLIS + 3))
+        else:  # gravity, as an acceleration of the base
+            aw, av = none, (zero + load(g, 0), zero + load(g, 1), zero + load(g, 2))
+        Uw, Uv = load3(ws, b + U_SCREW), load3(ws, b + U_SCREW + 3)
+        if load(prescribed, i) < 0:
+            acceleration = load(ws, b + PIVOT) * (load(ws, b + REST_FORCE) - dot(Uw, aw) - dot(Uv, av))
+            store(a, i, acceleration)
+        else:
+            acceleration = load(a, i)
+            if reaction:
+                bw, bv = load3(ws, b + BIAS), load3(ws, b + BIAS + 3)
+                force = dot(Uw, aw) + dot(Uv, av) + dot(sw, bw) + dot(sv, bv)
+                inner = dot(sw, Uw) + dot(sv, Uv) + load(armature, i)
+                store(tau, i, force + inner * acceleration)
+        store3(ws, b + ACCELERATION, axpy(aw, acceleration, sw))
+        store3(ws, b + ACCELERATION + 3, axpy(av, acceleration, sv))
+
+
+@jit
+def inverse_dynamics(m, q, v, a, tau, ws):
+    """Forces from accelerations (Fig. 2, left): tau (nv lanes) without springs and damping, with armature."""
+    n = m[NV]
+    parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
+    C_, S_, sliding, inertia = floats(m, C), floats(m, S), integers(m, SLIDING), floats(m, INERTIA)
+    armature, g = floats(m, ARMATURE), floats(m, BASE_ACCELERATION)
+    for i in range(n):
+        R, P, sw, sv = place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        b = i * RECORD
+        p = load(parent, i)
+        rate, acceleration = load(v, i), load(a, i)
+        w, u = scaled(rate, sw), scaled(rate, sv)
+        aw, av = scaled(acceleration, sw), scaled(acceleration, sv)
+        if load(base, i) >= 0:
+            o = load(base, i) * RECORD + TWIST
+            bw, bv = load3(ws, o), load3(ws, o + 3)
+            aw, av = add(aw, cross(bw, w)), add(av, add(cross(bw, u), cross(bv, w)))
+        if p >= 0:
+            pb = p * RECORD
+            w, u = add(w, load3(ws, pb + TWIST)), add(u, load3(ws, pb + TWIST + 3))
+            aw, av = add(aw, load3(ws, pb + ACCELERATION)), add(av, load3(ws, pb + ACCELERATION + 3))
+        else:
+            av = (av[0] + load(g, 0), av[1] + load(g, 1), av[2] + load(g, 2))
+        store3(ws, b + TWIST, w)
+        store3(ws, b + TWIST + 3, u)
+        store3(ws, b + ACCELERATION, aw)
+        store3(ws, b + ACCELERATION + 3, av)
+        mass = load(inertia, 10 * i)
+        h, J = moved_inertia(inertia, i, R, P)
+        f = axpy(cross(w, h), mass, u)
+        moment = add(symmetric(J, w), cross(h, u))
+        store3(ws, b + BIAS, add(add(symmetric(J, aw), cross(h, av)), add(cross(w, moment), cross(u, f))))
+        store3(ws, b + BIAS + 3, add(axpy(cross(aw, h), mass, av), cross(w, f)))
+    for i in range(n - 1, -1, -1):
+        b = i * RECORD
+        p = load(parent, i)
+        Fn, Ff = load3(ws, b + BIAS), load3(ws, b + BIAS + 3)
+        force = dot(load3(ws, b + SCREW_AXIS), Fn) + dot(load3(ws, b + SCREW_AXIS + 3), Ff)
+        store(tau, i, force + load(armature, i) * load(a, i))
+        if p >= 0:
+            add3(ws, p * RECORD + BIAS, Fn)
+            add3(ws, p * RECORD + BIAS + 3, Ff)

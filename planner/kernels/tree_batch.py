@@ -1,0 +1,95 @@
+"""The dynamics of a tree for batches of states: arrays in and out, eight states at a time."""
+
+from __future__ import annotations
+
+from planner.kernels.forces import add_passive, add_passive_derivatives
+from planner.kernels.jit import jit
+from planner.kernels.lanes import WIDTH, as_floats, at, lanes, load, pointer, spread, store
+from planner.kernels.model import NQ, NV
+from planner.kernels.sensitivity import inverse_dynamics_derivatives
+from planner.kernels.tree import RECORD, forward_dynamics, inverse_dynamics, place_all
+from planner.kernels.tree_memory import A_LANES, DQ, DV, LD, LINKS, M_LANES, SCRATCH, TAU, THETA, X_LANES
+from planner.kernels.tree_step import gather, scatter
+
+
+@jit
+def forward(m, r, q, v, inputs, a, tau):
+    """Accelerations a and forces tau (K, nv) from inputs (K, nv): forces or, where prescribed, accelerations."""
+    nq, nv, K = m[NQ], m[NV], q.shape[0]
+    x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
+    rate = at(x, nq)
+    for first in range(0, K, WIDTH):
+        gather(pointer(q.reshape(-1)), first, K, nq, x)
+        gather(pointer(v.reshape(-1)), first, K, nv, rate)
+        gather(pointer(inputs.reshape(-1)), first, K, nv, total)
+        for i in range(nv):
+            store(passive, i, spread(0.0))
+            store(acceleration, i, load(total, i))
+        add_passive(m, x, rate, passive, lanes(r, SCRATCH))
+        for i in range(nv):
+            store(total, i, load(total, i) + load(passive, i))
+        forward_dynamics(m, x, rate, total, acceleration, lanes(r, LINKS), True)
+        for i in range(nv):
+            store(total, i, load(total, i) - load(passive, i))
+        scatter(acceleration, first, K, nv, pointer(a.reshape(-1)))
+        scatter(total, first, K, nv, pointer(tau.reshape(-1)))
+
+
+@jit
+def inverse(m, r, q, v, a, tau):
+    """Applied forces tau (K, nv) for accelerations a (K, nv)."""
+    nq, nv, K = m[NQ], m[NV], q.shape[0]
+    x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
+    rate = at(x, nq)
+    for first in range(0, K, WIDTH):
+        gather(pointer(q.reshape(-1)), first, K, nq, x)
+        gather(pointer(v.reshape(-1)), first, K, nv, rate)
+        gather(pointer(a.reshape(-1)), first, K, nv, acceleration)
+        for i in range(nv):
+            store(passive, i, spread(0.0))
+        add_passive(m, x, rate, passive, lanes(r, SCRATCH))
+        inverse_dynamics(m, x, rate, acceleration, total, lanes(r, LINKS))
+        for i in range(nv):
+            store(total, i, load(total, i) - load(passive, i))
+        scatter(total, first, K, nv, pointer(tau.reshape(-1)))
+
+
+@jit
+def derivatives(m, r, q, v, a, M, Dq, Dv):
+    """M = dtau/da, dtau/dq and dtau/dv (K, nv, nv) of inverse dynamics."""
+    nq, nv, K, ld = m[NQ], m[NV], q.shape[0], r[LD]
+    x, acceleration = lanes(r, X_LANES), lanes(r, A_LANES)
+    rate = at(x, nq)
+    blocks = (lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV))
+    for first in range(0, K, WIDTH):
+        gather(pointer(q.reshape(-1)), first, K, nq, x)
+        gather(pointer(v.reshape(-1)), first, K, nv, rate)
+        gather(pointer(a.reshape(-1)), first, K, nv, acceleration)
+        for block in blocks:
+            for k in range(nv * ld):
+                store(block, k, spread(0.0))
+        inverse_dynamics_derivatives(
+            m, x, rate, acceleration, lanes(r, LINKS), lanes(r, TAU), blocks[0], blocks[1], blocks[2], ld
+        )
+        add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, SCRATCH))
+        for i in range(nv):
+            for j in range(nv):
+                for lane in range(min(WIDTH, K - first)):
+                    k = (i * ld + j) * WIDTH + lane
+                    M[first + lane, i, j] = load(as_floats(blocks[0]), k)
+                    Dq[first + lane, i, j] = load(as_floats(blocks[1]), k)
+                    Dv[first + lane, i, j] = load(as_floats(blocks[2]), k)
+
+
+@jit
+def places(m, r, q, poses):
+    """Per link (K, nv, 18): rotation (9), position (3) and screw (6), about the tree's origin."""
+    nq, K = m[NQ], q.shape[0]
+    x, ws = lanes(r, X_LANES), lanes(r, LINKS)
+    for first in range(0, K, WIDTH):
+        gather(pointer(q.reshape(-1)), first, K, nq, x)
+        place_all(m, x, ws)
+        for i in range(m[NV]):
+            for k in range(18):
+                for lane in range(min(WIDTH, K - first)):
+                    poses[first + lane, i, k] = load(as_floats(ws), (i * RECORD + k) * WIDTH + lane)

@@ -1,0 +1,464 @@
+"""Exact A and B of a stage of a tree (Eq. 35), eight knots at a time: the chain rule through the integrator's stages.
+
+The derivatives of accelerations follow from those of inverse dynamics, da = M^-1 (dtau - Dq dq - Dv dv) (section
+1.2), with the rows of prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
+"""
+
+from __future__ import annotations
+
+from planner.kernels.forces import add_actuator_derivatives, add_passive_derivatives
+from planner.kernels.jit import inline, jit
+from planner.kernels.lane_math import transpose
+from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, pointer, spread, store, store8
+from planner.kernels.model import (
+    ACTIVATION_GAIN,
+    ACTIVATION_INPUT,
+    ACTIVATION_RATE,
+    BALL,
+    BALL_NEXT,
+    BALL_V,
+    INPUT_DOF,
+    INPUT_INDEX,
+    INPUT_VALUE,
+    INPUTS,
+    KIND,
+    NA,
+    NBALLS,
+    NQ,
+    NU,
+    NV,
+    PRESCRIBED,
+    RELATED_ROWS,
+    RELATED_START,
+)  # fmt: skip
+from planner.kernels.rotations import carried, right_jacobian_times
+from planner.kernels.sensitivity import inverse_dynamics_derivatives, invert
+from planner.kernels.spatial import cross, load3, store3
+from planner.kernels.tree_memory import (
+    A_LANES,
+    ACCELERATIONS,
+    CHAINED,
+    COLUMNS,
+    DIRECT,
+    DQ,
+    DV,
+    HELD,
+    INTEGRATOR,
+    LD,
+    LINKS,
+    M_LANES,
+    Q_STAGE,
+    RK4,
+    ROW,
+    SCRATCH,
+    SEMI_IMPLICIT_EULER,
+    STAGES,
+    SUM_Q,
+    SUM_V,
+    TAU,
+    THETA,
+    U_LANES,
+    V_STAGES,
+    X_LANES,
+    XA,
+    XQ,
+    XV,
+)  # fmt: skip
+from planner.kernels.tree_step import end_rotation, gather, stage, stage_state
+
+
+@inline
+def _minus_product(M, D, ld, i0, i1, j0, rows, start, stop):
+    """Rows i0 and i1 of -M D in eight columns from j0, over the listed rows of D, which are all that are not zero."""
+    z = spread(0.0)
+    a0, a1, a2, a3, a4, a5, a6, a7 = z, z, z, z, z, z, z, z
+    b0, b1, b2, b3, b4, b5, b6, b7 = z, z, z, z, z, z, z, z
+    for t in range(start, stop):
+        k = load(rows, t)
+        m0, m1, o = load(M, i0 * ld + k), load(M, i1 * ld + k), k * ld + j0
+        d = load(D, o)
+        a0 -= m0 * d
+        b0 -= m1 * d
+        d = load(D, o + 1)
+        a1 -= m0 * d
+        b1 -= m1 * d
+        d = load(D, o + 2)
+        a2 -= m0 * d
+        b2 -= m1 * d
+        d = load(D, o + 3)
+        a3 -= m0 * d
+        b3 -= m1 * d
+        d = load(D, o + 4)
+        a4 -= m0 * d
+        b4 -= m1 * d
+        d = load(D, o + 5)
+        a5 -= m0 * d
+        b5 -= m1 * d
+        d = load(D, o + 6)
+        a6 -= m0 * d
+        b6 -= m1 * d
+        d = load(D, o + 7)
+        a7 -= m0 * d
+        b7 -= m1 * d
+    return (a0, a1, a2, a3, a4, a5, a6, a7), (b0, b1, b2, b3, b4, b5, b6, b7)
+
+
+@inline
+def _store_eight(p, k, v):
+    store(p, k, v[0])
+    store(p, k + 1, v[1])
+    store(p, k + 2, v[2])
+    store(p, k + 3, v[3])
+    store(p, k + 4, v[4])
+    store(p, k + 5, v[5])
+    store(p, k + 6, v[6])
+    store(p, k + 7, v[7])
+
+
+@jit
+def acceleration_derivatives(m, r, q, v, a, dA):
+    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act)."""
+    nv, nu, ld, columns = m[NV], m[NU], r[LD], r[COLUMNS]
+    M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
+    zero = spread(0.0)
+    for k in range(nv * ld):
+        store(M, k, zero)
+        store(Dq, k, zero)
+        store(Dv, k, zero)
+    inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
+    add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
+    add_actuator_derivatives(m, Dq, Dv, ld)
+    prescribed = integers(m, PRESCRIBED)
+    for p in range(nv):
+        given = load(prescribed, p)
+        if given >= 0:  # its column of M acts on the others like a force; its own row says nothing
+            for i in range(nv):
+                store(held, given * nv + i, load(M, i * ld + p))
+    for p in range(nv):
+        if load(prescribed, p) >= 0:
+            for i in range(nv):
+                store(M, i * ld + p, zero)
+                store(M, p * ld + i, zero)
+                store(Dq, p * ld + i, zero)
+                store(Dv, p * ld + i, zero)
+            store(M, p * ld + p, zero + 1.0)
+    invert(M, nv, ld)
+    starts, rows = integers(m, RELATED_START), integers(m, RELATED_ROWS)
+    for half in range(2):
+        D = Dq if half == 0 else Dv
+        for j0 in range(0, nv, WIDTH):
+            start, stop = load(starts, j0 // WIDTH), load(starts, j0 // WIDTH + 1)
+            for i0 in range(0, nv, 2):
+                i1 = min(i0 + 1, nv - 1)
+                first, second = _minus_product(M, D, ld, i0, i1, j0, rows, start, stop)
+                _store_eight(dA, i0 * columns + nu + half * nv + j0, first)
+                _store_eight(dA, i1 * columns + nu + half * nv + j0, second)
+    for i in range(nv):
+        for k in range(nu):
+            store(dA, i * columns + k, zero)
+        for k in range(nu + 2 * nv, columns):
+            store(dA, i * columns + k, zero)
+    dof, index, value = integers(m, INPUT_DOF), integers(m, INPUT_INDEX), floats(m, INPUT_VALUE)
+    for t in range(m[INPUTS]):
+        k = load(index, t) if load(index, t) < nu else load(index, t) + 2 * nv
+        j, x = load(dof, t), load(value, t)
+        for i in range(nv):
+            o = i * columns + k
+            store(dA, o, load(dA, o) + x * load(M, i * ld + j))
+    for p in range(nv):
+        given = load(prescribed, p)
+        if given >= 0:
+            for i in range(nv):
+                total = zero
+                for j in range(nv):
+                    if load(prescribed, j) < 0:
+                        total -= load(M, i * ld + j) * load(held, given * nv + j)
+                store(dA, i * columns + given, total)
+            store(dA, p * columns + given, zero + 1.0)
+            for k in range(nu, columns):
+                store(dA, p * columns + k, zero)
+
+
+@inline
+def _chain_eight(m, D, at_q, Xq, Xv, i, j0, columns):
+    """Eight columns from j0 of row i of (da/dq) Xq + (da/dv) Xv."""
+    nv = m[NV]
+    z = spread(0.0)
+    a0, a1, a2, a3, a4, a5, a6, a7 = z, z, z, z, z, z, z, z
+    for k in range(nv):
+        o = k * columns + j0
+        f, g = load(D, at_q + k), load(D, at_q + nv + k)
+        a0 += f * load(Xq, o) + g * load(Xv, o)
+        a1 += f * load(Xq, o + 1) + g * load(Xv, o + 1)
+        a2 += f * load(Xq, o + 2) + g * load(Xv, o + 2)
+        a3 += f * load(Xq, o + 3) + g * load(Xv, o + 3)
+        a4 += f * load(Xq, o + 4) + g * load(Xv, o + 4)
+        a5 += f * load(Xq, o + 5) + g * load(Xv, o + 5)
+        a6 += f * load(Xq, o + 6) + g * load(Xv, o + 6)
+        a7 += f * load(Xq, o + 7) + g * load(Xv, o + 7)
+    return a0, a1, a2, a3, a4, a5, a6, a7
+
+
+@inline
+def _chain(m, D, Xq, Xv, Xa, dA, columns):
+    """Total derivative dA of a stage's accelerations by the whole stage's start and controls."""
+    nv, nu = m[NV], m[NU]
+    index = integers(m, ACTIVATION_INPUT)
+    for i in range(nv):
+        row = i * columns
+        for j0 in range(0, columns, WIDTH):
+            _store_eight(dA, row + j0, _chain_eight(m, D, row + nu, Xq, Xv, i, j0, columns))
+        for j in range(nu):
+            store(dA, row + j, load(dA, row + j) + load(D, row + j))
+        for k in range(m[NA]):
+            own, given = row + nu + 2 * nv + k, row + load(index, k)
+            f = load(D, own)
+            store(dA, own, load(dA, own) + f * load(Xa, 2 * k))
+            store(dA, given, load(dA, given) + f * load(Xa, 2 * k + 1))
+
+
+@inline
+def _move_configuration(m, X, columns, theta, at_q):
+    """From d theta to dq+ of q+ = q exp(theta), in place: Jr d theta, and the start's dq carried along."""
+    one, zero = spread(1.0), spread(0.0)
+    kind, ball_v = integers(m, KIND), integers(m, BALL_V)
+    for i in range(m[NV]):
+        if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
+            o = i * columns + at_q + i
+            store(X, o, load(X, o) + one)
+    for b in range(m[NBALLS]):
+        i = load(ball_v, b)
+        t = load3(theta, i)
+        o0, o1, o2 = i * columns, (i + 1) * columns, (i + 2) * columns
+        for j in range(columns):
+            d = right_jacobian_times(t, (load(X, o0 + j), load(X, o1 + j), load(X, o2 + j)))
+            store(X, o0 + j, d[0])
+            store(X, o1 + j, d[1])
+            store(X, o2 + j, d[2])
+        for c in range(3):
+            d = carried(t, (one if c == 0 else zero, one if c == 1 else zero, one if c == 2 else zero))
+            j = at_q + i + c
+            store(X, o0 + j, load(X, o0 + j) + d[0])
+            store(X, o1 + j, load(X, o1 + j) + d[1])
+            store(X, o2 + j, load(X, o2 + j) + d[2])
+
+
+@inline
+def _add_commutator_derivative(m, X, columns, at_v, first, second, dsecond, factor):
+    """Add factor times d(first x second) to the ball rows of X, d first being the start's dv."""
+    one, zero = spread(1.0), spread(0.0)
+    ball_v = integers(m, BALL_V)
+    for b in range(m[NBALLS]):
+        i = load(ball_v, b)
+        f, s = load3(first, i), load3(second, i)
+        o0, o1, o2 = i * columns, (i + 1) * columns, (i + 2) * columns
+        for j in range(columns):
+            x = cross(f, (load(dsecond, o0 + j), load(dsecond, o1 + j), load(dsecond, o2 + j)))
+            store(X, o0 + j, load(X, o0 + j) + factor * x[0])
+            store(X, o1 + j, load(X, o1 + j) + factor * x[1])
+            store(X, o2 + j, load(X, o2 + j) + factor * x[2])
+        for c in range(3):
+            x = cross((one if c == 0 else zero, one if c == 1 else zero, one if c == 2 else zero), s)
+            j = at_v + i + c
+            store(X, o0 + j, load(X, o0 + j) + factor * x[0])
+            store(X, o1 + j, load(X, o1 + j) + factor * x[1])
+            store(X, o2 + j, load(X, o2 + j) + factor * x[2])
+
+
+@inline
+def _velocity(m, X, columns, at_v, factor, dA):
+    """Rows dv of the start plus factor times dA."""
+    for i in range(m[NV]):
+        for j in range(columns):
+            store(X, i * columns + j, factor * load(dA, i * columns + j))
+        o = i * columns + at_v + i
+        store(X, o, load(X, o) + 1.0)
+
+
+@jit
+def _runge_kutta(m, r, x, a, dt):
+    """Derivatives of an RK4 stage: dq+ in XQ, dv+ in XV, dact+ in XA (own, by control)."""
+    nv, nu, na, columns = m[NV], m[NU], m[NA], r[COLUMNS]
+    D, dA, Xq, Xv, Xa = lanes(r, DIRECT), lanes(r, CHAINED), lanes(r, XQ), lanes(r, XV), lanes(r, XA)
+    sum_q, sum_v, theta, v1 = lanes(r, SUM_Q), lanes(r, SUM_V), lanes(r, THETA), lanes(r, V_STAGES)
+    gain, decay, sums = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE), at(Xa, 2 * na)
+    at_q, at_v = nu, nu + nv
+    acceleration_derivatives(m, r, x, at(x, m[NQ]), at(a, 0), dA)
+    for k in range(nv * columns):
+        store(sum_v, k, load(dA, k))
+        store(sum_q, k, load(dA, k))
+    _velocity(m, Xv, columns, at_v, 0.0, dA)
+    for k in range(na):
+        store(Xa, 2 * k, spread(1.0))
+        store(Xa, 2 * k + 1, spread(0.0))
+        store(sums, 2 * k, spread(load(decay, k)))
+        store(sums, 2 * k + 1, spread(load(gain, k)))
+    for i in range(1, 4):
+        stage_state(m, r, x, i, a, spread(dt))
+        factor = dt if i == 3 else 0.5 * dt
+        for k in range(nv * columns):  # d theta, by the velocity of the stage before
+            store(Xq, k, factor * load(Xv, k))
+        if i == 2:
+            _add_commutator_derivative(m, Xq, columns, at_v, v1, at(v1, nv), Xv, 0.125 * dt * dt)
+        _move_configuration(m, Xq, columns, theta, at_q)
+        _velocity(m, Xv, columns, at_v, factor, dA)
+        for k in range(na):
+            own, given = load(decay, k) * load(Xa, 2 * k), load(gain, k) + load(decay, k) * load(Xa, 2 * k + 1)
+            store(Xa, 2 * k, 1.0 + factor * own)
+            store(Xa, 2 * k + 1, factor * given)
+        acceleration_derivatives(m, r, lanes(r, Q_STAGE), at(v1, i * nv), at(a, i * nv), D)
+        _chain(m, D, Xq, Xv, Xa, dA, columns)
+        weight = 1.0 if i == 3 else 2.0
+        for k in range(nv * columns):
+            store(sum_v, k, load(sum_v, k) + weight * load(dA, k))
+        if i < 3:
+            for k in range(nv * columns):
+                store(sum_q, k, load(sum_q, k) + load(dA, k))
+        for k in range(na):
+            own, given = load(decay, k) * load(Xa, 2 * k), load(gain, k) + load(decay, k) * load(Xa, 2 * k + 1)
+            store(sums, 2 * k, load(sums, 2 * k) + weight * own)
+            store(sums, 2 * k + 1, load(sums, 2 * k + 1) + weight * given)
+    end_rotation(m, r, x, a, spread(dt))
+    _velocity(m, Xq, columns, at_v, dt / 6.0, sum_q)
+    for k in range(nv * columns):
+        store(Xq, k, dt * load(Xq, k))
+    _add_commutator_derivative(m, Xq, columns, at_v, v1, at(v1, 3 * nv), Xv, dt * dt / 12.0)
+    _move_configuration(m, Xq, columns, theta, at_q)
+    _velocity(m, Xv, columns, at_v, dt / 6.0, sum_v)
+    for k in range(na):
+        store(Xa, 2 * k, 1.0 + (dt / 6.0) * load(sums, 2 * k))
+        store(Xa, 2 * k + 1, (dt / 6.0) * load(sums, 2 * k + 1))
+
+
+@jit
+def _euler(m, r, x, a, dt):
+    """The same for the two Euler integrators; the rotation vector dt v or dt v+ is left in THETA."""
+    nv, na, columns = m[NV], m[NA], r[COLUMNS]
+    at_q, at_v = m[NU], m[NU] + nv
+    dA, Xq, Xv, Xa, theta = lanes(r, CHAINED), lanes(r, SUM_Q), lanes(r, SUM_V), lanes(r, XA), lanes(r, THETA)
+    gain, decay = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
+    semi_implicit = r[INTEGRATOR] == SEMI_IMPLICIT_EULER
+    v = at(x, m[NQ])
+    acceleration_derivatives(m, r, x, v, a, dA)
+    for i in range(nv):
+        rate = load(v, i) + dt * load(a, i) if semi_implicit else load(v, i)
+        store(theta, i, dt * rate)
+    _velocity(m, Xv, columns, at_v, dt, dA)
+    _velocity(m, Xq, columns, at_v, dt if semi_implicit else 0.0, dA)
+    for k in range(nv * columns):
+        store(Xq, k, dt * load(Xq, k))
+    _move_configuration(m, Xq, columns, theta, at_q)
+    for k in range(na):
+        store(Xa, 2 * k, spread(1.0 + dt * load(decay, k)))
+        store(Xa, 2 * k + 1, spread(dt * load(gain, k)))
+
+
+@inline
+def _scatter_row(X, row, F, f, count, stride, width):
+    """A row of lanes, width of them, to the same row of `count` knots."""
+    for j0 in range(0, width, WIDTH):
+        o = row + j0
+        e0, e1, e2, e3, e4, e5, e6, e7 = transpose((
+            load(X, o), load(X, o + 1), load(X, o + 2), load(X, o + 3),
+            load(X, o + 4), load(X, o + 5), load(X, o + 6), load(X, o + 7),
+        ))  # fmt: skip
+        k = f + j0
+        store8(F, k, e0)
+        if count == WIDTH:
+            store8(F, k + stride, e1)
+            store8(F, k + 2 * stride, e2)
+            store8(F, k + 3 * stride, e3)
+            store8(F, k + 4 * stride, e4)
+            store8(F, k + 5 * stride, e5)
+            store8(F, k + 6 * stride, e6)
+            store8(F, k + 7 * stride, e7)
+        else:
+            if count > 1:
+                store8(F, k + stride, e1)
+            if count > 2:
+                store8(F, k + 2 * stride, e2)
+            if count > 3:
+                store8(F, k + 3 * stride, e3)
+            if count > 4:
+                store8(F, k + 4 * stride, e4)
+            if count > 5:
+                store8(F, k + 5 * stride, e5)
+            if count > 6:
+                store8(F, k + 6 * stride, e6)
+
+
+@inline
+def _transport(m, r, x, a, dt, transport, first, count):
+    """E's blocks of the balls, [T J] with dq+ = T dq + dt J dv+, for semi-implicit Euler."""
+    balls, ball_v, v, scratch = m[NBALLS], integers(m, BALL_V), at(x, m[NQ]), lanes(r, SCRATCH)
+    one, zero = spread(1.0), spread(0.0)
+    flat = as_floats(scratch)
+    for b in range(balls):
+        i = load(ball_v, b)
+        t = (
+            dt * (load(v, i) + dt * load(a, i)), dt * (load(v, i + 1) + dt * load(a, i + 1)),
+            dt * (load(v, i + 2) + dt * load(a, i + 2)),
+        )  # fmt: skip
+        for half in range(2):
+            for c in range(3):
+                unit = (one if c == 0 else zero, one if c == 1 else zero, one if c == 2 else zero)
+                d = carried(t, unit) if half == 0 else right_jacobian_times(t, unit)
+                store3(scratch, 0, d)
+                for lane in range(count):
+                    o = ((first + lane) * balls + b) * 18 + 9 * half + c
+                    store(transport, o, load(flat, lane))
+                    store(transport, o + 3, load(flat, WIDTH + lane))
+                    store(transport, o + 6, load(flat, 2 * WIDTH + lane))
+
+
+@jit
+def linearize(m, r, dt, xs, us, count, known, F, width, structured, transport):
+    """F (count, rows, width) of the stages from xs (count, nx) with us (count, nu), all float pointers.
+
+    Rows are accelerations (structured) or (dq+, dv+, dact+). With `known`, the accelerations that a rollout left in
+    ACCELERATIONS are taken instead of being computed again.
+    """
+    nq, nv, nu, na, columns, kept = m[NQ], m[NV], m[NU], m[NA], r[COLUMNS], r[STAGES] * m[NV]
+    rows = nv if structured else 2 * nv + na
+    x, u, a = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES)
+    index, zero = integers(m, ACTIVATION_INPUT), spread(0.0)
+    for first in range(0, count, WIDTH):
+        present = min(WIDTH, count - first)
+        gather(xs, first, count, nq + nv + na, x)
+        gather(us, first, count, nu, u)
+        if known:
+            gather(floats(r, ACCELERATIONS), first, count, kept, a)
+        else:
+            stage(m, r, x, u, a, spread(dt), lanes(r, LINKS))  # its end is of no interest
+        o, stride = first * rows * width, rows * width
+        if structured:
+            acceleration_derivatives(m, r, x, at(x, nq), a, lanes(r, CHAINED))
+            for i in range(nv):
+                _scatter_row(lanes(r, CHAINED), i * columns, F, o + i * width, present, stride, width)
+            _transport(m, r, x, a, dt, transport, first, present)
+            continue
+        if r[INTEGRATOR] == RK4:
+            _runge_kutta(m, r, x, a, dt)
+            Xq, Xv = lanes(r, XQ), lanes(r, XV)
+        else:
+            _euler(m, r, x, a, dt)
+            Xq, Xv = lanes(r, SUM_Q), lanes(r, SUM_V)
+        for i in range(nv):
+            _scatter_row(Xq, i * columns, F, o + i * width, present, stride, width)
+            _scatter_row(Xv, i * columns, F, o + (nv + i) * width, present, stride, width)
+        row = lanes(r, ROW)
+        for k in range(na):
+            for j in range(columns):
+                store(row, j, zero)
+            store(row, nu + 2 * nv + k, load(lanes(r, XA), 2 * k))
+            store(row, load(index, k), load(lanes(r, XA), 2 * k + 1))
+            _scatter_row(row, 0, F, o + (2 * nv + k) * width, present, stride, width)
+
+
+@jit
+def linearize_arrays(m, r, dt, xs, us, F):
+    """The dense F (K, ndx, width) of K stages from xs (K, nx) with us (K, nu), accelerations computed here."""
+    flat = pointer(F.reshape(-1))
+    linearize(
+        m, r, dt, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0], False, flat, F.shape[2], False, flat
+    )

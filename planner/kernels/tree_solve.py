@@ -1,0 +1,230 @@
+"""SLQ on a tree: eight rollouts at once, and one iteration as one compiled call."""
+
+from __future__ import annotations
+
+from planner.kernels.jit import inline, jit
+from planner.kernels.lanes import at, floats, integers, lanes, load, pointer, spread, store
+from planner.kernels.model import NV
+from planner.kernels.riccati import direction, gradients, riccati
+from planner.kernels.rotations import difference
+from planner.kernels.search import batches, choose, ladder, refine
+from planner.kernels.tree_linearize import linearize
+from planner.kernels.tree_memory import A8, ACCELERATIONS, STAGES
+from planner.kernels.tree_step import stage
+from planner.kernels.workspace import (
+    ACCEPTED,
+    ALPHA,
+    BRACKET,
+    CONTROL_COLUMN,
+    CONTROL_ROW,
+    CONTROL_TERMS,
+    CONTROL_VALUE,
+    CONVERGED,
+    COSTS,
+    DIRECTION,
+    E8,
+    FEEDFORWARD,
+    FINAL_COLUMN,
+    FINAL_ROW,
+    FINAL_TERMS,
+    FINAL_VALUE,
+    GAINS,
+    INDEFINITE,
+    LINEAR,
+    NDX,
+    NO_STEP,
+    NU,
+    NX,
+    NZ,
+    OUT,
+    QUATERNION_DX,
+    QUATERNION_X,
+    QUATERNIONS,
+    SLOPES,
+    STAGE_COLUMN,
+    STAGE_ROW,
+    STAGE_TERMS,
+    STAGE_VALUE,
+    STRUCTURED,
+    TRANSPORT,
+    U8,
+    U_REF,
+    US,
+    VECTOR_DX,
+    VECTOR_X,
+    VECTORS,
+    X8,
+    X_REF,
+    XS,
+    N,
+    accept,
+    take_lane,
+)  # fmt: skip
+
+
+@inline
+def _deviations(w, X, reference, e):
+    """Deviations e (ndx lanes) of the candidates' states X (nx lanes) from one reference (nx floats)."""
+    vector_x, vector_dx = integers(w, VECTOR_X), integers(w, VECTOR_DX)
+    for i in range(w[VECTORS]):
+        k = load(vector_x, i)
+        store(e, load(vector_dx, i), load(X, k) - load(reference, k))
+    for b in range(w[QUATERNIONS]):
+        k = load(integers(w, QUATERNION_X), b)
+        difference(X, k, reference, k, e, load(integers(w, QUATERNION_DX), b))
+
+
+@inline
+def _state_cost(w, X, n, e):
+    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end."""
+    J = spread(0.0)
+    if n < w[N]:
+        row, column, terms = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN), w[STAGE_TERMS]
+        value = at(floats(w, STAGE_VALUE), n * terms)
+    else:
+        row, column, terms = integers(w, FINAL_ROW), integers(w, FINAL_COLUMN), w[FINAL_TERMS]
+        value = at(floats(w, FINAL_VALUE), 0)
+    if terms > 0:
+        _deviations(w, X, at(floats(w, X_REF), n * w[NX]), e)
+        for t in range(terms):
+            i, j = load(row, t), load(column, t)
+            factor = 0.5 * load(value, t) if i == j else load(value, t)
+            J += factor * (load(e, i) * load(e, j))
+    return J
+
+
+@inline
+def _control_cost(w, U, n, e):
+    """1/2 |u - u_ref|^2 of stage n."""
+    nu, terms = w[NU], w[CONTROL_TERMS]
+    row, column, value = integers(w, CONTROL_ROW), integers(w, CONTROL_COLUMN), floats(w, CONTROL_VALUE)
+    u_ref = floats(w, U_REF)
+    for i in range(nu):
+        store(e, i, load(U, i) - load(u_ref, n * nu + i))
+    J = spread(0.0)
+    for t in range(terms):
+        i, j = load(row, t), load(column, t)
+        q = load(value, n * terms + t)
+        factor = 0.5 * q if i == j else q
+        J += factor * (load(e, i) * load(e, j))
+    return J
+
+
+@inline
+def _controls(w, n, alpha, feedback, dx, U):
+    """U = us + alpha k + K dx with feedback, us + alpha dus without (Eq. 36)."""
+    nu, ndx, width = w[NU], w[NDX], w[NZ]
+    us = at(floats(w, US), n * nu)
+    step = at(floats(w, FEEDFORWARD), n * nu) if feedback else at(floats(w, DIRECTION), n * nu)
+    for a in range(nu):
+        store(U, a, load(us, a) + alpha * load(step, a))
+    if not feedback:
+        return
+    K = at(floats(w, GAINS), n * nu * width + nu)
+    zero = spread(0.0)
+    for a in range(0, nu - 3, 4):
+        k0, k1, k2, k3 = at(K, a * width), at(K, (a + 1) * width), at(K, (a + 2) * width), at(K, (a + 3) * width)
+        s0, s1, s2, s3 = zero, zero, zero, zero
+        for j in range(ndx):
+            d = load(dx, j)
+            s0 += load(k0, j) * d
+            s1 += load(k1, j) * d
+            s2 += load(k2, j) * d
+            s3 += load(k3, j) * d
+        store(U, a, load(U, a) + s0)
+        store(U, a + 1, load(U, a + 1) + s1)
+        store(U, a + 2, load(U, a + 2) + s2)
+        store(U, a + 3, load(U, a + 3) + s3)
+    for a in range(nu // 4 * 4, nu):
+        k0 = at(K, a * width)
+        s0, s1 = zero, zero
+        half = ndx // 2
+        for j in range(half):
+            s0 += load(k0, j) * load(dx, j)
+            s1 += load(k0, half + j) * load(dx, half + j)
+        if 2 * half < ndx:
+            s0 += load(k0, ndx - 1) * load(dx, ndx - 1)
+        store(U, a, load(U, a) + (s0 + s1))
+
+
+@jit
+def rollout(w, m, r, search, dt, feedback):
+    """Eight step lengths at once: states X8, controls U8, accelerations A8 and costs."""
+    nx, nu, ndx, kept = w[NX], w[NU], w[NDX], r[STAGES] * m[NV]
+    X8_, U8_, A8_, e = lanes(w, X8), lanes(w, U8), lanes(r, A8), lanes(w, E8)
+    xs = floats(w, XS)
+    dx, lengths = at(e, ndx), at(e, 2 * ndx)
+    alpha, length = load(pointer(search), ALPHA), spread(dt)
+    for i in range(nx):
+        store(X8_, i, spread(load(xs, i)))
+    J = spread(0.0)
+    for n in range(w[N]):
+        X, U = at(X8_, n * nx), at(U8_, n * nu)
+        J += _state_cost(w, X, n, e)
+        if feedback:
+            _deviations(w, X, at(xs, n * nx), dx)
+        _controls(w, n, alpha, feedback, dx, U)
+        J += _control_cost(w, U, n, lengths)
+        stage(m, r, X, U, at(A8_, n * kept), length, at(X8_, (n + 1) * nx))
+    J += _state_cost(w, at(X8_, w[N] * nx), w[N], e)
+    store(pointer(search), COSTS, J)
+
+
+@jit
+def take(w, m, r, lane):
+    """Make candidate `lane` the nominal trajectory, its accelerations with it."""
+    accept(w, lane)
+    take_lane(floats(r, ACCELERATIONS), floats(r, A8), w[N] * r[STAGES] * m[NV], lane)
+
+
+@jit
+def start(w, m, r, search, dt):
+    """Roll out the controls in US from the first state in XS; returns the cost."""
+    for i in range(search.shape[1]):
+        search[ALPHA, i] = 0.0
+    for i in range(w[N] * w[NU]):
+        store(floats(w, DIRECTION), i, 0.0)
+    rollout(w, m, r, search, dt, False)
+    take(w, m, r, 0)
+    return search[COSTS, 0]
+
+
+@jit
+def linearize_nominal(w, m, r, dt):
+    """A, B and the cost's gradients along the nominal trajectory."""
+    linearize(
+        m, r, dt, floats(w, XS), floats(w, US), w[N], True, floats(w, LINEAR), w[NZ], w[STRUCTURED],
+        floats(w, TRANSPORT),
+    )  # fmt: skip
+    gradients(w)
+
+
+@jit
+def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance):
+    """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
+
+    Fills row OUT of `search` with (gradient norm, slope, step, expected decrease, cost after).
+    """
+    if fresh:
+        linearize_nominal(w, m, r, dt)
+    norm, slope, definite = riccati(w, mu, dt)
+    out = search[OUT]
+    out[0], out[1], out[2], out[3], out[4] = norm, slope, 0.0, -0.5 * slope, cost
+    if not definite:
+        return INDEFINITE
+    if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
+        return CONVERGED
+    if not feedback:
+        direction(w, dt)
+    alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
+    ladder(rule, alpha, bracket)
+    for _ in range(batches(rule)):
+        rollout(w, m, r, search, dt, feedback)
+        lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
+        if lane >= 0:
+            take(w, m, r, lane)
+            step = alpha[lane]
+            out[2], out[3], out[4] = step, -slope * step * (1.0 - 0.5 * step), costs[lane]
+            return ACCEPTED
+        refine(rule, alpha, bracket)
+    return NO_STEP

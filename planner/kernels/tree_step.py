@@ -1,0 +1,196 @@
+"""One stage of a tree on eight lanes, by explicit Euler, semi-implicit Euler or RK4.
+
+Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
+Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
+
+    theta_2 = K_1 / 2,   theta_3 = K_2 / 2 + K_1 x K_2 / 8,   theta_4 = K_3,
+    theta   = (K_1 + 2 K_2 + 2 K_3 + K_4) / 6 + K_1 x K_4 / 12.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.forces import activation_rates, applied_forces
+from planner.kernels.jit import inline, jit
+from planner.kernels.lanes import WIDTH, as_floats, at, integers, lanes, load, pointer, store
+from planner.kernels.model import BALL, BALL_NEXT, BALL_Q, BALL_V, KIND, NA, NBALLS, NQ, NU, NV, Q_ADDRESS
+from planner.kernels.rotations import turned
+from planner.kernels.spatial import cross, load3, store3
+from planner.kernels.tree import forward_dynamics
+from planner.kernels.tree_memory import (
+    A_LANES,
+    ACT_RATES,
+    ACT_STAGE,
+    INTEGRATOR,
+    LINKS,
+    Q_STAGE,
+    RK4,
+    SCRATCH,
+    SEMI_IMPLICIT_EULER,
+    TAU,
+    THETA,
+    U_LANES,
+    V_STAGES,
+    X_LANES,
+)  # fmt: skip
+
+
+@inline
+def moved(m, q, theta, q_next):
+    """Configuration q moved by theta (nv)."""
+    kind, q_address = integers(m, KIND), integers(m, Q_ADDRESS)
+    for i in range(m[NV]):
+        if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
+            k = load(q_address, i)
+            store(q_next, k, load(q, k) + load(theta, i))
+    ball_q, ball_v = integers(m, BALL_Q), integers(m, BALL_V)
+    for b in range(m[NBALLS]):
+        k = load(ball_q, b)
+        w, x, y, z = turned(load(q, k), load(q, k + 1), load(q, k + 2), load(q, k + 3), load3(theta, load(ball_v, b)))
+        store(q_next, k, w)
+        store(q_next, k + 1, x)
+        store(q_next, k + 2, y)
+        store(q_next, k + 3, z)
+
+
+@inline
+def add_commutator(m, theta, first, second, factor):
+    """Add factor times first x second to theta on every ball."""
+    ball_v = integers(m, BALL_V)
+    for b in range(m[NBALLS]):
+        k = load(ball_v, b)
+        c = cross(load3(first, k), load3(second, k))
+        t = load3(theta, k)
+        store3(theta, k, (t[0] + factor * c[0], t[1] + factor * c[1], t[2] + factor * c[2]))
+
+
+@jit
+def accelerations(m, r, q, v, u, act, a):
+    """Accelerations a (nv lanes) under inputs u and activations act."""
+    tau = lanes(r, TAU)
+    applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
+    forward_dynamics(m, q, v, tau, a, lanes(r, LINKS), False)
+
+
+@inline
+def _stage_state(m, r, x, i, factor, velocity, acceleration):
+    """State i (1, 2, 3) of a Runge-Kutta stage: velocity, activation and theta from those before."""
+    nv, na = m[NV], m[NA]
+    v, act = at(x, m[NQ]), at(x, m[NQ] + nv)
+    vi, theta = at(lanes(r, V_STAGES), i * nv), lanes(r, THETA)
+    for k in range(nv):
+        store(vi, k, load(v, k) + factor * load(acceleration, k))
+        store(theta, k, factor * load(velocity, k))
+    rate, act_i = at(lanes(r, ACT_RATES), (i - 1) * na), lanes(r, ACT_STAGE)
+    for k in range(na):
+        store(act_i, k, load(act, k) + factor * load(rate, k))
+
+
+@jit
+def stage_state(m, r, x, i, a, dt):
+    """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
+    nv = m[NV]
+    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    if i == 1:
+        for k in range(nv):
+            store(v1, k, load(x, m[NQ] + k))
+        _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
+    elif i == 2:
+        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, nv))
+        add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
+    else:
+        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * nv))
+    moved(m, x, theta, lanes(r, Q_STAGE))
+
+
+@jit
+def end_rotation(m, r, x, a, dt):
+    """What moves the configuration over a whole RK4 stage, into theta; v_stages are filled."""
+    nv = m[NV]
+    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    for k in range(nv):
+        inner = 2.0 * (load(v1, nv + k) + load(v1, 2 * nv + k))
+        store(theta, k, (1.0 / 6.0) * dt * (load(v1, k) + inner + load(v1, 3 * nv + k)))
+    add_commutator(m, theta, v1, at(v1, 3 * nv), (1.0 / 12.0) * dt * dt)
+
+
+@jit
+def stage(m, r, x, u, a, dt, x_next):
+    """The end x_next of a stage of length dt (a V8) from x under u; a (stages * nv) keeps the accelerations."""
+    nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
+    v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
+    v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
+    accelerations(m, r, x, v, u, act, a)
+    activation_rates(m, u, act, rates)
+    if integrator != RK4:
+        for k in range(nv):
+            rate = load(v, k) + dt * load(a, k)
+            store(theta, k, dt * (rate if integrator == SEMI_IMPLICIT_EULER else load(v, k)))
+            store(v_next, k, rate)
+        for k in range(na):
+            store(act_next, k, load(act, k) + dt * load(rates, k))
+        moved(m, x, theta, x_next)
+        return
+    for i in range(1, 4):
+        stage_state(m, r, x, i, a, dt)
+        vi, act_i = at(lanes(r, V_STAGES), i * nv), lanes(r, ACT_STAGE)
+        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv))
+        activation_rates(m, u, act_i, at(rates, i * na))
+    end_rotation(m, r, x, a, dt)
+    moved(m, x, theta, x_next)
+    sixth = (1.0 / 6.0) * dt
+    for k in range(nv):
+        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
+        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
+    for k in range(na):
+        inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
+        store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+
+
+@inline
+def gather(source, first, count, width, destination):
+    """Rows first, ..., first + 7 (the last one repeated) of a float matrix onto lanes."""
+    flat = as_floats(destination)
+    for lane in range(WIDTH):
+        row = min(first + lane, count - 1) * width
+        for k in range(width):
+            store(flat, k * WIDTH + lane, load(source, row + k))
+
+
+@inline
+def scatter(source, first, count, width, destination):
+    """The reverse of gather."""
+    flat = as_floats(source)
+    for lane in range(min(WIDTH, count - first)):
+        row = (first + lane) * width
+        for k in range(width):
+            store(destination, row + k, load(flat, k * WIDTH + lane))
+
+
+@jit
+def steps(m, r, dt, xs, us, xs_next):
+    """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu)."""
+    nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
+    scratch = lanes(r, SCRATCH)
+    for first in range(0, K, WIDTH):
+        gather(pointer(xs.reshape(-1)), first, K, nx, lanes(r, X_LANES))
+        gather(pointer(us.reshape(-1)), first, K, nu, lanes(r, U_LANES))
+        gather(pointer(dt), first, K, 1, scratch)
+        length = load(scratch, 0)
+        stage(m, r, lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), length, lanes(r, X_LANES))
+        scatter(lanes(r, X_LANES), first, K, nx, pointer(xs_next.reshape(-1)))
+
+
+@jit
+def rates(m, r, xs, us, out):
+    """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
+    nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
+    x, u, a, rate = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), lanes(r, LINKS)
+    for first in range(0, K, WIDTH):
+        gather(pointer(xs.reshape(-1)), first, K, nx, x)
+        gather(pointer(us.reshape(-1)), first, K, m[NU], u)
+        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a)
+        for k in range(nv):
+            store(rate, k, load(x, nq + k))
+            store(rate, nv + k, load(a, k))
+        activation_rates(m, u, at(x, nq + nv), at(rate, 2 * nv))
+        scatter(rate, first, K, 2 * nv + na, pointer(out.reshape(-1)))

@@ -1,0 +1,150 @@
+"""StateSpace: states that are not vectors. Differences and sums of x = (qpos, qvel, act) on the group.
+
+Ball and free joints keep their orientation as a unit quaternion (w first), four numbers for three degrees of freedom.
+So a state has nx numbers and a deviation ndx: rotation vectors in the body's own frame take the place of
+quaternions, as in MuJoCo's mj_integratePos and mj_differentiatePos.
+
+    x+ = integrate(x, dx),   dx = difference(x+, x);   quaternions: Q+ = Q exp(dx).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+_SMALL = 1e-4  # rad; below it Taylor series to third order are exact to rounding
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """The layout of a state.
+
+    Attributes:
+        nx: Numbers of a state.
+        ndx: Numbers of a deviation.
+        quaternions: (address in the state, address in the deviation) of each.
+    """
+
+    nx: int
+    ndx: int
+    quaternions: tuple[tuple[int, int], ...] = ()
+
+    @cached_property
+    def _vector(self) -> tuple[np.ndarray, np.ndarray]:
+        """Addresses in the state and in the deviation of everything that is not a quaternion."""
+        in_x, in_dx = np.ones(self.nx, dtype=bool), np.ones(self.ndx, dtype=bool)
+        for i, j in self.quaternions:
+            in_x[i : i + 4], in_dx[j : j + 3] = False, False
+        return np.flatnonzero(in_x), np.flatnonzero(in_dx)
+
+    def difference(self, x: np.ndarray, x_ref: np.ndarray) -> np.ndarray:
+        """The deviation (..., ndx) that leads from x_ref (..., nx) to x (..., nx)."""
+        if not self.quaternions:
+            return x - x_ref
+        shape = np.broadcast_shapes(x.shape[:-1], x_ref.shape[:-1])
+        dx = np.empty((*shape, self.ndx))
+        in_x, in_dx = self._vector
+        dx[..., in_dx] = x[..., in_x] - x_ref[..., in_x]
+        for i, j in self.quaternions:
+            dx[..., j : j + 3] = log_quaternion(product(conjugate(x_ref[..., i : i + 4]), x[..., i : i + 4]))
+        return dx
+
+    def integrate(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        """The state (..., nx) that a deviation dx (..., ndx) leads to from x (..., nx)."""
+        if not self.quaternions:
+            return x + dx
+        shape = np.broadcast_shapes(x.shape[:-1], dx.shape[:-1])
+        result = np.empty((*shape, self.nx))
+        in_x, in_dx = self._vector
+        result[..., in_x] = x[..., in_x] + dx[..., in_dx]
+        for i, j in self.quaternions:
+            turned = product(unit(x[..., i : i + 4]), exp_quaternion(dx[..., j : j + 3]))
+            result[..., i : i + 4] = turned
+        return result
+
+    def difference_jacobian(self, dx: np.ndarray) -> np.ndarray:
+        """The derivative (..., ndx, ndx) of dx = difference(x, x_ref) with respect to a deviation of x."""
+        J = np.zeros((*dx.shape, self.ndx))
+        J[..., np.arange(self.ndx), np.arange(self.ndx)] = 1.0
+        for _, j in self.quaternions:
+            J[..., j : j + 3, j : j + 3] = log_jacobian(dx[..., j : j + 3])
+        return J
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {"nx": self.nx, "ndx": self.ndx, "quaternions": [list(pair) for pair in self.quaternions]}
+
+
+def euclidean(nx: int) -> StateSpace:
+    """Plain vectors."""
+    return StateSpace(nx, nx)
+
+
+def space_of(dynamics: Any) -> StateSpace:
+    """The space of a dynamics' states: its own `space`, or plain vectors of its nx."""
+    space = getattr(dynamics, "space", None)
+    return space if isinstance(space, StateSpace) else euclidean(dynamics.nx)
+
+
+def unit(quaternion: np.ndarray) -> np.ndarray:
+    """Normalised, as MuJoCo does before every use."""
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def conjugate(quaternion: np.ndarray) -> np.ndarray:
+    """The inverse rotation of a unit quaternion (..., 4)."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The quaternion (..., 4) of rotation a after rotation b."""
+    w = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
+    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([w, v], axis=-1)
+
+
+def exp_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """The unit quaternion (..., 4) of a rotation vector (..., 3), rad."""
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * rotation], axis=-1)
+
+
+def log_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """The rotation vector (..., 3) of a quaternion (..., 4), at most pi long."""
+    quaternion = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
+    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    half = np.arctan2(sine, quaternion[..., :1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.where(sine > 1e-12, half / sine, 1.0 / quaternion[..., :1])
+    return 2.0 * scale * quaternion[..., 1:]
+
+
+def hat(v: np.ndarray) -> np.ndarray:
+    """Cross product as a matrix (..., 3, 3): hat(v) w is v x w."""
+    matrix = np.zeros((*v.shape, 3), dtype=v.dtype)
+    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    return matrix - np.swapaxes(matrix, -1, -2)
+
+
+def log_jacobian(rotation: np.ndarray) -> np.ndarray:
+    """Inverse of SO(3)'s right Jacobian: log(R exp(e)) = r + J e to first order, log R = r (..., 3)."""
+    square = np.sum(rotation**2, axis=-1)[..., None, None]
+    angle = np.sqrt(np.maximum(square, _SMALL**2))
+    factor = 1.0 / angle**2 - 0.5 / (angle * np.tan(0.5 * angle))
+    factor = np.where(square > _SMALL**2, factor, 1.0 / 12.0 + square / 720.0)
+    H = hat(rotation)
+    return np.eye(3) + 0.5 * H + factor * (H @ H)
+
+
+def exp_jacobian(rotation: np.ndarray) -> np.ndarray:
+    """SO(3)'s right Jacobian (..., 3, 3): exp(r + e) = exp(r) exp(Jr(r) e) to first order in e."""
+    square = np.sum(rotation**2, axis=-1)[..., None, None]
+    angle2 = np.maximum(square, _SMALL**2)
+    angle = np.sqrt(angle2)
+    first = np.where(square > _SMALL**2, 2.0 * np.sin(0.5 * angle) ** 2 / angle2, 0.5 - square / 24.0)
+    second = np.where(square > _SMALL**2, (angle - np.sin(angle)) / (angle2 * angle), 1.0 / 6.0 - square / 120.0)
+    H = hat(rotation)
+    return np.eye(3) - first * H + second * (H @ H)

@@ -1,0 +1,206 @@
+"""Random machines as MJCF text, random states of them, and what MuJoCo says about both.
+
+Hypothesis draws the structure, so that a failing tree shrinks to a small one; the numbers come from a generator that
+Hypothesis seeds.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+
+from planner.gl import load_mujoco
+from planner.space import exp_quaternion
+
+mujoco = load_mujoco()
+
+DOFS = {"hinge": 1, "slide": 1, "ball": 3, "free": 6}
+# What one body may carry in one row: MuJoCo allows no rotation after a ball and nothing beside a free joint.
+ROWS = [
+    (),
+    ("hinge",),
+    ("slide",),
+    ("ball",),
+    ("hinge", "hinge"),
+    ("slide", "hinge"),
+    ("hinge", "slide"),
+    ("hinge", "ball"),
+    ("ball", "slide"),
+    ("slide", "slide", "slide", "hinge", "hinge", "hinge"),
+]
+
+
+def text(values):
+    """Numbers as an attribute's value, to the last bit."""
+    return " ".join(repr(float(value)) for value in np.atleast_1d(values))
+
+
+@dataclass
+class Body:
+    """One body of a tree: its parent's index (-1: the world), its joints, and the XML of its own."""
+
+    parent: int
+    joints: tuple[str, ...]
+
+
+@st.composite
+def structures(draw, max_dofs=40, max_bodies=12):
+    """A list of bodies, parents first, with at least one joint and at most max_dofs degrees of freedom."""
+    bodies, dofs = [], 0
+    for i in range(draw(st.integers(1, max_bodies))):
+        parent = draw(st.integers(max(-1, i - 4), i - 1))
+        rows = [*ROWS, ("free",), ("free",)] if parent < 0 else ROWS
+        joints = draw(st.sampled_from(rows))
+        if dofs + sum(DOFS[kind] for kind in joints) > max_dofs:
+            joints = ()
+        if i == 0 and not joints:
+            joints = ("hinge",)
+        dofs += sum(DOFS[kind] for kind in joints)
+        bodies.append(Body(parent, joints))
+    return bodies
+
+
+def joint_xml(rng, kind, name, row, axis):
+    """A joint with each property present in about half of the cases."""
+    attributes = {"name": name, "type": kind}
+    if kind in ("hinge", "slide"):
+        attributes["axis"] = text(axis)
+        if rng.random() < 0.5:
+            attributes["ref"] = text(rng.normal())
+        if rng.random() < 0.5:
+            attributes["springref"] = text(rng.normal())
+    # a hinge through the centre of a ball of the same body would add no motion, and M would be singular
+    if kind in ("hinge", "ball") and (row == ("hinge", "ball") or rng.random() < 0.7):
+        attributes["pos"] = text(rng.normal(size=3) * 0.3)
+    for attribute, scale in [("stiffness", 5.0), ("damping", 1.0), ("armature", 0.2)]:
+        if rng.random() < 0.5:
+            attributes[attribute] = text(rng.random() * scale)
+    return "<joint " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"
+
+
+def inertial_xml(rng):
+    """A mass whose principal moments come from second moments of a body, so that they obey the triangle inequality."""
+    mass = 0.2 + rng.random()
+    x, y, z = mass * (0.02 + 0.1 * rng.random(3))
+    moments = np.array([y + z, x + z, x + y])
+    place = f'<inertial pos="{text(rng.normal(size=3) * 0.2)}" mass="{text(mass)}"'
+    if rng.random() < 0.5:
+        return f'{place} quat="{text(rng.normal(size=4))}" diaginertia="{text(moments)}"/>'
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    full = basis @ np.diag(moments) @ basis.T
+    return f'{place} fullinertia="{text(full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}"/>'
+
+
+def body_xml(bodies, i, rng):
+    """A body with its sites and children; sometimes in a frame, sometimes its mass on a body welded to it."""
+    name, children = f"body{i}", [j for j in range(len(bodies)) if bodies[j].parent == i]
+    row = bodies[i].joints
+    # axes of one body are skew, yet never so close to one plane that M is nearly singular
+    axes = np.tile(np.linalg.qr(rng.normal(size=(3, 3)))[0], (2, 1)) + rng.uniform(-0.2, 0.2, (6, 3))
+    joints = "".join(joint_xml(rng, row[k], f"{name}_joint{k}", row, axes[k]) for k in range(len(row)))
+    mass = inertial_xml(rng)
+    if rng.random() < 0.2:
+        mass = f'<body name="{name}_weld" pos="{text(rng.normal(size=3) * 0.2)}">{mass}</body>'
+    site = f'<site name="site{i}" pos="{text(rng.normal(size=3))}" quat="{text(rng.normal(size=4))}"/>'
+    place = f'pos="{text(rng.normal(size=3) * 0.5)}" quat="{text(rng.normal(size=4))}"'
+    inner = "".join(body_xml(bodies, j, rng) for j in children)
+    body = f'<body name="{name}" {place}>{joints}{mass}{site}{inner}</body>'
+    if "free" not in row and rng.random() < 0.2:
+        body = f'<frame pos="{text(rng.normal(size=3))}" euler="{text(rng.normal(size=3))}">{body}</frame>'
+    return body
+
+
+def tree_xml(bodies, rng):
+    """The MJCF text of a structure."""
+    roots = "".join(body_xml(bodies, i, rng) for i in range(len(bodies)) if bodies[i].parent < 0)
+    return (
+        '<mujoco><compiler angle="radian"/>'
+        f'<option gravity="{text(rng.normal(size=3) * 5.0)}"><flag contact="disable"/></option>'
+        f"<worldbody>{roots}</worldbody></mujoco>"
+    )
+
+
+def mechanism_texts(max_dofs=40, max_bodies=12):
+    """Strategy for MJCF texts of random trees."""
+    return st.builds(
+        lambda bodies, seed: tree_xml(bodies, np.random.default_rng(seed)),
+        structures(max_dofs, max_bodies),
+        st.integers(0, 2**32 - 1),
+    )
+
+
+def random_state(space, rng, unnormalised=None):
+    """A state x (nx,) of a mechanism's StateSpace: quaternions all over the group and near home, of length one or not.
+
+    Args:
+        space: Of the mechanism.
+        rng: A generator.
+        unnormalised: Whether quaternions are stretched; None draws it.
+    """
+    x = rng.normal(size=space.nx)
+    for i, _ in space.quaternions:
+        size = rng.choice([1e-6, 0.3, 2.0])
+        x[i : i + 4] = exp_quaternion(size * rng.normal(size=3))
+        if unnormalised or (unnormalised is None and rng.random() < 0.3):
+            x[i : i + 4] *= rng.uniform(0.5, 2.0) * rng.choice([-1.0, 1.0])
+    return x
+
+
+@dataclass
+class Simulated:
+    """What MuJoCo says at one state.
+
+    Attributes:
+        qacc: (nv,) qacc_smooth, without contacts and limits.
+        M: (nv, nv).
+        bias: (nv,) qfrc_bias - qfrc_passive.
+        poses: (nbody, 4, 4).
+    """
+
+    qacc: np.ndarray
+    M: np.ndarray
+    bias: np.ndarray
+    poses: np.ndarray
+
+
+def data_at(model, qpos, qvel):
+    """MjData with a state written into it."""
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel = qpos, qvel
+    return data
+
+
+def simulated(model, qpos, qvel, tau):
+    """MuJoCo's forward dynamics under applied forces tau (nv,)."""
+    data = data_at(model, qpos, qvel)
+    data.qfrc_applied = tau
+    mujoco.mj_forward(model, data)
+    M, column = np.empty((model.nv, model.nv)), np.empty(model.nv)
+    for i in range(model.nv):  # mj_fullM takes other arguments since 3.10, mj_mulM the same in all versions
+        mujoco.mj_mulM(model, data, column, np.eye(model.nv)[i])
+        M[:, i] = column
+    poses = np.tile(np.eye(4), (model.nbody, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
+    return Simulated(data.qacc_smooth.copy(), M, data.qfrc_bias - data.qfrc_passive, poses)
+
+
+def simulated_inverse(model, qpos, qvel, qacc):
+    """MuJoCo's own inverse dynamics: the forces (nv,) that cause qacc."""
+    data = data_at(model, qpos, qvel)
+    data.qacc = qacc
+    mujoco.mj_inverse(model, data)
+    return data.qfrc_inverse.copy()
+
+
+def site_jacobian(model, qpos, name):
+    """(6, nv) mj_jacSite, rows linear, angular."""
+    data = data_at(model, qpos, np.zeros(model.nv))
+    mujoco.mj_forward(model, data)
+    linear, angular = np.empty((3, model.nv)), np.empty((3, model.nv))
+    mujoco.mj_jacSite(model, data, linear, angular, model.site(name).id)
+    return np.vstack([linear, angular])
+
+
+def relative_error(value, reference):
+    """Largest deviation beside the largest entry of the reference (or beside 1 if that is more)."""
+    return np.max(np.abs(value - reference), initial=0.0) / max(1.0, np.max(np.abs(reference), initial=0.0))
