@@ -12,14 +12,33 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.cost import Cost, Quadratic, TrackingCost
-from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics
+from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
+from planner.mechanism import Mechanism
 from planner.parity import parity
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
 from planner.replay import Replay, replay
+from planner.rigid_body import (
+    bias,
+    bias_derivatives,
+    forward_dynamics,
+    forward_dynamics_derivatives,
+    forward_kinematics,
+    forward_kinematics_derivatives,
+    frame_pose,
+    hybrid_dynamics,
+    hybrid_dynamics_derivatives,
+    jacobian,
+    jacobian_derivatives,
+    mass_matrix,
+    mass_matrix_derivatives,
+    rnea,
+    rnea_derivatives,
+)
 from planner.slq import solve
+from planner.space import StateSpace
 from planner.twin import Twin
 
 if TYPE_CHECKING:
@@ -46,6 +65,7 @@ __all__ = [
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "Mechanism",
     "ModelError",
     "Plan",
     "PlannerError",
@@ -54,15 +74,32 @@ __all__ = [
     "Quadratic",
     "RenderingUnavailable",
     "Replay",
+    "RigidBodyDynamics",
+    "StateSpace",
     "Status",
     "TrackingCost",
     "Twin",
+    "bias",
+    "bias_derivatives",
     "cases",
+    "forward_dynamics",
+    "forward_dynamics_derivatives",
+    "forward_kinematics",
+    "forward_kinematics_derivatives",
+    "frame_pose",
+    "hybrid_dynamics",
+    "hybrid_dynamics_derivatives",
+    "jacobian",
+    "jacobian_derivatives",
+    "mass_matrix",
+    "mass_matrix_derivatives",
     "parity",
     "prove",
     "render_frame",
     "render_strip",
     "render_video",
     "replay",
+    "rnea",
+    "rnea_derivatives",
     "solve",
 ]

@@ -18,7 +18,6 @@ from planner.dynamics import CompiledDynamics
 from planner.errors import PlannerError
 from planner.kernels import search
 from planner.kernels.jit import announce
-from planner.kernels.lanes import WIDTH
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, OUT, Workspace
 from planner.problem import Problem
 from planner.space import space_of
@@ -91,7 +90,9 @@ class CompiledEngine:
         kind = self._dynamics.iterate(
             self._w, self._memory, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
         )
-        return Outcome(kind, *self._w.search[OUT, :5].tolist())
+        norm, slope, step, after = self._w.search[OUT].tolist()
+        promised = -slope * step * (1.0 - 0.5 * step) if kind == ACCEPTED else -0.5 * slope
+        return Outcome(kind, norm, slope, step, promised, after)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
@@ -105,6 +106,9 @@ class CompiledEngine:
         """A copy of K (N, nu, ndx)."""
         nu = self._w.us.shape[1]
         return self._w.K[:, :, nu : nu + self._w.ndx].copy()
+
+
+_CANDIDATES = 8  # step lengths that NumpyEngine rolls out at once
 
 
 class NumpyEngine:
@@ -178,12 +182,12 @@ class NumpyEngine:
         if self._norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
             return Outcome(CONVERGED, self._norm, slope, 0.0, -0.5 * slope, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep)[1]
-        alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
+        alpha = np.empty(_CANDIDATES if self._together or rule != search.ARMIJO else 1)
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
         # One candidate at a time must be allowed as many tries as eight.
-        for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
+        for _ in range(search.batches(rule) * (_CANDIDATES // len(alpha))):
             us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]  # Eq. 36
             xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
             if rule == search.WOLFE:

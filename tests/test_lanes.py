@@ -1,4 +1,4 @@
-"""V8 does in each of its eight lanes what a float does, bit for bit."""
+"""V4 does in each of its eight lanes what a float does, bit for bit."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from planner.kernels.lanes import (
     WIDTH,
     lane_array,
     load,
-    load8,
+    load4,
     maximum,
     minimum,
     padded,
     pointer,
     spread,
     store,
-    store8,
+    store4,
 )
 
 # As kernels.jit compiles, but not into its cache: these kernels are the test's own.
@@ -129,7 +129,7 @@ def springs(e, out):
 
 @jit
 def copy8(source, target, at, to):
-    store8(pointer(target), to, 2.0 * load8(pointer(source), at))
+    store4(pointer(target), to, 2.0 * load4(pointer(source), at))
 
 
 @given(st.integers(0, 16), st.integers(0, 16))

@@ -2,7 +2,7 @@
 
     dy/dt = v,   dv/dt = F(p - y) / m - g,   dp/dt = u
 
-with the C1 spring F of section 2.4. Every function works on floats and on V8 alike. One stage is one step of one
+with the C1 spring F of section 2.4. Every function works on floats and on V4 alike. One stage is one step of one
 of three integrators; `step` also returns the spring's slope at each of its evaluations, from which `push` carries
 any first-order change of (y, v, p, u) through the same step: four pushes give A and B exactly, one push along a
 search direction gives the slope of the cost.
@@ -34,8 +34,8 @@ from planner.kernels.workspace import (
     CONTROL_VALUE,
     CONVERGED,
     COSTS,
+    DEVIATIONS,
     DIRECTION,
-    E8,
     FEEDFORWARD,
     FINAL_COLUMN,
     FINAL_ROW,
@@ -52,10 +52,10 @@ from planner.kernels.workspace import (
     STAGE_ROW,
     STAGE_TERMS,
     STAGE_VALUE,
-    U8,
+    TRIAL_U,
+    TRIAL_X,
     U_REF,
     US,
-    X8,
     X_REF,
     XS,
     N,
@@ -149,7 +149,7 @@ def rates(parameters, xs, us, rates):
 
 @jit
 def linearize(integrator, dt, parameters, xs, us, N, F, width, knots):
-    """F[n, i, :] = (B | A) row i of stage n, eight stages at a time; all pointers, knots seven lanes of scratch."""
+    """F[n, i, :] = (B | A) row i of stage n, four stages at a time; all pointers, knots seven lanes of scratch."""
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
     flat = as_floats(knots)
     for n0 in range(0, N, WIDTH):
@@ -178,7 +178,7 @@ def linearize(integrator, dt, parameters, xs, us, N, F, width, knots):
 
 @jit
 def linearize_arrays(integrator, dt, parameters, xs, us, F, knots):
-    """The same on arrays xs (N+1, 3), us (N, 1), F (N, 3, width), knots (7, 8)."""
+    """The same on arrays xs (N+1, 3), us (N, 1), F (N, 3, width), knots (7, 4)."""
     linearize(
         integrator, dt, parameters, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0],
         pointer(F.reshape(-1)), F.shape[2], pointer(knots),
@@ -200,7 +200,7 @@ def _tracking(e, d, row, column, value, terms, slopes):
 
 @jit
 def rollout(integrator, dt, parameters, w, search, feedback, slopes):
-    """Eight step lengths at once: states X8, controls U8, costs and, if asked, their slopes.
+    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, costs and, if asked, their slopes.
 
     The control is us + alpha k + K (x - xs) with feedback, us + alpha dus without (Eq. 36).
     """
@@ -210,7 +210,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
     dus, x_ref, u_ref = floats(w, DIRECTION), floats(w, X_REF), floats(w, U_REF)
     stage_row, stage_column = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN)
     R, terms = floats(w, CONTROL_VALUE), w[STAGE_TERMS]
-    X8_, U8_, e = lanes(w, X8), lanes(w, U8), lanes(w, E8)
+    X_, U_, e = lanes(w, TRIAL_X), lanes(w, TRIAL_U), lanes(w, DEVIATIONS)
     d = at(e, 3)
     alpha = load(pointer(search), ALPHA)
     y, v, p = spread(load(xs, 0)), spread(load(xs, 1)), spread(load(xs, 2))
@@ -218,9 +218,9 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
     dy, dv, dp = zero, zero, zero
     J, S = zero, zero
     for n in range(stages + 1):
-        store(X8_, 3 * n, y)
-        store(X8_, 3 * n + 1, v)
-        store(X8_, 3 * n + 2, p)
+        store(X_, 3 * n, y)
+        store(X_, 3 * n + 1, v)
+        store(X_, 3 * n + 2, p)
         store(e, 0, y - load(x_ref, 3 * n))
         store(e, 1, v - load(x_ref, 3 * n + 1))
         store(e, 2, p - load(x_ref, 3 * n + 2))
@@ -247,7 +247,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
             du = load(dus, n)
             u = load(us, n) + alpha * du  # Eq. 36
             du_dalpha = spread(du)
-        store(U8_, n, u)
+        store(U_, n, u)
         gu = load(R, n) * (u - load(u_ref, n))
         J += 0.5 * gu * (u - load(u_ref, n))
         if slopes:
@@ -277,16 +277,24 @@ def iterate(
 ):
     """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
 
-    Fills row OUT of `search` with (gradient norm, slope, step, expected decrease, cost after).
+    Fills row OUT of `search` with (gradient norm, slope, step, cost after).
     """
     if fresh:
         linearize(
-            integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[NZ], lanes(w, E8)
+            integrator,
+            dt,
+            parameters,
+            floats(w, XS),
+            floats(w, US),
+            w[N],
+            floats(w, LINEAR),
+            w[NZ],
+            lanes(w, DEVIATIONS),
         )
         gradients(w)
     norm, slope, definite = riccati(w, mu, dt)
     out = search[OUT]
-    out[0], out[1], out[2], out[3], out[4] = norm, slope, 0.0, -0.5 * slope, cost
+    out[0], out[1], out[2], out[3] = norm, slope, 0.0, cost
     if not definite:
         return INDEFINITE
     if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
@@ -301,7 +309,7 @@ def iterate(
         if lane >= 0:
             accept(w, lane)
             step = alpha[lane]
-            out[2], out[3], out[4] = step, -slope * step * (1.0 - 0.5 * step), costs[lane]
+            out[2], out[3] = step, costs[lane]
             return ACCEPTED
         refine(rule, alpha, bracket)
     return NO_STEP

@@ -59,7 +59,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     previous = config.CACHE_DIR
     config.CACHE_DIR = str(cache_directory())
     try:
-        return njit(cache=True, fastmath=set(FASTMATH), error_model="numpy", **options)(function)
+        return njit(cache=True, nogil=True, fastmath=set(FASTMATH), error_model="numpy", **options)(function)
     finally:
         config.CACHE_DIR = previous
 

@@ -1,4 +1,4 @@
-"""Functions of floats and of V8 alike: rounding, square root, sine and cosine, and the transpose of eight V8."""
+"""Functions of floats and of V4 alike: rounding, square root, sine and cosine, and the transpose of four V4."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numba import types
 from numba.core import cgutils
 
 from planner.kernels.jit import inline
-from planner.kernels.lanes import V8, WIDTH, intrinsic
+from planner.kernels.lanes import V4, WIDTH, intrinsic
 
 
 def _define_function(name: str) -> Any:
@@ -18,7 +18,7 @@ def _define_function(name: str) -> Any:
 
     @intrinsic
     def function(typingctx: Any, x: Any) -> Any:
-        suffix = f"v{WIDTH}f64" if x is V8 else "f64"
+        suffix = f"v{WIDTH}f64" if x is V4 else "f64"
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             kind = ir.FunctionType(args[0].type, [args[0].type])
@@ -54,8 +54,8 @@ def sincos(x):
 
 @intrinsic
 def transpose(typingctx: Any, rows: Any) -> Any:
-    """Eight V8 with rows and lanes exchanged."""
-    result = types.UniTuple(V8, WIDTH)
+    """Four V4 with rows and lanes exchanged."""
+    result = types.UniTuple(V4, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         def shuffled(a: Any, b: Any, order: list[int]) -> Any:

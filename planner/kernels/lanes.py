@@ -1,14 +1,15 @@
-"""V8: eight doubles that behave like one float in Numba.
+"""V4: four doubles that behave like one float in Numba.
 
-A kernel is written once, as if for one float, and runs on eight knots or on eight line-search candidates at once:
-LLVM lowers <8 x double> to one zmm, two ymm or four xmm or NEON registers. A plain inner loop over eight does
-not vectorise (unknown aliasing), hence the explicit type.
+A kernel is written once, as if for one float, and runs on four knots or on four line-search candidates at once:
+LLVM lowers <4 x double> to one ymm or two xmm or NEON registers. A plain inner loop over four does not vectorise
+(unknown aliasing), hence the explicit type. Four, not eight: with the 16 registers of AVX2 eight spill, and of eight
+step lengths the last four are hardly ever wanted.
 
-    p = pointer(a)        a raw pointer: (K, 8) float64 arrays give lanes, (K,) arrays give floats or integers
-    load(p, k)            a[k, :] as V8, or a[k]
+    p = pointer(a)        a raw pointer: (K, 4) float64 arrays give lanes, (K,) arrays give floats or integers
+    load(p, k)            a[k, :] as V4, or a[k]
     store(p, k, v)        a[k, :] = v (a float is spread), or a[k] = v
-    load8(p, k)           eight consecutive doubles of a (K,) array, as V8
-    store8(p, k, v)
+    load4(p, k)           four consecutive doubles of a (K,) array, as V4
+    store4(p, k, v)
     at(p, k)              the pointer to entry k
     lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k], t an int64 array
 
@@ -34,7 +35,8 @@ from numba.extending import models, register_model
 intrinsic: Any = extending.intrinsic
 infer_global: Any = templates.infer_global
 
-WIDTH = 8
+WIDTH = 4
+_LINE = 8  # doubles of a cache line
 _FLAGS = ("contract", "nsz", "arcp")
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _INT32 = ir.IntType(32)
@@ -48,17 +50,17 @@ def padded(n: int) -> int:
 def lane_array(*shape: int) -> np.ndarray:
     """A zero float64 array that starts on a cache line."""
     count = int(np.prod(shape))
-    buffer = np.zeros(count + WIDTH)
-    start = -buffer.ctypes.data // 8 % WIDTH
+    buffer = np.zeros(count + _LINE)
+    start = -buffer.ctypes.data // 8 % _LINE
     return buffer[start : start + count].reshape(shape)
 
 
 class _LaneType(types.Type):
     def __init__(self) -> None:
-        super().__init__(name="V8")
+        super().__init__(name="V4")
 
 
-V8 = _LaneType()
+V4 = _LaneType()
 
 
 @register_model(_LaneType)
@@ -78,7 +80,7 @@ class _PointerType(types.Type):
 
     @property
     def entry(self) -> Any:
-        return {"Lane": V8, "Float": types.float64, "Integer": types.int64}[self.kind]
+        return {"Lane": V4, "Float": types.float64, "Integer": types.int64}[self.kind]
 
 
 _LANES, _FLOATS, _INTEGERS = _PointerType("Lane"), _PointerType("Float"), _PointerType("Integer")
@@ -113,7 +115,7 @@ def _define_operator(function: Any, instruction: str) -> None:
         def generic(self, args: Any, kws: Any) -> Any:
             lanes = any(isinstance(a, _LaneType) for a in args)
             if len(args) == 2 and lanes and all(isinstance(a, _OPERANDS) for a in args):
-                return signature(V8, *args)
+                return signature(V4, *args)
             return None
 
     infer_global(function)(Template)
@@ -137,7 +139,7 @@ for _function, _instruction in (
 
 @intrinsic
 def pointer(typingctx: Any, array: Any) -> Any:
-    """The raw pointer of a C-contiguous array: of lanes if it is (K, 8), else of floats or integers."""
+    """The raw pointer of a C-contiguous array: of lanes if it is (K, 4), else of floats or integers."""
     result = _LANES if array.ndim == 2 else _INTEGERS if isinstance(array.dtype, types.Integer) else _FLOATS
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -149,7 +151,7 @@ def pointer(typingctx: Any, array: Any) -> Any:
 
 @intrinsic
 def load(typingctx: Any, p: Any, k: Any) -> Any:
-    """Entry k of a pointer: V8 or float64."""
+    """Entry k of a pointer: V4 or float64."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(builder.gep(args[0], [args[1]]), align=8)
@@ -183,7 +185,7 @@ def at(typingctx: Any, p: Any, k: Any) -> Any:
 
 @intrinsic
 def as_floats(typingctx: Any, p: Any) -> Any:
-    """The doubles of lanes, eight to an entry."""
+    """The doubles of lanes, four to an entry."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(_FLOATS))
@@ -212,34 +214,34 @@ def _wide(builder: Any, args: Any) -> Any:
 
 
 @intrinsic
-def load8(typingctx: Any, p: Any, k: Any) -> Any:
-    """Eight consecutive doubles of a float pointer, from offset k."""
+def load4(typingctx: Any, p: Any, k: Any) -> Any:
+    """Four consecutive doubles of a float pointer, from offset k."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_wide(builder, args), align=8)
 
-    return V8(p, types.intp), lower
+    return V4(p, types.intp), lower
 
 
 @intrinsic
-def store8(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
-    """Write eight consecutive doubles of a float pointer, from offset k."""
+def store4(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
+    """Write four consecutive doubles of a float pointer, from offset k."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], _wide(builder, args), align=8)
         return context.get_dummy_value()
 
-    return types.void(p, types.intp, V8), lower
+    return types.void(p, types.intp, V4), lower
 
 
 @intrinsic
 def spread(typingctx: Any, x: Any) -> Any:
-    """A float in all eight lanes."""
+    """A float in all four lanes."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _as_lanes(context, builder, args[0], sig.args[0])
 
-    return V8(x), lower
+    return V4(x), lower
 
 
 def _define_choice(comparison: str) -> Any:
@@ -247,10 +249,10 @@ def _define_choice(comparison: str) -> Any:
 
     @intrinsic
     def choose(typingctx: Any, a: Any, b: Any) -> Any:
-        result = V8 if V8 in (a, b) else types.float64
+        result = V4 if V4 in (a, b) else types.float64
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            if result is V8:
+            if result is V4:
                 x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
             else:
                 x, y = (context.cast(builder, v, t, types.float64) for v, t in zip(args, sig.args, strict=True))

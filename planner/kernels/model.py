@@ -158,7 +158,7 @@ def _inertias(mechanism: Any) -> np.ndarray:
 
 
 def _related(parent: np.ndarray, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each block of eight columns, the rows of dtau/dq that are not zero: relatives, and what actuators couple."""
+    """For each block of four columns, the rows of dtau/dq that are not zero: relatives, and what actuators couple."""
     n = len(parent)
     related = coupled | np.eye(n, dtype=bool)
     for i in range(n):

@@ -21,10 +21,9 @@ from __future__ import annotations
 import math
 
 from planner.kernels.jit import inline, jit
-from planner.kernels.lane_math import transpose
-from planner.kernels.lanes import WIDTH, at, floats, integers, load, load8, spread, store, store8
+from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, spread, store, store4
 from planner.kernels.rotations import difference_floats, inverse_right_jacobian_floats
-from planner.kernels.tiles import add_product, load_tile, store_tile, zero_tile
+from planner.kernels.tiles import four_rows, mirror, one_row
 from planner.kernels.workspace import (
     BALL_OF,
     CONTROL_COLUMN,
@@ -173,44 +172,25 @@ def _add_weights(w, M, n):
 
 
 @inline
-def _symmetric(tile):
-    """A diagonal tile made symmetric to the last bit."""
-    a, b = tile, transpose(tile)
-    return (
-        0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]), 0.5 * (a[3] + b[3]),
-        0.5 * (a[4] + b[4]), 0.5 * (a[5] + b[5]), 0.5 * (a[6] + b[6]), 0.5 * (a[7] + b[7]),
-    )  # fmt: skip
-
-
-@inline
 def _form_dense(w, Fn, ln):
     """H = F'PF and h, costate = l + F' s, l + F' lambda, for a dense F."""
     ndx, nu, width = w[NDX], w[NU], w[NZ]
     F, M, GP, l = floats(w, LINEAR), floats(w, H), floats(w, G), floats(w, STAGE_GRADIENT)
     s, c = floats(w, h), floats(w, COSTATE)
     P = nu * width + nu
+    for i0 in range(0, ndx, WIDTH):
+        four_rows(GP, i0 * width, width, M, P + i0, width, F, Fn, width, ndx, 1.0, width, False)
     for j0 in range(0, width, WIDTH):
-        for i0 in range(0, ndx, WIDTH):
-            tile = add_product(zero_tile(), M, P + i0, width, F, Fn + j0, width, ndx, 1.0)
-            store_tile(GP, i0 * width + j0, width, tile)
-        hj, cj = load8(l, ln + j0), load8(l, ln + j0)
-        for i in range(ndx):
-            row = load8(F, Fn + i * width + j0)
-            hj += load(s, nu + i) * row
-            cj += load(c, nu + i) * row
-        store8(s, width + j0, hj)
-        store8(c, width + j0, cj)
+        store4(s, width + j0, load4(l, ln + j0))
+        store4(c, width + j0, load4(l, ln + j0))
+    one_row(s, width, s, nu, 1, F, Fn, width, ndx, 1.0, width)
+    one_row(c, width, c, nu, 1, F, Fn, width, ndx, 1.0, width)  # Eq. 16
     for j0 in range(0, width, WIDTH):
-        store8(s, j0, load8(s, width + j0))
-        store8(c, j0, load8(c, width + j0))  # Eq. 16
+        store4(s, j0, load4(s, width + j0))
+        store4(c, j0, load4(c, width + j0))
     for i0 in range(0, width, WIDTH):
-        for j0 in range(i0, width, WIDTH):
-            tile = add_product(zero_tile(), F, Fn + i0, width, GP, j0, width, ndx, 1.0)
-            if j0 == i0:
-                store_tile(M, i0 * width + j0, width, _symmetric(tile))
-            else:
-                store_tile(M, i0 * width + j0, width, tile)
-                store_tile(M, j0 * width + i0, width, transpose(tile))
+        o = i0 * width + i0
+        four_rows(M, o, width, F, Fn + i0, width, GP, i0, width, ndx, 1.0, width - i0, False)
 
 
 @inline
@@ -226,10 +206,10 @@ def _times_E(w, n, dt):
     for i in range(ndx):
         o, p = i * ld, (nu + i) * width + nu
         for j in range(0, nv, WIDTH):
-            store8(S_, o + j, load8(M, p + j))
+            store4(S_, o + j, load4(M, p + j))
         for j in range(0, nv, WIDTH):
-            store8(S_, o + nv + j, dt * load8(M, p + j) + load8(M, p + nv + j))
-        store8(S_, o + ndx, zero)
+            store4(S_, o + nv + j, dt * load4(M, p + j) + load4(M, p + nv + j))
+        store4(S_, o + ndx, zero)
         for b in range(balls):
             k, e = load(first, b), 18 * b
             x, y, z = load(M, p + k), load(M, p + k + 1), load(M, p + k + 2)
@@ -240,18 +220,18 @@ def _times_E(w, n, dt):
     for i in range(nv):
         o, p = i * ld, (nv + i) * ld
         for j in range(0, ndx, WIDTH):
-            store8(S_, p + j, dt * load8(S_, o + j) + load8(S_, p + j))
+            store4(S_, p + j, dt * load4(S_, o + j) + load4(S_, p + j))
     for b in range(balls):
         k, e = load(first, b), 18 * b
         for j in range(0, ndx, WIDTH):
-            x, y, z = load8(S_, k * ld + j), load8(S_, (k + 1) * ld + j), load8(S_, (k + 2) * ld + j)
+            x, y, z = load4(S_, k * ld + j), load4(S_, (k + 1) * ld + j), load4(S_, (k + 2) * ld + j)
             for c in range(3):
                 turned = load(E, e + 9 + c) * x + load(E, e + 12 + c) * y + load(E, e + 15 + c) * z
                 own = x if c == 0 else y if c == 1 else z  # what the pass above added with J = 1
                 q = (nv + k + c) * ld + j
-                store8(S_, q, load8(S_, q) + dt * (turned - own))
+                store4(S_, q, load4(S_, q) + dt * (turned - own))
             for c in range(3):
-                store8(
+                store4(
                     S_, (k + c) * ld + j,
                     load(E, e + c) * x + load(E, e + 3 + c) * y + load(E, e + 6 + c) * z,
                 )  # fmt: skip
@@ -288,14 +268,12 @@ def _structured_gradient(w, n, dt, s, Fn, ln):
     F, l = floats(w, LINEAR), floats(w, STAGE_GRADIENT)
     _times_E_vector(w, n, dt, at(s, nu))
     for j0 in range(0, width, WIDTH):
-        row = load8(l, ln + j0)
-        for k in range(nv):
-            row += (dt * load(s, nu + nv + k)) * load8(F, Fn + k * width + j0)
-        store8(s, width + j0, row)
+        store4(s, width + j0, load4(l, ln + j0))
+    one_row(s, width, s, nu + nv, 1, F, Fn, width, nv, dt, width)
     for i in range(ndx):
         store(s, width + nu + i, load(s, width + nu + i) + load(s, nu + i))
     for j0 in range(0, width, WIDTH):
-        store8(s, j0, load8(s, width + j0))
+        store4(s, j0, load4(s, width + j0))
 
 
 @inline
@@ -309,25 +287,20 @@ def _form_structured(w, n, dt, Fn, ln):
     _structured_gradient(w, n, dt, floats(w, COSTATE), Fn, ln)  # Eq. 16
     for i0 in range(0, ndx, WIDTH):  # Y = S (0 | 1) + dt S_xv F; of the position rows only what lies above
         start = 0 if i0 + WIDTH > nv else (nu + i0) // WIDTH * WIDTH
-        for j0 in range(start, width, WIDTH):
-            tile = add_product(zero_tile(), S_, nv * ld + i0, ld, F, Fn + j0, width, nv, dt)
-            store_tile(Y, i0 * width + j0, width, tile)
+        o = i0 * width + start
+        four_rows(Y, o, width, S_, nv * ld + i0, ld, F, Fn + start, width, nv, dt, width - start, False)
     for i in range(ndx):
         for j in range(0, ndx, WIDTH):
             k = i * width + nu + j
-            store8(Y, k, load8(Y, k) + load8(S_, i * ld + j))
+            store4(Y, k, load4(Y, k) + load4(S_, i * ld + j))
+    zero = spread(0.0)
     for i0 in range(0, width, WIDTH):
-        for j0 in range(i0, width, WIDTH):
-            tile = add_product(zero_tile(), F, Fn + i0, width, Y, nv * width + j0, width, nv, dt)
-            store_tile(M, i0 * width + j0, width, tile)
-            for i in range(max(i0, nu), min(i0 + WIDTH, nu + ndx)):
-                k = i * width + j0
-                store8(M, k, load8(M, k) + load8(Y, (i - nu) * width + j0))
-            tile = load_tile(M, i0 * width + j0, width)
-            if j0 == i0:
-                store_tile(M, i0 * width + j0, width, _symmetric(tile))
-            else:
-                store_tile(M, j0 * width + i0, width, transpose(tile))
+        for i in range(i0, i0 + WIDTH):
+            for j0 in range(i0, width, WIDTH):
+                inside = nu <= i < nu + ndx
+                store4(M, i * width + j0, load4(Y, (i - nu) * width + j0) if inside else zero)
+        o = i0 * width + i0
+        four_rows(M, o, width, F, Fn + i0, width, Y, nv * width + i0, width, nv, dt, width - i0, True)
 
 
 @inline
@@ -341,46 +314,41 @@ def _eliminate(w, mu, n):
     K, k = floats(w, GAINS), floats(w, FEEDFORWARD)
     slope = 0.0
     for a in range(nu):
+        o = a // WIDTH * WIDTH
+        one_row(M, a * width + o, M, a, width, M, o, width, a, -1.0, width - o)
         pivot = load(M, a * width + a) + mu
         if not pivot > 0.0:
             return 0.0, False
         scale = 1.0 / math.sqrt(pivot)
-        for j0 in range(a // WIDTH * WIDTH, width, WIDTH):
-            store8(M, a * width + j0, scale * load8(M, a * width + j0))
+        ha = load(s, a)
+        for c in range(a):
+            ha -= load(M, c * width + a) * load(s, c)
+        for j0 in range(o, width, WIDTH):
+            store4(M, a * width + j0, scale * load4(M, a * width + j0))
         store(M, a * width + a, scale)  # the diagonal holds 1 / U_aa
-        ha = scale * load(s, a)
+        ha *= scale
         store(s, a, ha)
         slope -= ha * ha  # Eq. 42
-        for b in range(a + 1, nu):
-            factor = load(M, a * width + b)
-            for j0 in range(b // WIDTH * WIDTH, width, WIDTH):
-                store8(M, b * width + j0, load8(M, b * width + j0) - factor * load8(M, a * width + j0))
-            store(s, b, load(s, b) - factor * ha)
-    for j0 in range(0, ndx, WIDTH):  # Eq. 34
-        row = load8(s, nu + j0)
-        for a in range(nu):
-            row -= load(s, a) * load8(M, a * width + nu + j0)
-        store8(s, nu + j0, row)
+    one_row(s, nu, s, 0, 1, M, nu, width, nu, -1.0, ndx)  # Eq. 34
+    o = nu // WIDTH * WIDTH
     for a in range(nu - 1, -1, -1):  # U (K | k) = -(U_x | h)
         scale = -1.0 * load(M, a * width + a)
         ka = load(s, a)
         for b in range(a + 1, nu):
             ka += load(M, a * width + b) * load(k, n * nu + b)
         store(k, n * nu + a, scale * ka)
-        for j0 in range(nu // WIDTH * WIDTH, width, WIDTH):
-            row = load8(M, a * width + j0)
-            for b in range(a + 1, nu):
-                row += load(M, a * width + b) * load8(K, (n * nu + b) * width + j0)
-            store8(K, (n * nu + a) * width + j0, scale * row)
+        row, below = (n * nu + a) * width + o, (n * nu + a + 1) * width + o
+        for j0 in range(0, width - o, WIDTH):
+            store4(K, row + j0, load4(M, a * width + o + j0))
+        one_row(K, row, M, a * width + a + 1, 1, K, below, width, nu - a - 1, 1.0, width - o)
+        for j0 in range(0, width - o, WIDTH):
+            store4(K, row + j0, scale * load4(K, row + j0))
+    columns = (ndx + WIDTH - 1) // WIDTH * WIDTH
+    P = nu * width + nu
     for i0 in range(0, ndx, WIDTH):  # Eq. 33
-        for j0 in range(i0, ndx, WIDTH):
-            o = (nu + i0) * width + nu + j0
-            tile = add_product(load_tile(M, o, width), M, nu + i0, width, M, nu + j0, width, nu, -1.0)
-            if j0 == i0:
-                store_tile(M, o, width, _symmetric(tile))
-            else:
-                store_tile(M, o, width, tile)
-                store_tile(M, (nu + j0) * width + nu + i0, width, transpose(tile))
+        o, wide = P + i0 * width + i0, columns - i0
+        four_rows(M, o, width, M, nu + i0, width, M, nu + i0, width, nu, -1.0, wide, True)
+        mirror(M, P, width, i0, columns)
     return slope, True
 
 
@@ -398,7 +366,7 @@ def riccati(w, mu, dt):
     states = ndx // 2 if w[STRUCTURED] else ndx
     zero = spread(0.0)
     for i in range(0, (nu + ndx) * width, WIDTH):  # Eq. 29: P(N) = Q(N), s(N) = Q(N) (x - x_ref)
-        store8(M, i, zero)
+        store4(M, i, zero)
     _add_weights(w, M, w[N])
     for j in range(nu + ndx):
         store(s, j, load(l, w[N] * width + j))

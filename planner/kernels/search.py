@@ -1,4 +1,4 @@
-"""Line search on eight step lengths at once. One code for the compiled engine and for NumPy's.
+"""Line search on several step lengths at once. One code for the compiled engine and for NumPy's.
 
 `ladder` gives the first candidates, `choose` the index of the one taken (or -1), `refine` the next candidates. The
 lane order is the order of preference and the first lane that satisfies the rule wins, so the result does not
@@ -21,7 +21,7 @@ SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
-ARMIJO_BATCHES, BRACKET_BATCHES = 3, 16  # of candidates, before the search gives up
+ARMIJO_BATCHES, BRACKET_BATCHES = 6, 16  # of candidates, before the search gives up
 
 
 @jit

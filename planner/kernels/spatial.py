@@ -1,4 +1,4 @@
-"""Three-vectors, rotations and symmetric matrices as tuples of floats or V8, inlined into kernels.
+"""Three-vectors, rotations and symmetric matrices as tuples of floats or V4, inlined into kernels.
 
 A symmetric matrix is the tuple (xx, xy, xz, yy, yz, zz), a rotation the tuple of its nine entries by rows.
 """

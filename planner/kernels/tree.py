@@ -2,7 +2,7 @@
 
 Expressed in one fixed frame, composite inertias and forces are plain sums and no 6x6 transformation is needed: the
 work is linear in the number of links (forward dynamics: Featherstone's articulated bodies, the paper's [21]). Twists,
-screws and wrenches are (angular, linear) at the origin. All entries are V8: eight knots or candidates at once.
+screws and wrenches are (angular, linear) at the origin. All entries are V4: four knots or candidates at once.
 
 Every link has a record of RECORD entries in the scratch memory `ws`.
 """

@@ -1,4 +1,4 @@
-"""The dynamics of a tree for batches of states: arrays in and out, eight states at a time."""
+"""The dynamics of a tree for batches of states: arrays in and out, four states at a time."""
 
 from __future__ import annotations
 

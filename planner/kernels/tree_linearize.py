@@ -1,4 +1,4 @@
-"""Exact A and B of a stage of a tree (Eq. 35), eight knots at a time: the chain rule through the integrator's stages.
+"""Exact A and B of a stage of a tree (Eq. 35), four knots at a time: the chain rule through the integrator's stages.
 
 The derivatives of accelerations follow from those of inverse dynamics, da = M^-1 (dtau - Dq dq - Dv dv) (section
 1.2), with the rows of prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
@@ -9,7 +9,7 @@ from __future__ import annotations
 from planner.kernels.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.jit import inline, jit
 from planner.kernels.lane_math import transpose
-from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, pointer, spread, store, store8
+from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, pointer, spread, store, store4
 from planner.kernels.model import (
     ACTIVATION_GAIN,
     ACTIVATION_INPUT,
@@ -69,50 +69,30 @@ from planner.kernels.tree_step import end_rotation, gather, stage, stage_state
 
 @inline
 def _minus_product(M, D, ld, i0, i1, j0, rows, start, stop):
-    """Rows i0 and i1 of -M D in eight columns from j0, over the listed rows of D, which are all that are not zero."""
+    """Rows i0 and i1 of -M D in four columns from j0, over the listed rows of D, which are all that are not zero."""
     z = spread(0.0)
-    a0, a1, a2, a3, a4, a5, a6, a7 = z, z, z, z, z, z, z, z
-    b0, b1, b2, b3, b4, b5, b6, b7 = z, z, z, z, z, z, z, z
+    a0, a1, a2, a3, b0, b1, b2, b3 = z, z, z, z, z, z, z, z
     for t in range(start, stop):
         k = load(rows, t)
         m0, m1, o = load(M, i0 * ld + k), load(M, i1 * ld + k), k * ld + j0
-        d = load(D, o)
-        a0 -= m0 * d
-        b0 -= m1 * d
-        d = load(D, o + 1)
-        a1 -= m0 * d
-        b1 -= m1 * d
-        d = load(D, o + 2)
-        a2 -= m0 * d
-        b2 -= m1 * d
-        d = load(D, o + 3)
-        a3 -= m0 * d
-        b3 -= m1 * d
-        d = load(D, o + 4)
-        a4 -= m0 * d
-        b4 -= m1 * d
-        d = load(D, o + 5)
-        a5 -= m0 * d
-        b5 -= m1 * d
-        d = load(D, o + 6)
-        a6 -= m0 * d
-        b6 -= m1 * d
-        d = load(D, o + 7)
-        a7 -= m0 * d
-        b7 -= m1 * d
-    return (a0, a1, a2, a3, a4, a5, a6, a7), (b0, b1, b2, b3, b4, b5, b6, b7)
+        d0, d1, d2, d3 = load(D, o), load(D, o + 1), load(D, o + 2), load(D, o + 3)
+        a0 -= m0 * d0
+        b0 -= m1 * d0
+        a1 -= m0 * d1
+        b1 -= m1 * d1
+        a2 -= m0 * d2
+        b2 -= m1 * d2
+        a3 -= m0 * d3
+        b3 -= m1 * d3
+    return (a0, a1, a2, a3), (b0, b1, b2, b3)
 
 
 @inline
-def _store_eight(p, k, v):
+def _store_four(p, k, v):
     store(p, k, v[0])
     store(p, k + 1, v[1])
     store(p, k + 2, v[2])
     store(p, k + 3, v[3])
-    store(p, k + 4, v[4])
-    store(p, k + 5, v[5])
-    store(p, k + 6, v[6])
-    store(p, k + 7, v[7])
 
 
 @jit
@@ -151,8 +131,8 @@ def acceleration_derivatives(m, r, q, v, a, dA):
             for i0 in range(0, nv, 2):
                 i1 = min(i0 + 1, nv - 1)
                 first, second = _minus_product(M, D, ld, i0, i1, j0, rows, start, stop)
-                _store_eight(dA, i0 * columns + nu + half * nv + j0, first)
-                _store_eight(dA, i1 * columns + nu + half * nv + j0, second)
+                _store_four(dA, i0 * columns + nu + half * nv + j0, first)
+                _store_four(dA, i1 * columns + nu + half * nv + j0, second)
     for i in range(nv):
         for k in range(nu):
             store(dA, i * columns + k, zero)
@@ -180,23 +160,26 @@ def acceleration_derivatives(m, r, q, v, a, dA):
 
 
 @inline
-def _chain_eight(m, D, at_q, Xq, Xv, i, j0, columns):
-    """Eight columns from j0 of row i of (da/dq) Xq + (da/dv) Xv."""
+def _chained(m, D, at_q, Xq, Xv, i0, i1, j0, columns):
+    """Rows i0 and i1 of (da/dq) Xq + (da/dv) Xv in four columns from j0."""
     nv = m[NV]
     z = spread(0.0)
-    a0, a1, a2, a3, a4, a5, a6, a7 = z, z, z, z, z, z, z, z
-    for k in range(nv):
-        o = k * columns + j0
-        f, g = load(D, at_q + k), load(D, at_q + nv + k)
-        a0 += f * load(Xq, o) + g * load(Xv, o)
-        a1 += f * load(Xq, o + 1) + g * load(Xv, o + 1)
-        a2 += f * load(Xq, o + 2) + g * load(Xv, o + 2)
-        a3 += f * load(Xq, o + 3) + g * load(Xv, o + 3)
-        a4 += f * load(Xq, o + 4) + g * load(Xv, o + 4)
-        a5 += f * load(Xq, o + 5) + g * load(Xv, o + 5)
-        a6 += f * load(Xq, o + 6) + g * load(Xv, o + 6)
-        a7 += f * load(Xq, o + 7) + g * load(Xv, o + 7)
-    return a0, a1, a2, a3, a4, a5, a6, a7
+    a0, a1, a2, a3, b0, b1, b2, b3 = z, z, z, z, z, z, z, z
+    for half in range(2):
+        X, first = (Xq, at_q) if half == 0 else (Xv, at_q + nv)
+        for k in range(nv):
+            o = k * columns + j0
+            f, g = load(D, i0 * columns + first + k), load(D, i1 * columns + first + k)
+            d0, d1, d2, d3 = load(X, o), load(X, o + 1), load(X, o + 2), load(X, o + 3)
+            a0 += f * d0
+            b0 += g * d0
+            a1 += f * d1
+            b1 += g * d1
+            a2 += f * d2
+            b2 += g * d2
+            a3 += f * d3
+            b3 += g * d3
+    return (a0, a1, a2, a3), (b0, b1, b2, b3)
 
 
 @inline
@@ -204,10 +187,14 @@ def _chain(m, D, Xq, Xv, Xa, dA, columns):
     """Total derivative dA of a stage's accelerations by the whole stage's start and controls."""
     nv, nu = m[NV], m[NU]
     index = integers(m, ACTIVATION_INPUT)
+    for j0 in range(0, columns, WIDTH):
+        for i0 in range(0, nv, 2):
+            i1 = min(i0 + 1, nv - 1)
+            first, second = _chained(m, D, nu, Xq, Xv, i0, i1, j0, columns)
+            _store_four(dA, i0 * columns + j0, first)
+            _store_four(dA, i1 * columns + j0, second)
     for i in range(nv):
         row = i * columns
-        for j0 in range(0, columns, WIDTH):
-            _store_eight(dA, row + j0, _chain_eight(m, D, row + nu, Xq, Xv, i, j0, columns))
         for j in range(nu):
             store(dA, row + j, load(dA, row + j) + load(D, row + j))
         for k in range(m[NA]):
@@ -357,34 +344,15 @@ def _euler(m, r, x, a, dt):
 def _scatter_row(X, row, F, f, count, stride, width):
     """A row of lanes, width of them, to the same row of `count` knots."""
     for j0 in range(0, width, WIDTH):
-        o = row + j0
-        e0, e1, e2, e3, e4, e5, e6, e7 = transpose((
-            load(X, o), load(X, o + 1), load(X, o + 2), load(X, o + 3),
-            load(X, o + 4), load(X, o + 5), load(X, o + 6), load(X, o + 7),
-        ))  # fmt: skip
-        k = f + j0
-        store8(F, k, e0)
-        if count == WIDTH:
-            store8(F, k + stride, e1)
-            store8(F, k + 2 * stride, e2)
-            store8(F, k + 3 * stride, e3)
-            store8(F, k + 4 * stride, e4)
-            store8(F, k + 5 * stride, e5)
-            store8(F, k + 6 * stride, e6)
-            store8(F, k + 7 * stride, e7)
-        else:
-            if count > 1:
-                store8(F, k + stride, e1)
-            if count > 2:
-                store8(F, k + 2 * stride, e2)
-            if count > 3:
-                store8(F, k + 3 * stride, e3)
-            if count > 4:
-                store8(F, k + 4 * stride, e4)
-            if count > 5:
-                store8(F, k + 5 * stride, e5)
-            if count > 6:
-                store8(F, k + 6 * stride, e6)
+        o, k = row + j0, f + j0
+        e0, e1, e2, e3 = transpose((load(X, o), load(X, o + 1), load(X, o + 2), load(X, o + 3)))
+        store4(F, k, e0)
+        if count > 1:
+            store4(F, k + stride, e1)
+        if count > 2:
+            store4(F, k + 2 * stride, e2)
+        if count > 3:
+            store4(F, k + 3 * stride, e3)
 
 
 @inline

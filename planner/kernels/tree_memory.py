@@ -1,4 +1,4 @@
-"""Scratch memory of the tree kernels on eight lanes, and the accelerations that linearisation takes from rollouts."""
+"""Scratch memory of the tree kernels on lanes, and the accelerations that linearisation takes from rollouts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2  # as planner.dynamics.INTEGRATORS
 _SIZES = ("integrator", "stages", "ld", "columns")
 _ARRAYS = (
     "links", "x", "u", "tau", "scratch", "rates", "theta", "q_stage", "v_stages", "act_stage", "act_rates", "a",
-    "A8", "accelerations", "M", "Dq", "Dv", "held", "direct", "chained", "Xq", "Xv", "Xa", "sum_q", "sum_v", "row",
+    "trial_a", "accelerations", "M", "Dq", "Dv", "held", "direct", "chained", "Xq", "Xv", "Xa", "sum_q", "sum_v", "row",
 )  # fmt: skip
 INTEGRATOR, STAGES, LD, COLUMNS = range(4)
 (
     LINKS, X_LANES, U_LANES, TAU, SCRATCH, RATES, THETA, Q_STAGE, V_STAGES, ACT_STAGE, ACT_RATES, A_LANES,
-    A8, ACCELERATIONS, M_LANES, DQ, DV, HELD, DIRECT, CHAINED, XQ, XV, XA, SUM_Q, SUM_V, ROW,
+    TRIAL_A, ACCELERATIONS, M_LANES, DQ, DV, HELD, DIRECT, CHAINED, XQ, XV, XA, SUM_Q, SUM_V, ROW,
 ) = range(4, 30)  # fmt: skip
 
 
@@ -43,7 +43,7 @@ class TreeMemory:
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
             "rates": na, "theta": nv,
             "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": stages * nv,
-            "A8": N * stages * nv, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu, "direct": n * columns,
+            "trial_a": N * stages * nv, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu, "direct": n * columns,
             "chained": n * columns, "Xq": chain * columns, "Xv": chain * columns, "Xa": 4 * na,
             "sum_q": n * columns, "sum_v": n * columns, "row": columns,
         }  # fmt: skip

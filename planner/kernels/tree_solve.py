@@ -1,4 +1,4 @@
-"""SLQ on a tree: eight rollouts at once, and one iteration as one compiled call."""
+"""SLQ on a tree: four rollouts at once, and one iteration as one compiled call."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from planner.kernels.riccati import direction, gradients, riccati
 from planner.kernels.rotations import difference
 from planner.kernels.search import batches, choose, ladder, refine
 from planner.kernels.tree_linearize import linearize
-from planner.kernels.tree_memory import A8, ACCELERATIONS, STAGES
+from planner.kernels.tree_memory import ACCELERATIONS, STAGES, TRIAL_A
 from planner.kernels.tree_step import stage
 from planner.kernels.workspace import (
     ACCEPTED,
@@ -21,8 +21,8 @@ from planner.kernels.workspace import (
     CONTROL_VALUE,
     CONVERGED,
     COSTS,
+    DEVIATIONS,
     DIRECTION,
-    E8,
     FEEDFORWARD,
     FINAL_COLUMN,
     FINAL_ROW,
@@ -47,13 +47,13 @@ from planner.kernels.workspace import (
     STAGE_VALUE,
     STRUCTURED,
     TRANSPORT,
-    U8,
+    TRIAL_U,
+    TRIAL_X,
     U_REF,
     US,
     VECTOR_DX,
     VECTOR_X,
     VECTORS,
-    X8,
     X_REF,
     XS,
     N,
@@ -149,24 +149,24 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 @jit
 def rollout(w, m, r, search, dt, feedback):
-    """Eight step lengths at once: states X8, controls U8, accelerations A8 and costs."""
+    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs."""
     nx, nu, ndx, kept = w[NX], w[NU], w[NDX], r[STAGES] * m[NV]
-    X8_, U8_, A8_, e = lanes(w, X8), lanes(w, U8), lanes(r, A8), lanes(w, E8)
+    X_, U_, A_, e = lanes(w, TRIAL_X), lanes(w, TRIAL_U), lanes(r, TRIAL_A), lanes(w, DEVIATIONS)
     xs = floats(w, XS)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
     alpha, length = load(pointer(search), ALPHA), spread(dt)
     for i in range(nx):
-        store(X8_, i, spread(load(xs, i)))
+        store(X_, i, spread(load(xs, i)))
     J = spread(0.0)
     for n in range(w[N]):
-        X, U = at(X8_, n * nx), at(U8_, n * nu)
+        X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
         J += _control_cost(w, U, n, lengths)
-        stage(m, r, X, U, at(A8_, n * kept), length, at(X8_, (n + 1) * nx))
-    J += _state_cost(w, at(X8_, w[N] * nx), w[N], e)
+        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
+    J += _state_cost(w, at(X_, w[N] * nx), w[N], e)
     store(pointer(search), COSTS, J)
 
 
@@ -174,7 +174,7 @@ def rollout(w, m, r, search, dt, feedback):
 def take(w, m, r, lane):
     """Make candidate `lane` the nominal trajectory, its accelerations with it."""
     accept(w, lane)
-    take_lane(floats(r, ACCELERATIONS), floats(r, A8), w[N] * r[STAGES] * m[NV], lane)
+    take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[N] * r[STAGES] * m[NV], lane)
 
 
 @jit
@@ -203,13 +203,13 @@ def linearize_nominal(w, m, r, dt):
 def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance):
     """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
 
-    Fills row OUT of `search` with (gradient norm, slope, step, expected decrease, cost after).
+    Fills row OUT of `search` with (gradient norm, slope, step, cost after).
     """
     if fresh:
         linearize_nominal(w, m, r, dt)
     norm, slope, definite = riccati(w, mu, dt)
     out = search[OUT]
-    out[0], out[1], out[2], out[3], out[4] = norm, slope, 0.0, -0.5 * slope, cost
+    out[0], out[1], out[2], out[3] = norm, slope, 0.0, cost
     if not definite:
         return INDEFINITE
     if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
@@ -224,7 +224,7 @@ def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_toler
         if lane >= 0:
             take(w, m, r, lane)
             step = alpha[lane]
-            out[2], out[3], out[4] = step, -slope * step * (1.0 - 0.5 * step), costs[lane]
+            out[2], out[3] = step, costs[lane]
             return ACCEPTED
         refine(rule, alpha, bracket)
     return NO_STEP

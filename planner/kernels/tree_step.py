@@ -1,4 +1,4 @@
-"""One stage of a tree on eight lanes, by explicit Euler, semi-implicit Euler or RK4.
+"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler or RK4.
 
 Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
 Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
@@ -115,7 +115,7 @@ def end_rotation(m, r, x, a, dt):
 
 @jit
 def stage(m, r, x, u, a, dt, x_next):
-    """The end x_next of a stage of length dt (a V8) from x under u; a (stages * nv) keeps the accelerations."""
+    """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
     nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
@@ -148,7 +148,7 @@ def stage(m, r, x, u, a, dt, x_next):
 
 @inline
 def gather(source, first, count, width, destination):
-    """Rows first, ..., first + 7 (the last one repeated) of a float matrix onto lanes."""
+    """Rows first, ..., first + 3 (the last one repeated) of a float matrix onto lanes."""
     flat = as_floats(destination)
     for lane in range(WIDTH):
         row = min(first + lane, count - 1) * width

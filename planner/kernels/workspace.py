@@ -24,15 +24,15 @@ _ARRAYS = (
     "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
     "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
     "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
-    "costate", "dx", "X8", "U8", "E8", "trial_xs", "trial_us", "trial_F",
+    "costate", "dx", "trial_x", "trial_u", "deviations",
 )  # fmt: skip
 N, NX, NDX, NU, NZ, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, FINAL_TERMS, CONTROL_TERMS = range(11)
 (
     XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW,
     STAGE_COLUMN, STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN,
     CONTROL_VALUE, ERROR, TURN, STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h,
-    COSTATE, DX, X8, U8, E8, TRIAL_XS, TRIAL_US, TRIAL_LINEAR,
-) = range(11, 50)  # fmt: skip
+    COSTATE, DX, TRIAL_X, TRIAL_U, DEVIATIONS,
+) = range(11, 47)  # fmt: skip
 SEARCH_ROWS = 5  # of the search's array: step lengths, costs, slopes, the bracket, what an iteration reports
 ALPHA, COSTS, SLOPES, BRACKET, OUT = range(SEARCH_ROWS)
 
@@ -47,7 +47,7 @@ class Workspace:
             adds dt times the velocity to the position. Else F = (B | A), (N, ndx, NZ).
 
     Attributes of interest outside: xs (N+1, nx), us (N, nu), K (N, nu, NZ) with the gains in the columns of x,
-    search (5, 8), table.
+    search (5, 4), table.
     """
 
     def __init__(self, cost: Any, space: Any, structured: bool) -> None:
@@ -67,7 +67,7 @@ class Workspace:
         self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
         self.search = lane_array(SEARCH_ROWS, WIDTH)
         self.F = lane_array(N * states * width + WIDTH)
-        slack = WIDTH  # rows are read eight at a time, past their ends
+        slack = WIDTH  # rows are read four at a time, past their ends
         self._arrays: dict[str, np.ndarray] = {
             "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
             "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
@@ -82,9 +82,9 @@ class Workspace:
             "G": lane_array((padded(ndx) + WIDTH) * width + slack),
             "S": lane_array((padded(ndx) + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
             "h": lane_array(3 * width + slack),
-            "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)), "X8": lane_array((N + 1) * nx, WIDTH),
-            "U8": lane_array(N * nu, WIDTH), "E8": lane_array(2 * ndx + nu + 8, WIDTH),
-            "trial_xs": np.zeros((N + 1, nx)), "trial_us": np.zeros((N, nu)), "trial_F": np.zeros(0),
+            "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
+            "trial_x": lane_array((N + 1) * nx, WIDTH),
+            "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
         }  # fmt: skip
         sizes = (
             N, nx, ndx, nu, width, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]), len(final[0]),
@@ -103,12 +103,12 @@ def _terms(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @jit
 def accept(w, lane):
     """Make candidate `lane` the nominal trajectory."""
-    take_lane(floats(w, XS), floats(w, X8), w[NX] * (w[N] + 1), lane)
-    take_lane(floats(w, US), floats(w, U8), w[NU] * w[N], lane)
+    take_lane(floats(w, XS), floats(w, TRIAL_X), w[NX] * (w[N] + 1), lane)
+    take_lane(floats(w, US), floats(w, TRIAL_U), w[NU] * w[N], lane)
 
 
 @jit
 def take_lane(to, candidates, count, lane):
-    """Copy one lane of `count` entries of eight."""
+    """Copy one lane of `count` entries of four."""
     for i in range(count):
         store(to, i, load(candidates, i * WIDTH + lane))

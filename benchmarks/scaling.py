@@ -1,0 +1,207 @@
+"""How an iteration grows with joints and stages, and memory with solves: `python benchmarks/scaling.py`.
+
+The phases are told apart through the engine: a sweep with and without linearising, an iteration of which all but the
+line search is done. Times are minima and hold the call from Python, some 10 us. Writes docs/scaling.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mechanisms
+import numpy as np
+from mechanisms import Chain
+from planner_worker import posed
+from rigid_body_problems import EULER, INTEGRATORS, SHORT, scaling_problem
+
+import planner
+from planner.engine import borrow
+from planner.kernels.lanes import WIDTH
+from planner.kernels.workspace import ACCEPTED
+
+KINDS: dict[str, Callable[[int], Chain]] = {"serial chain": mechanisms.serial, "random tree": mechanisms.random_tree}
+PHASES = {"linearise": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n each may grow with
+JOINTS = (2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40)
+STAGES = (50, 100, 200, 400, 800)
+BURST = 3  # turns of a point at a time: the first wakes the caches up
+FIT_FROM = 12  # joints; below, what a call costs and padding to whole lanes hide the growth
+ARM = 7  # joints of the arm whose stages are varied
+LINEAR = 1.1  # of N: caches hold fewer of many stages
+SOLVES, SETTLED = 1000, 100
+FLAT = 64 * 1024  # bytes that a thousand solves may leave in Python and NumPy
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+class Point:
+    """One size of problem: the least times so far, us, from the first trajectory."""
+
+    def __init__(self, chain: Chain, N: int, integrator: str) -> None:
+        self.joints = len(chain["joints"])
+        self._best = dict.fromkeys(("both", "sweep", "search"), np.inf)
+        self._problem = posed(scaling_problem(chain, N, integrator))
+        self._engine = borrow(self._problem)
+        self.turn()  # compiles
+        self._best = dict.fromkeys(self._best, np.inf)
+
+    def _timed(self, name: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        started = time.perf_counter()
+        result = call(*arguments)
+        self._best[name] = min(self._best[name], 1e6 * (time.perf_counter() - started))
+        return result
+
+    def turn(self) -> None:
+        """Time each part once."""
+        engine = self._engine
+        cost = engine.start(self._problem.x0, self._problem.first_guess)
+        self._timed("both", engine.sweep, 0.0, True)
+        self._timed("sweep", engine.sweep, 0.0, False)
+        outcome = self._timed("search", engine.iterate, True, 0, 0.0, False, cost, 0.0, -1.0)
+        if outcome.kind != ACCEPTED or outcome.step < 0.5 ** (WIDTH - 1):
+            sys.exit(f"on {self.joints} joints the search is not one rollout of {WIDTH} candidates.")
+
+    def phases(self) -> dict[str, float]:
+        """Least microseconds of each phase."""
+        both, sweep, search = self._best.values()
+        return {"linearise": both - sweep, "riccati": sweep, "rollout": search - sweep}
+
+
+def power(x: list[float], y: list[float]) -> float:
+    """The slope of y over x in logarithms."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def growth(integrator: str, seconds: float) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Points over joints and over stages, and a slope for each phase."""
+    points, slopes = [], []
+
+    def series(kind: str, over: str, values: tuple[int, ...], make: Callable[[int], tuple[Chain, int]]) -> None:
+        measured = {value: Point(*make(value), integrator) for value in values}
+        end = time.perf_counter() + seconds * len(values)
+        while time.perf_counter() < end:  # in turn, so that a busy neighbour falls on all of them
+            for point in measured.values():
+                for _ in range(BURST):
+                    point.turn()
+        new = [
+            {"kind": kind, "over": over, "value": value, "integrator": integrator, **point.phases()}
+            for value, point in measured.items()
+        ]
+        for point in new:
+            print(json.dumps(point), flush=True)
+        points.extend(new)
+        for phase, bound in PHASES.items():
+            used = [p for p in new if over == "N" or p["value"] >= FIT_FROM]
+            slope = power([p["value"] for p in used], [p[phase] for p in used])
+            limit = LINEAR if over == "N" else bound
+            slopes.append(
+                {
+                    "slope_of": phase, "kind": kind, "over": over, "integrator": integrator, "slope": slope,
+                    "limit": limit, "met": slope <= limit,
+                }
+            )  # fmt: skip
+            print(json.dumps(slopes[-1]), flush=True)
+
+    for kind, make in KINDS.items():
+        series(kind, "n", JOINTS, lambda n, make=make: (make(n), 100))
+    series("serial chain", "N", STAGES, lambda N: (mechanisms.serial(ARM), N))
+    return points, slopes
+
+
+def resident() -> int:
+    """The process's greatest size so far, bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def memory() -> dict[str, Any]:
+    """What is left of a thousand solves of the arm, once the first hundred have filled what there is to fill."""
+    problem = posed(scaling_problem(mechanisms.serial(ARM), 100, EULER))
+    sizes = []
+    tracemalloc.start()
+    for i in range(1, SOLVES + 1):
+        planner.solve(problem, max_iterations=5)
+        if i in (SETTLED, SOLVES):
+            sizes.append((tracemalloc.get_traced_memory()[0], resident()))
+    tracemalloc.stop()
+    (kept, size), (kept_after, size_after) = sizes
+    line = {
+        "solves": SOLVES, "kept_bytes": kept_after - kept, "process_bytes": size_after - size,
+        "met": kept_after - kept <= FLAT,
+    }  # fmt: skip
+    print(json.dumps(line), flush=True)
+    return line
+
+
+def draw(points: list[dict[str, Any]], path: Path) -> None:
+    """The phases over joints and over stages, in logarithms, beside their bounds."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    panels = [(kind, "n") for kind in KINDS] + [("serial chain", "N")]
+    figure, axes = pyplot.subplots(1, len(panels), figsize=(13.0, 4.4), layout="constrained", sharey=True)
+    colours = dict(zip(PHASES, ("#1f6f8b", "#c8553d", "#6a994e"), strict=True))
+    for ax, (kind, over) in zip(axes, panels, strict=True):
+        for phase, bound in PHASES.items():
+            for integrator, style in zip(INTEGRATORS, ("o-", "s--"), strict=True):
+                chosen = [
+                    p for p in points if (p["kind"], p["over"], p["integrator"]) == (kind, over, integrator)
+                ]  # fmt: skip
+                if chosen:
+                    x, y = np.array([p["value"] for p in chosen]), np.array([p[phase] for p in chosen])
+                    ax.loglog(x, y, style, color=colours[phase], ms=3.5, label=f"{phase}, {SHORT[integrator]}")
+            shown = [p for p in points if (p["kind"], p["over"], p["integrator"]) == (kind, over, EULER)]
+            if shown:
+                x, last = np.array([p["value"] for p in shown if over == "N" or p["value"] >= FIT_FROM]), shown[-1]
+                exponent = 1.0 if over == "N" else bound
+                guide = 1.6 * last[phase] * (x / last["value"]) ** exponent
+                ax.loglog(x, guide, ":", color=colours[phase], lw=1.0)
+        ticks = JOINTS if over == "n" else STAGES
+        ax.set_xticks(ticks, [str(t) for t in ticks])
+        ax.minorticks_off()
+        ax.set_xlabel("joints" if over == "n" else "stages")
+        ax.set_title(f"{kind}, 100 stages" if over == "n" else f"serial chain of {ARM}")
+        ax.grid(alpha=0.25)
+    axes[0].set_ylabel("us per iteration")
+    axes[0].legend(fontsize=7, frameon=False)
+    figure.suptitle("Time of an iteration's phases; dotted: n, n² and n³", fontsize=11)
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def main() -> None:
+    """Measure, draw, and say which bounds hold."""
+    parser = argparse.ArgumentParser(description="Growth of an iteration's phases with joints and stages.")
+    parser.add_argument("--seconds", type=float, default=0.5, help="time per point, on average (0.5)")
+    parser.add_argument("--out", type=Path, default=DOCS / "scaling.png", help="the plot (docs/scaling.png)")
+    arguments = parser.parse_args()
+    points, slopes = [], []
+    for integrator in INTEGRATORS:
+        new_points, new_slopes = growth(integrator, arguments.seconds)
+        points += new_points
+        slopes += new_slopes
+    kept = memory()
+    draw(points, arguments.out)
+
+    print(f"\nslopes in logarithms (over n from {FIT_FROM} joints on)")
+    word = {True: "met", False: "MISSED"}
+    for s in slopes:
+        print(
+            f"{s['kind']:<13} {SHORT[s['integrator']]:<6} {s['slope_of']:<10} {s['over']}^{s['slope']:.2f} "
+            f"<= {s['over']}^{s['limit']:g}: {word[s['met']]}"
+        )
+    print(
+        f"memory from solve {SETTLED} to {SOLVES}: {kept['kept_bytes'] / 1024:+.1f} KiB kept, process "
+        f"{kept['process_bytes'] / 1024:+.0f} KiB: {word[kept['met']]}"
+    )
+
+
+if __name__ == "__main__":
+    main()
