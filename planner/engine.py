@@ -18,6 +18,7 @@ from planner.dynamics import CompiledDynamics
 from planner.errors import PlannerError
 from planner.kernels import search
 from planner.kernels.jit import announce
+from planner.kernels.lanes import WIDTH
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, OUT, Workspace
 from planner.problem import Problem
 from planner.space import space_of
@@ -104,11 +105,8 @@ class CompiledEngine:
 
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
-        nu = self._w.us.shape[1]
-        return self._w.K[:, :, nu : nu + self._w.ndx].copy()
-
-
-_CANDIDATES = 8  # step lengths that NumpyEngine rolls out at once
+        first = self._w.first
+        return self._w.K[:, :, first : first + self._w.ndx].copy()
 
 
 class NumpyEngine:
@@ -182,12 +180,12 @@ class NumpyEngine:
         if self._norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
             return Outcome(CONVERGED, self._norm, slope, 0.0, -0.5 * slope, cost)
         self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep)[1]
-        alpha = np.empty(_CANDIDATES if self._together or rule != search.ARMIJO else 1)
+        alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
         slopes = np.zeros_like(alpha)
-        # One candidate at a time must be allowed as many tries as eight.
-        for _ in range(search.batches(rule) * (_CANDIDATES // len(alpha))):
+        # One candidate at a time must be allowed as many tries as several.
+        for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
             us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]  # Eq. 36
             xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
             if rule == search.WOLFE:

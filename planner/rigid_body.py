@@ -246,6 +246,7 @@ def _places(b: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     T = np.zeros((b.K, nv, 4, 4))
     T[..., :3, :3] = records[..., :9].reshape(b.K, nv, 3, 3)
     T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + origin, 1.0
+    T = T @ np.linalg.inv(model.own_frames)
     for i in np.flatnonzero(model.floating):  # the slides of a free joint, which the kernels leave at the origin
         first = model.floating_address[i]
         T[:, i, :3, 3] = 0.0

@@ -81,10 +81,11 @@ class RigidBodyDynamics:
         """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu), exact (Eq. 35)."""
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
         announce(tree_linearize.linearize_arrays)
-        F = np.empty((len(us), self.ndx, padded(self.nu + self.ndx)))
+        first = padded(self.nu)
+        F = np.empty((len(us), self.ndx, first + padded(self.ndx)))
         memory = TreeMemory(self._model, self._code, 0)
         tree_linearize.linearize_arrays(self._model.table, memory.table, self.dt, xs, us, F)
-        return F[:, :, self.nu : self.nu + self.ndx].copy(), F[:, :, : self.nu].copy()
+        return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
 
     def memory(self, N: int) -> TreeMemory:
         """Scratch of one solve of N stages."""

@@ -25,7 +25,8 @@ from planner.kernels.lanes import (
     spread,
     store,
 )
-from planner.kernels.riccati import direction, gradients, riccati
+from planner.kernels.quadratic import gradients
+from planner.kernels.riccati import direction, riccati
 from planner.kernels.search import WOLFE, batches, choose, ladder, refine
 from planner.kernels.workspace import (
     ACCEPTED,
@@ -41,11 +42,11 @@ from planner.kernels.workspace import (
     FINAL_ROW,
     FINAL_TERMS,
     FINAL_VALUE,
+    FIRST_X,
     GAINS,
     INDEFINITE,
     LINEAR,
     NO_STEP,
-    NZ,
     OUT,
     SLOPES,
     STAGE_COLUMN,
@@ -56,6 +57,7 @@ from planner.kernels.workspace import (
     TRIAL_X,
     U_REF,
     US,
+    WIDTH_Z,
     X_REF,
     XS,
     N,
@@ -148,7 +150,7 @@ def rates(parameters, xs, us, rates):
 
 
 @jit
-def linearize(integrator, dt, parameters, xs, us, N, F, width, knots):
+def linearize(integrator, dt, parameters, xs, us, N, F, width, first, knots):
     """F[n, i, :] = (B | A) row i of stage n, four stages at a time; all pointers, knots seven lanes of scratch."""
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
     flat = as_floats(knots)
@@ -170,7 +172,7 @@ def linearize(integrator, dt, parameters, xs, us, N, F, width, knots):
             store(knots, 5, dv)
             store(knots, 6, dp)
             for lane in range(min(WIDTH, N - n0)):
-                at_row = (n0 + lane) * 3 * width + column
+                at_row = (n0 + lane) * 3 * width + (0 if column == 0 else first + column - 1)
                 store(F, at_row, load(flat, 4 * WIDTH + lane))
                 store(F, at_row + width, load(flat, 5 * WIDTH + lane))
                 store(F, at_row + 2 * width, load(flat, 6 * WIDTH + lane))
@@ -181,7 +183,7 @@ def linearize_arrays(integrator, dt, parameters, xs, us, F, knots):
     """The same on arrays xs (N+1, 3), us (N, 1), F (N, 3, width), knots (7, 4)."""
     linearize(
         integrator, dt, parameters, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0],
-        pointer(F.reshape(-1)), F.shape[2], pointer(knots),
+        pointer(F.reshape(-1)), F.shape[2], 1, pointer(knots),
     )  # fmt: skip
 
 
@@ -205,7 +207,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
     The control is us + alpha k + K (x - xs) with feedback, us + alpha dus without (Eq. 36).
     """
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
-    stages, width = w[N], w[NZ]
+    stages, width = w[N], w[WIDTH_Z]
     xs, us, K, k = floats(w, XS), floats(w, US), floats(w, GAINS), floats(w, FEEDFORWARD)
     dus, x_ref, u_ref = floats(w, DIRECTION), floats(w, X_REF), floats(w, U_REF)
     stage_row, stage_column = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN)
@@ -239,7 +241,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
         if feedback:
             du = load(k, n)
             u = load(us, n) + alpha * du
-            o = n * width + 1  # a row of K is kept behind its columns of u, as in F
+            o = n * width + w[FIRST_X]
             Ky, Kv, Kp = load(K, o), load(K, o + 1), load(K, o + 2)
             u += Ky * (y - load(xs, 3 * n)) + Kv * (v - load(xs, 3 * n + 1)) + Kp * (p - load(xs, 3 * n + 2))
             du_dalpha = du + (Ky * dy + Kv * dv + Kp * dp)
@@ -281,16 +283,9 @@ def iterate(
     """
     if fresh:
         linearize(
-            integrator,
-            dt,
-            parameters,
-            floats(w, XS),
-            floats(w, US),
-            w[N],
-            floats(w, LINEAR),
-            w[NZ],
-            lanes(w, DEVIATIONS),
-        )
+            integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[WIDTH_Z],
+            w[FIRST_X], lanes(w, DEVIATIONS),
+        )  # fmt: skip
         gradients(w)
     norm, slope, definite = riccati(w, mu, dt)
     out = search[OUT]

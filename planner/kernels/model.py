@@ -1,14 +1,13 @@
 """A mechanism as kernels read it: one int64 table of sizes and addresses, and the arrays behind it.
 
-The exponential of a screw is spelled out once, for revolute, prismatic and helical joints alike: with H the 4x4 matrix
-of S, |w| = 1 or w = 0,
+Every screw is a turn about an axis and a shift along it (Chasles). Each link gets a frame of its own whose z axis is
+its screw's, so that revolute, prismatic and helical joints are one formula with two constants, turn and shift:
 
-    T_home exp(S q) = C0 + sin(q) Cs + (1 - cos(q)) Cc + q Ct,
-    C0 = T_home, Cs = -T_home H^3, Cc = T_home H^2, Ct = T_home (H + H^3),
+    T = H Rot_z(turn q) Trans_z(shift q),   S = (turn z, shift z) at the frame's origin,
 
-three rows of rotation and one of translation each, with q_home already taken out. Each tree is described about an
-origin of its own, the first joint's place at home or, for a floating tree, wherever it is: dynamics do not depend on
-where a tree stands, but rounding does.
+with H constant and q_home taken out. A ball's links share a frame at the anchor, with axes x, y, z. Each tree is
+described about an origin of its own, the first joint's place at home or, for a floating tree, wherever it is:
+dynamics do not depend on where a tree stands, but rounding does.
 """
 
 from __future__ import annotations
@@ -19,12 +18,13 @@ import numpy as np
 
 from planner.kernels.lanes import WIDTH
 
+HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
 _SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms")
 _ARRAYS = (
-    "parent", "base", "kind", "first", "q_address", "C", "S", "inertia", "subtree_mass", "sliding", "armature",
+    "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
     "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
     "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
     "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
@@ -32,7 +32,7 @@ _ARRAYS = (
 )  # fmt: skip
 NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS = range(len(_SIZES))
 (
-    PARENT, BASE, KIND, FIRST, Q_ADDRESS, C, S, INERTIA, SUBTREE_MASS, SLIDING, ARMATURE,
+    PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
     BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
     INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
     VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
@@ -68,6 +68,7 @@ class Model:
         self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
         addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
         self.table = np.array([*(sizes[n] for n in _SIZES), *addresses], dtype=np.int64)
+        self.own_frames = arrays["frames"]  # (nv, 4, 4) the kernels' frames in the mechanism's
         self.origin = arrays["origin"]  # (nv, 3) what world positions are relative to, but for floating trees
         self.floating = arrays["kind"] == FLOATING
         self.floating_address = arrays["floating_address"]  # (nv,) where qpos holds a floating tree's place, or -1
@@ -93,21 +94,24 @@ def _tree(mechanism: Any) -> dict[str, np.ndarray]:
     for i in range(nv):
         if mechanism.parent[i] >= 0:
             roots[i] = roots[mechanism.parent[i]]
-    C = np.zeros((nv, 4, 12))
-    for i in range(nv):
-        for block, X in enumerate(_exponential(mechanism, i, kind[i])):
-            C[i, block, :9], C[i, block, 9:] = X[:3, :3].ravel(), X[:3, 3]
-    origin = np.zeros((nv, 3))
-    for i in range(nv):
-        if mechanism.parent[i] < 0 and kind[i] != FLOATING:
-            origin[i] = C[i, 0, 9:]
-            C[i, 0, 9:] = 0.0
-        elif mechanism.parent[i] >= 0:
-            origin[i] = origin[roots[i]]
-    for address, i in mechanism.quaternions:
+    frames = np.array([_own_frame(mechanism.S[i], kind[i]) for i in range(nv)]).reshape(nv, 4, 4)
+    for _, i in mechanism.quaternions:
         S = mechanism.S[i : i + 3]  # (e_k, anchor x e_k)
-        C[i, 1, 0:3] = [S[1, 5], S[2, 3], S[0, 4]]
-        assert address == mechanism.q_address[i]
+        frames[i : i + 3, :3, 3] = [S[1, 5], S[2, 3], S[0, 4]]
+    home, origin = np.zeros((nv, HOME_SIZE)), np.zeros((nv, 3))
+    for i in range(nv):
+        carrier = mechanism.parent[i]
+        before = np.eye(4) if carrier < 0 else np.linalg.inv(frames[carrier])
+        turn, shift = _turn_and_shift(mechanism.S[i], kind[i])
+        T = before @ mechanism.T_home[i] @ frames[i] @ _screw_motion(-mechanism.q_home[i], turn, shift)
+        if kind[i] == FLOATING:
+            T[:3, 3] = 0.0
+        elif carrier < 0:
+            origin[i], T[:3, 3] = T[:3, 3], 0.0
+        else:
+            origin[i] = origin[roots[i]]
+        moved = 0.0 if kind[i] == FLOATING else shift  # its own place is the origin
+        home[i, :9], home[i, 9:12], home[i, 12:] = T[:3, :3].ravel(), T[:3, 3], [turn, shift, moved]
     subtree_mass = mechanism.mass.copy()
     for i in reversed(range(nv)):
         if mechanism.parent[i] >= 0:
@@ -116,43 +120,48 @@ def _tree(mechanism: Any) -> dict[str, np.ndarray]:
     balls = np.array(mechanism.quaternions, dtype=np.int64).reshape(-1, 2)
     return {
         "parent": mechanism.parent, "base": mechanism.base, "kind": kind, "first": first,
-        "q_address": mechanism.q_address, "C": C, "S": mechanism.S, "inertia": _inertias(mechanism),
-        "subtree_mass": subtree_mass, "sliding": np.any(C[:, 3] != 0.0, axis=1).astype(np.int64),
-        "armature": mechanism.armature, "base_acceleration": -mechanism.gravity, "damping": mechanism.damping,
-        "stiffness": mechanism.stiffness, "rest": mechanism.spring_rest, "ball_q": balls[:, 0], "ball_v": balls[:, 1],
-        "ball_stiffness": mechanism.ball_stiffness, "ball_rest": mechanism.ball_rest, "origin": origin,
-        "floating_address": floating,
+        "q_address": mechanism.q_address, "home": home, "inertia": _inertias(mechanism, frames),
+        "subtree_mass": subtree_mass, "armature": mechanism.armature, "base_acceleration": -mechanism.gravity,
+        "damping": mechanism.damping, "stiffness": mechanism.stiffness, "rest": mechanism.spring_rest,
+        "ball_q": balls[:, 0], "ball_v": balls[:, 1], "ball_stiffness": mechanism.ball_stiffness,
+        "ball_rest": mechanism.ball_rest, "origin": origin, "frames": frames, "floating_address": floating,
     }  # fmt: skip
 
 
-def _exponential(mechanism: Any, i: int, kind: int) -> list[np.ndarray]:
-    """C0, Cs, Cc, Ct of link i."""
-    T = mechanism.T_home[i]
-    zero = np.zeros((4, 4))
-    if kind == FLOATING:  # its own place is the origin
-        return [np.eye(4), zero, zero, zero]
-    if kind != SCREW:
-        return [T, zero, zero, zero]
-    w, v = mechanism.S[i, :3], mechanism.S[i, 3:]
-    H = zero.copy()
-    H[:3, :3] = [[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]
-    H[:3, 3] = v
-    H2 = H @ H
-    H3 = H2 @ H
-    q = -float(mechanism.q_home[i])
-    T = T @ (np.eye(4) + np.sin(q) * -H3 + (1.0 - np.cos(q)) * H2 + q * (H + H3))
-    slide = H + H3
-    slide[:3, :3] = 0.0  # exactly, for a unit axis; rounding would make every joint a sliding one
-    if np.any(w):
-        slide[np.abs(slide) < 1e-15 * max(1.0, float(np.abs(v).max()))] = 0.0
-    return [T, -T @ H3, T @ H2, T @ slide]
+def _turn_and_shift(S: np.ndarray, kind: int) -> tuple[float, float]:
+    """How much a screw turns and shifts per unit of q."""
+    if kind in (BALL, BALL_NEXT):
+        return 1.0, 0.0
+    w, v = S[:3], S[3:]
+    return (1.0, float(w @ v)) if np.any(w) else (0.0, 1.0)
 
 
-def _inertias(mechanism: Any) -> np.ndarray:
-    """(nv, 10) of each link: m, m c (3), second moment about the link's origin (xx, xy, xz, yy, yz, zz)."""
-    m, c = mechanism.mass, mechanism.com
+def _screw_motion(q: float, turn: float, shift: float) -> np.ndarray:
+    c, s = np.cos(turn * q), np.sin(turn * q)
+    return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, 1.0, shift * q], [0.0, 0.0, 0.0, 1.0]])
+
+
+def _own_frame(S: np.ndarray, kind: int) -> np.ndarray:
+    """Where the kernels' frame of a link is, in the link's own (4, 4)."""
+    G = np.eye(4)
+    if kind in (BALL, BALL_NEXT):
+        return G
+    w, v = S[:3], S[3:]
+    axis = w if np.any(w) else v
+    other = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(other, axis)
+    x /= np.linalg.norm(x)
+    G[:3, 0], G[:3, 1], G[:3, 2] = x, np.cross(axis, x), axis
+    G[:3, 3] = np.cross(w, v)  # the point of the axis that is nearest to the link's origin
+    return G
+
+
+def _inertias(mechanism: Any, frames: np.ndarray) -> np.ndarray:
+    """(nv, 10) in each link's frame: m, m c (3), second moment about the origin (xx, xy, xz, yy, yz, zz)."""
+    m, R = mechanism.mass, frames[:, :3, :3]
+    c = np.einsum("nji,nj->ni", R, mechanism.com - frames[:, :3, 3])
     square = np.einsum("ni,ni->n", c, c)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
-    J = mechanism.inertia + m[:, None, None] * square
+    J = np.einsum("nai,nab,nbj->nij", R, mechanism.inertia, R) + m[:, None, None] * square
     rows, columns = np.triu_indices(3)
     return np.concatenate([m[:, None], m[:, None] * c, J[:, rows, columns]], axis=1)
 

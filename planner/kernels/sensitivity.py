@@ -26,15 +26,13 @@ from planner.kernels.model import (
     BASE,
     BASE_ACCELERATION,
     FIRST,
+    HOME,
     INERTIA,
     KIND,
     NV,
     PARENT,
     Q_ADDRESS,
-    SLIDING,
     SUBTREE_MASS,
-    C,
-    S,
 )  # fmt: skip
 from planner.kernels.spatial import (
     add,
@@ -72,13 +70,13 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
     """
     n = m[NV]
     parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    C_, S_, sliding, inertia = floats(m, C), floats(m, S), integers(m, SLIDING), floats(m, INERTIA)
+    home, inertia = floats(m, HOME), floats(m, INERTIA)
     armature, g, subtree = floats(m, ARMATURE), floats(m, BASE_ACCELERATION), floats(m, SUBTREE_MASS)
     firsts = integers(m, FIRST)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        R, P, sw, sv = place(parent, kind, firsts, q_address, home, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate, acceleration = load(v, i), load(a, i)
@@ -96,14 +94,11 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
         store3(ws, b + Y + 3, yv)
         store3(ws, b + Z, zw)
         store3(ws, b + Z + 3, zv)
-        if load(kind, i) == BALL:  # all three axes have one origin: their twist is that of the third plus the others
-            R1 = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
-            jw = add(add(scaled(rate, R1[0]), scaled(load(v, i + 1), R1[1])), scaled(load(v, i + 2), R1[2]))
-            c = 48 * i + 12
-            anchor = (load(C_, c), load(C_, c + 1), load(C_, c + 2))
-            spot = axpy(axpy(axpy(P, anchor[0], R1[0]), anchor[1], R1[1]), anchor[2], R1[2])
+        if load(kind, i) == BALL:  # what all three axes do together
+            x, y, z = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
+            jw = axpy(axpy(scaled(rate, x), load(v, i + 1), y), load(v, i + 2), z)
             store3(ws, b + JOINT_TWIST, jw)
-            store3(ws, b + JOINT_TWIST + 3, cross(spot, jw))
+            store3(ws, b + JOINT_TWIST + 3, cross(P, jw))
         y2w, y2v = scaled(2.0, yw), scaled(2.0, yv)
         if load(kind, i) == BALL or load(kind, i) == BALL_NEXT:
             f = load(firsts, i) * RECORD + JOINT_TWIST

@@ -18,15 +18,15 @@ from planner.kernels.model import (
     BALL_NEXT,
     BASE,
     BASE_ACCELERATION,
+    FIRST,
+    HOME,
+    HOME_SIZE,
     INERTIA,
     KIND,
     NV,
     PARENT,
     PRESCRIBED,
     Q_ADDRESS,
-    SLIDING,
-    C,
-    S,
 )  # fmt: skip
 from planner.kernels.spatial import (
     add,
@@ -52,24 +52,6 @@ CORIOLIS, ARTICULATED, BIAS, U_SCREW, PIVOT, REST_FORCE = 30, 36, 57, 63, 69, 70
 
 
 @inline
-def _by_screw(C, i, k, s, c1):
-    """A row of three of C0 + sin Cs + (1 - cos) Cc."""
-    a = 48 * i + k
-    return (
-        load(C, a) + s * load(C, a + 12) + c1 * load(C, a + 24),
-        load(C, a + 1) + s * load(C, a + 13) + c1 * load(C, a + 25),
-        load(C, a + 2) + s * load(C, a + 14) + c1 * load(C, a + 26),
-    )
-
-
-@inline
-def _slid(C, i, k, x, row):
-    """The row with x Ct added."""
-    a = 48 * i + 36 + k
-    return row[0] + x * load(C, a), row[1] + x * load(C, a + 1), row[2] + x * load(C, a + 2)
-
-
-@inline
 def quaternion_rows(w, x, y, z):
     """The rows of the rotation of a quaternion, which need not be normalised."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -81,55 +63,47 @@ def quaternion_rows(w, x, y, z):
 
 
 @inline
-def _relative(kind, q_address, C, sliding, i, q):
-    """Rows of the rotation and the translation of link i relative to its parent (not of BALL_NEXT)."""
-    a = load(q_address, i)
-    if load(kind, i) == BALL:
-        r0, r1, r2 = quaternion_rows(load(q, a), load(q, a + 1), load(q, a + 2), load(q, a + 3))
-        c = 48 * i
-        h0, h1, h2 = load3(C, c), load3(C, c + 3), load3(C, c + 6)
-        anchor = load3(C, c + 12)
-        moved = (anchor[0] - dot(r0, anchor), anchor[1] - dot(r1, anchor), anchor[2] - dot(r2, anchor))
-        t = (
-            load(C, c + 9) + dot(h0, moved), load(C, c + 10) + dot(h1, moved), load(C, c + 11) + dot(h2, moved),
-        )  # fmt: skip
-        return row_times(h0, r0, r1, r2), row_times(h1, r0, r1, r2), row_times(h2, r0, r1, r2), t
-    x = load(q, a)
-    s, c = sincos(x)
-    c1 = 1.0 - c
-    t0, t1, t2 = _by_screw(C, i, 0, s, c1), _by_screw(C, i, 3, s, c1), _by_screw(C, i, 6, s, c1)
-    t = _by_screw(C, i, 9, s, c1)
-    if load(sliding, i):
-        t = _slid(C, i, 9, x, t)
-    return t0, t1, t2, t
-
-
-@inline
-def place(parent, kind, q_address, C, S, sliding, i, q, ws):
+def place(parent, kind, first, q_address, home, i, q, ws):
     """Pose and screw of link i, stored; returns rotation, position and the screw's two halves."""
-    b = i * RECORD
-    p = load(parent, i)
+    b, p, k, own = i * RECORD, load(parent, i), load(kind, i), i * HOME_SIZE
     pb = p * RECORD
-    if load(kind, i) == BALL_NEXT:
+    if k == BALL_NEXT:
         R0, R1, R2, P = load3(ws, pb), load3(ws, pb + 3), load3(ws, pb + 6), load3(ws, pb + PLACE)
+        sw = (R0[1], R1[1], R2[1]) if i - load(first, i) == 1 else (R0[2], R1[2], R2[2])
+        sv = cross(P, sw)
     else:
-        t0, t1, t2, tp = _relative(kind, q_address, C, sliding, i, q)
+        h0, h1, h2, t = load3(home, own), load3(home, own + 3), load3(home, own + 6), load3(home, own + 9)
         if p >= 0:
             r0, r1, r2, pp = load3(ws, pb), load3(ws, pb + 3), load3(ws, pb + 6), load3(ws, pb + PLACE)
-            R0, R1, R2 = row_times(r0, t0, t1, t2), row_times(r1, t0, t1, t2), row_times(r2, t0, t1, t2)
-            P = (pp[0] + dot(r0, tp), pp[1] + dot(r1, tp), pp[2] + dot(r2, tp))
+            H0, H1, H2 = row_times(r0, h0, h1, h2), row_times(r1, h0, h1, h2), row_times(r2, h0, h1, h2)
+            P = (pp[0] + dot(r0, t), pp[1] + dot(r1, t), pp[2] + dot(r2, t))
         else:
-            R0, R1, R2, P = t0, t1, t2, tp
+            zero = spread(0.0)
+            H0, H1, H2 = add((zero, zero, zero), h0), add((zero, zero, zero), h1), add((zero, zero, zero), h2)
+            P = add((zero, zero, zero), t)
+        a = load(q_address, i)
+        if k == BALL:
+            r0, r1, r2 = quaternion_rows(load(q, a), load(q, a + 1), load(q, a + 2), load(q, a + 3))
+            R0, R1, R2 = row_times(H0, r0, r1, r2), row_times(H1, r0, r1, r2), row_times(H2, r0, r1, r2)
+            sw = (R0[0], R1[0], R2[0])
+            sv = cross(P, sw)
+        else:
+            x, z = load(q, a), (H0[2], H1[2], H2[2])
+            turn, shift = load(home, own + 12), load(home, own + 13)
+            s, c = sincos(turn * x)
+            R0 = (c * H0[0] + s * H0[1], c * H0[1] - s * H0[0], z[0])
+            R1 = (c * H1[0] + s * H1[1], c * H1[1] - s * H1[0], z[1])
+            R2 = (c * H2[0] + s * H2[1], c * H2[1] - s * H2[0], z[2])
+            P = axpy(P, load(home, own + 14) * x, z)
+            sw = scaled(turn, z)
+            sv = axpy(cross(P, sw), shift, z)
     store3(ws, b, R0)
     store3(ws, b + 3, R1)
     store3(ws, b + 6, R2)
     store3(ws, b + PLACE, P)
-    R = (R0[0], R0[1], R0[2], R1[0], R1[1], R1[2], R2[0], R2[1], R2[2])
-    sw = rotated(R, (load(S, 6 * i), load(S, 6 * i + 1), load(S, 6 * i + 2)))
-    sv = add(rotated(R, (load(S, 6 * i + 3), load(S, 6 * i + 4), load(S, 6 * i + 5))), cross(P, sw))
     store3(ws, b + SCREW_AXIS, sw)
     store3(ws, b + SCREW_AXIS + 3, sv)
-    return R, P, sw, sv
+    return (R0[0], R0[1], R0[2], R1[0], R1[1], R1[2], R2[0], R2[1], R2[2]), P, sw, sv
 
 
 @inline
@@ -160,9 +134,9 @@ def moved_inertia(inertia, i, R, P):
 def place_all(m, q, ws):
     """Poses and screws of all links."""
     parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
-    C_, S_, sliding = floats(m, C), floats(m, S), integers(m, SLIDING)
+    home, first = floats(m, HOME), integers(m, FIRST)
     for i in range(m[NV]):
-        place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        place(parent, kind, first, q_address, home, i, q, ws)
 
 
 @jit
@@ -174,12 +148,12 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
     """
     n = m[NV]
     parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    C_, S_, sliding, inertia = floats(m, C), floats(m, S), integers(m, SLIDING), floats(m, INERTIA)
+    home, first, inertia = floats(m, HOME), integers(m, FIRST), floats(m, INERTIA)
     armature, prescribed, g = floats(m, ARMATURE), integers(m, PRESCRIBED), floats(m, BASE_ACCELERATION)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        R, P, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate = load(v, i)
@@ -281,10 +255,10 @@ def inverse_dynamics(m, q, v, a, tau, ws):
     """Forces from accelerations (Fig. 2, left): tau (nv lanes) without springs and damping, with armature."""
     n = m[NV]
     parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    C_, S_, sliding, inertia = floats(m, C), floats(m, S), integers(m, SLIDING), floats(m, INERTIA)
+    home, first, inertia = floats(m, HOME), integers(m, FIRST), floats(m, INERTIA)
     armature, g = floats(m, ARMATURE), floats(m, BASE_ACCELERATION)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, q_address, C_, S_, sliding, i, q, ws)
+        R, P, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate, acceleration = load(v, i), load(a, i)

@@ -42,6 +42,7 @@ from planner.kernels.tree_memory import (
     DIRECT,
     DQ,
     DV,
+    FIRST_X,
     HELD,
     INTEGRATOR,
     LD,
@@ -98,7 +99,7 @@ def _store_four(p, k, v):
 @jit
 def acceleration_derivatives(m, r, q, v, a, dA):
     """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act)."""
-    nv, nu, ld, columns = m[NV], m[NU], r[LD], r[COLUMNS]
+    nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]
     M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
     zero = spread(0.0)
     for k in range(nv * ld):
@@ -131,16 +132,16 @@ def acceleration_derivatives(m, r, q, v, a, dA):
             for i0 in range(0, nv, 2):
                 i1 = min(i0 + 1, nv - 1)
                 first, second = _minus_product(M, D, ld, i0, i1, j0, rows, start, stop)
-                _store_four(dA, i0 * columns + nu + half * nv + j0, first)
-                _store_four(dA, i1 * columns + nu + half * nv + j0, second)
+                _store_four(dA, i0 * columns + x0 + half * nv + j0, first)
+                _store_four(dA, i1 * columns + x0 + half * nv + j0, second)
     for i in range(nv):
-        for k in range(nu):
+        for k in range(x0):
             store(dA, i * columns + k, zero)
-        for k in range(nu + 2 * nv, columns):
+        for k in range(x0 + 2 * nv, columns):
             store(dA, i * columns + k, zero)
     dof, index, value = integers(m, INPUT_DOF), integers(m, INPUT_INDEX), floats(m, INPUT_VALUE)
     for t in range(m[INPUTS]):
-        k = load(index, t) if load(index, t) < nu else load(index, t) + 2 * nv
+        k = load(index, t) if load(index, t) < nu else load(index, t) - nu + x0 + 2 * nv
         j, x = load(dof, t), load(value, t)
         for i in range(nv):
             o = i * columns + k
@@ -155,7 +156,7 @@ def acceleration_derivatives(m, r, q, v, a, dA):
                         total -= load(M, i * ld + j) * load(held, given * nv + j)
                 store(dA, i * columns + given, total)
             store(dA, p * columns + given, zero + 1.0)
-            for k in range(nu, columns):
+            for k in range(x0, columns):
                 store(dA, p * columns + k, zero)
 
 
@@ -183,14 +184,14 @@ def _chained(m, D, at_q, Xq, Xv, i0, i1, j0, columns):
 
 
 @inline
-def _chain(m, D, Xq, Xv, Xa, dA, columns):
+def _chain(m, D, Xq, Xv, Xa, dA, columns, x0):
     """Total derivative dA of a stage's accelerations by the whole stage's start and controls."""
     nv, nu = m[NV], m[NU]
     index = integers(m, ACTIVATION_INPUT)
     for j0 in range(0, columns, WIDTH):
         for i0 in range(0, nv, 2):
             i1 = min(i0 + 1, nv - 1)
-            first, second = _chained(m, D, nu, Xq, Xv, i0, i1, j0, columns)
+            first, second = _chained(m, D, x0, Xq, Xv, i0, i1, j0, columns)
             _store_four(dA, i0 * columns + j0, first)
             _store_four(dA, i1 * columns + j0, second)
     for i in range(nv):
@@ -198,7 +199,7 @@ def _chain(m, D, Xq, Xv, Xa, dA, columns):
         for j in range(nu):
             store(dA, row + j, load(dA, row + j) + load(D, row + j))
         for k in range(m[NA]):
-            own, given = row + nu + 2 * nv + k, row + load(index, k)
+            own, given = row + x0 + 2 * nv + k, row + load(index, k)
             f = load(D, own)
             store(dA, own, load(dA, own) + f * load(Xa, 2 * k))
             store(dA, given, load(dA, given) + f * load(Xa, 2 * k + 1))
@@ -265,11 +266,11 @@ def _velocity(m, X, columns, at_v, factor, dA):
 @jit
 def _runge_kutta(m, r, x, a, dt):
     """Derivatives of an RK4 stage: dq+ in XQ, dv+ in XV, dact+ in XA (own, by control)."""
-    nv, nu, na, columns = m[NV], m[NU], m[NA], r[COLUMNS]
+    nv, na, columns = m[NV], m[NA], r[COLUMNS]
     D, dA, Xq, Xv, Xa = lanes(r, DIRECT), lanes(r, CHAINED), lanes(r, XQ), lanes(r, XV), lanes(r, XA)
     sum_q, sum_v, theta, v1 = lanes(r, SUM_Q), lanes(r, SUM_V), lanes(r, THETA), lanes(r, V_STAGES)
     gain, decay, sums = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE), at(Xa, 2 * na)
-    at_q, at_v = nu, nu + nv
+    at_q, at_v = r[FIRST_X], r[FIRST_X] + nv
     acceleration_derivatives(m, r, x, at(x, m[NQ]), at(a, 0), dA)
     for k in range(nv * columns):
         store(sum_v, k, load(dA, k))
@@ -294,7 +295,7 @@ def _runge_kutta(m, r, x, a, dt):
             store(Xa, 2 * k, 1.0 + factor * own)
             store(Xa, 2 * k + 1, factor * given)
         acceleration_derivatives(m, r, lanes(r, Q_STAGE), at(v1, i * nv), at(a, i * nv), D)
-        _chain(m, D, Xq, Xv, Xa, dA, columns)
+        _chain(m, D, Xq, Xv, Xa, dA, columns, at_q)
         weight = 1.0 if i == 3 else 2.0
         for k in range(nv * columns):
             store(sum_v, k, load(sum_v, k) + weight * load(dA, k))
@@ -321,7 +322,7 @@ def _runge_kutta(m, r, x, a, dt):
 def _euler(m, r, x, a, dt):
     """The same for the two Euler integrators; the rotation vector dt v or dt v+ is left in THETA."""
     nv, na, columns = m[NV], m[NA], r[COLUMNS]
-    at_q, at_v = m[NU], m[NU] + nv
+    at_q, at_v = r[FIRST_X], r[FIRST_X] + nv
     dA, Xq, Xv, Xa, theta = lanes(r, CHAINED), lanes(r, SUM_Q), lanes(r, SUM_V), lanes(r, XA), lanes(r, THETA)
     gain, decay = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
     semi_implicit = r[INTEGRATOR] == SEMI_IMPLICIT_EULER
@@ -418,7 +419,7 @@ def linearize(m, r, dt, xs, us, count, known, F, width, structured, transport):
         for k in range(na):
             for j in range(columns):
                 store(row, j, zero)
-            store(row, nu + 2 * nv + k, load(lanes(r, XA), 2 * k))
+            store(row, r[FIRST_X] + 2 * nv + k, load(lanes(r, XA), 2 * k))
             store(row, load(index, k), load(lanes(r, XA), 2 * k + 1))
             _scatter_row(row, 0, F, o + (2 * nv + k) * width, present, stride, width)
 

@@ -11,16 +11,16 @@ from planner.kernels.tree import RECORD
 
 EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2  # as planner.dynamics.INTEGRATORS
 
-_SIZES = ("integrator", "stages", "ld", "columns")
+_SIZES = ("integrator", "stages", "ld", "columns", "first")
 _ARRAYS = (
     "links", "x", "u", "tau", "scratch", "rates", "theta", "q_stage", "v_stages", "act_stage", "act_rates", "a",
     "trial_a", "accelerations", "M", "Dq", "Dv", "held", "direct", "chained", "Xq", "Xv", "Xa", "sum_q", "sum_v", "row",
 )  # fmt: skip
-INTEGRATOR, STAGES, LD, COLUMNS = range(4)
+INTEGRATOR, STAGES, LD, COLUMNS, FIRST_X = range(5)
 (
     LINKS, X_LANES, U_LANES, TAU, SCRATCH, RATES, THETA, Q_STAGE, V_STAGES, ACT_STAGE, ACT_RATES, A_LANES,
     TRIAL_A, ACCELERATIONS, M_LANES, DQ, DV, HELD, DIRECT, CHAINED, XQ, XV, XA, SUM_Q, SUM_V, ROW,
-) = range(4, 30)  # fmt: skip
+) = range(5, 31)  # fmt: skip
 
 
 class TreeMemory:
@@ -36,7 +36,8 @@ class TreeMemory:
     def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
         stages = 4 if integrator == RK4 else 1
-        ld, columns = padded(nv), padded(nu + 2 * nv + na) + WIDTH
+        ld, first = padded(nv), padded(nu)
+        columns = first + padded(2 * nv + na) + WIDTH  # products are written four columns at a time
         n = nv if linearizing else 0
         chain = n if integrator == RK4 else 0
         lanes = {
@@ -49,5 +50,5 @@ class TreeMemory:
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
         self._arrays["accelerations"] = np.zeros(N * stages * nv + 1)
-        sizes = (integrator, stages, ld, columns)
+        sizes = (integrator, stages, ld, columns, first)
         self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)

@@ -2,125 +2,74 @@
 
 from __future__ import annotations
 
+from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import at, floats, integers, lanes, load, pointer, spread, store
 from planner.kernels.model import NV
-from planner.kernels.riccati import direction, gradients, riccati
+from planner.kernels.quadratic import control_terms, gradients, state_terms
+from planner.kernels.riccati import direction, riccati
 from planner.kernels.rotations import difference
 from planner.kernels.search import batches, choose, ladder, refine
 from planner.kernels.tree_linearize import linearize
 from planner.kernels.tree_memory import ACCELERATIONS, STAGES, TRIAL_A
 from planner.kernels.tree_step import stage
-from planner.kernels.workspace import (
-    ACCEPTED,
-    ALPHA,
-    BRACKET,
-    CONTROL_COLUMN,
-    CONTROL_ROW,
-    CONTROL_TERMS,
-    CONTROL_VALUE,
-    CONVERGED,
-    COSTS,
-    DEVIATIONS,
-    DIRECTION,
-    FEEDFORWARD,
-    FINAL_COLUMN,
-    FINAL_ROW,
-    FINAL_TERMS,
-    FINAL_VALUE,
-    GAINS,
-    INDEFINITE,
-    LINEAR,
-    NDX,
-    NO_STEP,
-    NU,
-    NX,
-    NZ,
-    OUT,
-    QUATERNION_DX,
-    QUATERNION_X,
-    QUATERNIONS,
-    SLOPES,
-    STAGE_COLUMN,
-    STAGE_ROW,
-    STAGE_TERMS,
-    STAGE_VALUE,
-    STRUCTURED,
-    TRANSPORT,
-    TRIAL_U,
-    TRIAL_X,
-    U_REF,
-    US,
-    VECTOR_DX,
-    VECTOR_X,
-    VECTORS,
-    X_REF,
-    XS,
-    N,
-    accept,
-    take_lane,
-)  # fmt: skip
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, accept, take_lane
 
 
 @inline
 def _deviations(w, X, reference, e):
     """Deviations e (ndx lanes) of the candidates' states X (nx lanes) from one reference (nx floats)."""
-    vector_x, vector_dx = integers(w, VECTOR_X), integers(w, VECTOR_DX)
-    for i in range(w[VECTORS]):
+    vector_x, vector_dx = integers(w, W.VECTOR_X), integers(w, W.VECTOR_DX)
+    for i in range(w[W.VECTORS]):
         k = load(vector_x, i)
         store(e, load(vector_dx, i), load(X, k) - load(reference, k))
-    for b in range(w[QUATERNIONS]):
-        k = load(integers(w, QUATERNION_X), b)
-        difference(X, k, reference, k, e, load(integers(w, QUATERNION_DX), b))
+    for b in range(w[W.QUATERNIONS]):
+        k = load(integers(w, W.QUATERNION_X), b)
+        difference(X, k, reference, k, e, load(integers(w, W.QUATERNION_DX), b))
 
 
 @inline
-def _state_cost(w, X, n, e):
-    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end."""
-    J = spread(0.0)
-    if n < w[N]:
-        row, column, terms = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN), w[STAGE_TERMS]
-        value = at(floats(w, STAGE_VALUE), n * terms)
-    else:
-        row, column, terms = integers(w, FINAL_ROW), integers(w, FINAL_COLUMN), w[FINAL_TERMS]
-        value = at(floats(w, FINAL_VALUE), 0)
-    if terms > 0:
-        _deviations(w, X, at(floats(w, X_REF), n * w[NX]), e)
-        for t in range(terms):
-            i, j = load(row, t), load(column, t)
-            factor = 0.5 * load(value, t) if i == j else load(value, t)
-            J += factor * (load(e, i) * load(e, j))
-    return J
-
-
-@inline
-def _control_cost(w, U, n, e):
-    """1/2 |u - u_ref|^2 of stage n."""
-    nu, terms = w[NU], w[CONTROL_TERMS]
-    row, column, value = integers(w, CONTROL_ROW), integers(w, CONTROL_COLUMN), floats(w, CONTROL_VALUE)
-    u_ref = floats(w, U_REF)
-    for i in range(nu):
-        store(e, i, load(U, i) - load(u_ref, n * nu + i))
+def _quadratic(row, column, value, terms, e):
+    """1/2 e'Qe."""
     J = spread(0.0)
     for t in range(terms):
         i, j = load(row, t), load(column, t)
-        q = load(value, n * terms + t)
-        factor = 0.5 * q if i == j else q
+        factor = 0.5 * load(value, t) if i == j else load(value, t)
         J += factor * (load(e, i) * load(e, j))
     return J
 
 
 @inline
+def _state_cost(w, X, n, e):
+    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end."""
+    row, column, value, terms, _ = state_terms(w, n)
+    if terms == 0:
+        return spread(0.0)
+    _deviations(w, X, at(floats(w, W.X_REF), n * w[W.NX]), e)
+    return _quadratic(row, column, value, terms, e)
+
+
+@inline
+def _control_cost(w, U, n, e):
+    """1/2 |u - u_ref|^2 of stage n."""
+    nu, u_ref = w[W.NU], at(floats(w, W.U_REF), n * w[W.NU])
+    for i in range(nu):
+        store(e, i, load(U, i) - load(u_ref, i))
+    row, column, value, terms = control_terms(w, n)
+    return _quadratic(row, column, value, terms, e)
+
+
+@inline
 def _controls(w, n, alpha, feedback, dx, U):
     """U = us + alpha k + K dx with feedback, us + alpha dus without (Eq. 36)."""
-    nu, ndx, width = w[NU], w[NDX], w[NZ]
-    us = at(floats(w, US), n * nu)
-    step = at(floats(w, FEEDFORWARD), n * nu) if feedback else at(floats(w, DIRECTION), n * nu)
+    nu, ndx, width = w[W.NU], w[W.NDX], w[W.WIDTH_Z]
+    us = at(floats(w, W.US), n * nu)
+    step = at(floats(w, W.FEEDFORWARD), n * nu) if feedback else at(floats(w, W.DIRECTION), n * nu)
     for a in range(nu):
         store(U, a, load(us, a) + alpha * load(step, a))
     if not feedback:
         return
-    K = at(floats(w, GAINS), n * nu * width + nu)
+    K = at(floats(w, W.GAINS), n * nu * width + w[W.FIRST_X])
     zero = spread(0.0)
     for a in range(0, nu - 3, 4):
         k0, k1, k2, k3 = at(K, a * width), at(K, (a + 1) * width), at(K, (a + 2) * width), at(K, (a + 3) * width)
@@ -150,15 +99,15 @@ def _controls(w, n, alpha, feedback, dx, U):
 @jit
 def rollout(w, m, r, search, dt, feedback):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs."""
-    nx, nu, ndx, kept = w[NX], w[NU], w[NDX], r[STAGES] * m[NV]
-    X_, U_, A_, e = lanes(w, TRIAL_X), lanes(w, TRIAL_U), lanes(r, TRIAL_A), lanes(w, DEVIATIONS)
-    xs = floats(w, XS)
+    nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]
+    X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
+    xs = floats(w, W.XS)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
-    alpha, length = load(pointer(search), ALPHA), spread(dt)
+    alpha, length = load(pointer(search), W.ALPHA), spread(dt)
     for i in range(nx):
         store(X_, i, spread(load(xs, i)))
     J = spread(0.0)
-    for n in range(w[N]):
+    for n in range(w[W.N]):
         X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
         if feedback:
@@ -166,35 +115,35 @@ def rollout(w, m, r, search, dt, feedback):
         _controls(w, n, alpha, feedback, dx, U)
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
-    J += _state_cost(w, at(X_, w[N] * nx), w[N], e)
-    store(pointer(search), COSTS, J)
+    J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
+    store(pointer(search), W.COSTS, J)
 
 
 @jit
 def take(w, m, r, lane):
     """Make candidate `lane` the nominal trajectory, its accelerations with it."""
     accept(w, lane)
-    take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[N] * r[STAGES] * m[NV], lane)
+    take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
 
 
 @jit
 def start(w, m, r, search, dt):
     """Roll out the controls in US from the first state in XS; returns the cost."""
     for i in range(search.shape[1]):
-        search[ALPHA, i] = 0.0
-    for i in range(w[N] * w[NU]):
-        store(floats(w, DIRECTION), i, 0.0)
+        search[W.ALPHA, i] = 0.0
+    for i in range(w[W.N] * w[W.NU]):
+        store(floats(w, W.DIRECTION), i, 0.0)
     rollout(w, m, r, search, dt, False)
     take(w, m, r, 0)
-    return search[COSTS, 0]
+    return search[W.COSTS, 0]
 
 
 @jit
 def linearize_nominal(w, m, r, dt):
     """A, B and the cost's gradients along the nominal trajectory."""
     linearize(
-        m, r, dt, floats(w, XS), floats(w, US), w[N], True, floats(w, LINEAR), w[NZ], w[STRUCTURED],
-        floats(w, TRANSPORT),
+        m, r, dt, floats(w, W.XS), floats(w, W.US), w[W.N], True, floats(w, W.LINEAR), w[W.WIDTH_Z], w[W.STRUCTURED],
+        floats(w, W.TRANSPORT),
     )  # fmt: skip
     gradients(w)
 
@@ -208,7 +157,7 @@ def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_toler
     if fresh:
         linearize_nominal(w, m, r, dt)
     norm, slope, definite = riccati(w, mu, dt)
-    out = search[OUT]
+    out = search[W.OUT]
     out[0], out[1], out[2], out[3] = norm, slope, 0.0, cost
     if not definite:
         return INDEFINITE
@@ -216,7 +165,7 @@ def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_toler
         return CONVERGED
     if not feedback:
         direction(w, dt)
-    alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
+    alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(w, m, r, search, dt, feedback)

@@ -1,7 +1,8 @@
 """The memory of one solve, allocated once: nothing is allocated inside iterations.
 
-Kernels see one int64 table: sizes, then addresses (see `lanes`). Here each array has its name and shape. nz = nu + ndx,
-NZ is nz padded to whole lanes; rows and columns are ordered z = (u | x), x in deviations.
+Kernels see one int64 table: sizes, then addresses (see `lanes`). Here each array has its name and shape. Rows and
+columns of matrices are ordered z = (u | x), x in deviations, each padded to whole lanes: x begins at column `first`,
+and a row has `width` columns.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from planner.kernels.lanes import WIDTH, floats, lane_array, load, padded, store
 ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 _SIZES = (
-    "N", "nx", "ndx", "nu", "NZ", "structured", "vectors", "quaternions", "stage_terms", "final_terms",
-    "control_terms",
+    "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
+    "final_terms", "final_plain", "control_terms",
 )  # fmt: skip
 _ARRAYS = (
     "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
@@ -26,13 +27,16 @@ _ARRAYS = (
     "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
     "costate", "dx", "trial_x", "trial_u", "deviations",
 )  # fmt: skip
-N, NX, NDX, NU, NZ, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, FINAL_TERMS, CONTROL_TERMS = range(11)
 (
-    XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW,
-    STAGE_COLUMN, STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN,
-    CONTROL_VALUE, ERROR, TURN, STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h,
-    COSTATE, DX, TRIAL_X, TRIAL_U, DEVIATIONS,
-) = range(11, 47)  # fmt: skip
+    N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
+    FINAL_PLAIN, CONTROL_TERMS,
+) = range(len(_SIZES))  # fmt: skip
+(
+    XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
+    STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
+    STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
+    TRIAL_U, DEVIATIONS,
+) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 SEARCH_ROWS = 5  # of the search's array: step lengths, costs, slopes, the bracket, what an iteration reports
 ALPHA, COSTS, SLOPES, BRACKET, OUT = range(SEARCH_ROWS)
 
@@ -43,10 +47,10 @@ class Workspace:
     Args:
         cost: A TrackingCost: Q (N+1, ndx, ndx), R (N, nu, nu), x_ref (N+1, nx), u_ref (N, nu).
         space: A StateSpace.
-        structured: F holds accelerations only, (N, nv, NZ), for semi-implicit Euler: x+ = E (x + [0; dt F z]), where E
-            adds dt times the velocity to the position. Else F = (B | A), (N, ndx, NZ).
+        structured: F holds accelerations only, (N, nv, width), for semi-implicit Euler: x+ = E (x + [0; dt F z]),
+            where E adds dt times the velocity to the position. Else F = (B | A), (N, ndx, width).
 
-    Attributes of interest outside: xs (N+1, nx), us (N, nu), K (N, nu, NZ) with the gains in the columns of x,
+    Attributes of interest outside: xs (N+1, nx), us (N, nu), K (N, nu, width) with the gains in the columns of x,
     search (5, 4), table.
     """
 
@@ -55,14 +59,14 @@ class Workspace:
         N, nu = R.shape[:2]
         nx, ndx = space.nx, space.ndx
         self.ndx = ndx
-        nz, width = nu + ndx, padded(nu + ndx)
-        rows = padded(nz) + WIDTH
+        self.first = padded(nu)
+        width = self.first + padded(ndx)
         quaternions = np.array(space.quaternions, dtype=np.int64).reshape(-1, 2)
         in_x, in_dx = np.ones(nx, dtype=bool), np.ones(ndx, dtype=bool)
         ball = np.full(ndx, -1)
         for number, (i, j) in enumerate(quaternions):
             in_x[i : i + 4], in_dx[j : j + 3], ball[j : j + 3] = False, False, number
-        stage, final, control = _terms(Q[:-1]), _terms(Q[-1:]), _terms(R)
+        stage, final, control = _terms(Q[:-1], ball), _terms(Q[-1:], ball), _terms(R, np.full(nu, -1))
         states = ndx // 2 if structured else ndx
         self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
         self.search = lane_array(SEARCH_ROWS, WIDTH)
@@ -75,11 +79,11 @@ class Workspace:
             "stage_row": stage[0], "stage_column": stage[1], "stage_value": stage[2],
             "final_row": final[0], "final_column": final[1], "final_value": final[2],
             "control_row": control[0], "control_column": control[1], "control_value": control[2],
-            "error": np.zeros(ndx + WIDTH), "turn": np.zeros(((N + 1), len(quaternions), 9)),
+            "error": np.zeros(max(nu, ndx)), "turn": np.zeros(((N + 1), len(quaternions), 9)),
             "l": lane_array((N + 1) * width + slack), "F": self.F,
             "transport": np.zeros((N, len(quaternions), 18)), "K": self.K, "k": np.zeros((N, nu)),
-            "dus": np.zeros((N, nu)), "gradient": np.zeros((N, nu)), "H": lane_array(rows * width + slack),
-            "G": lane_array((padded(ndx) + WIDTH) * width + slack),
+            "dus": np.zeros((N, nu)), "gradient": np.zeros((N, nu)), "H": lane_array(width * width + slack),
+            "G": lane_array(padded(ndx) * width + slack),
             "S": lane_array((padded(ndx) + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
             "h": lane_array(3 * width + slack),
             "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
@@ -87,17 +91,23 @@ class Workspace:
             "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
         }  # fmt: skip
         sizes = (
-            N, nx, ndx, nu, width, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]), len(final[0]),
-            len(control[0]),
+            N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
+            stage[3], len(final[0]), final[3], len(control[0]),
         )  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
 
 
-def _terms(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The upper entries (row, column, value (stages, terms)) of symmetric weights that are not always zero."""
+def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """The upper entries of symmetric weights that are not always zero: row, column, value (stages, terms).
+
+    Those that touch no rotation come first; how many they are is the last of what is returned.
+    """
     row, column = np.nonzero(np.triu(np.any(weights != 0.0, axis=0)))
-    return row, column, np.ascontiguousarray(weights[:, row, column])
+    turned = (ball[row] >= 0) | (ball[column] >= 0)
+    order = np.argsort(turned, kind="stable")
+    row, column = row[order], column[order]
+    return row, column, weights[:, row, column], int(np.sum(~turned))
 
 
 @jit
