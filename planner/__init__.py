@@ -11,12 +11,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from planner import cases
-from planner.cost import Cost, Quadratic, TrackingCost
+from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
+from planner.frame_cost import FrameCost
 from planner.mechanism import Mechanism
 from planner.parity import parity
-from planner.plan import Iteration, Plan, Status
+from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
 from planner.replay import Replay, replay
@@ -62,6 +63,7 @@ __all__ = [
     "Cost",
     "Dynamics",
     "FileError",
+    "FrameCost",
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
@@ -75,8 +77,10 @@ __all__ = [
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
+    "Start",
     "StateSpace",
     "Status",
+    "SumCost",
     "TrackingCost",
     "Twin",
     "bias",

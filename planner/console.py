@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from planner.jsonable import finite
-from planner.plan import Iteration
+from planner.plan import Iteration, Start
 
 
 class Console:
@@ -78,6 +78,12 @@ class Console:
         i = line.iteration
         if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
             self.note(str(line))
+
+    def start(self, line: Start) -> None:
+        """One line of the live table of starts."""
+        if line.number == 0:
+            self.note(Start.header())
+        self.note(str(line))
 
     def progress(self, what: str, done: int, total: int) -> None:
         """A counter that overwrites itself on a terminal; a line at the end elsewhere."""

@@ -76,9 +76,11 @@ class CompiledEngine:
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured)
         self._memory = dynamics.memory(problem.N)
         self.largest_control_weight = float(np.abs(cost.R).max())
+        self._numpy: NumpyEngine | None = None  # goes on where rollouts give no slopes for the Wolfe rule
 
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
         """Roll out the first guess; its cost."""
+        self._numpy = None
         self._w.xs[0] = x0
         self._w.us[:] = us
         return self._dynamics.start(self._w, self._memory)
@@ -88,6 +90,12 @@ class CompiledEngine:
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> Outcome:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
+        if rule == search.WOLFE and not self._dynamics.has_slopes and self._numpy is None:
+            xs, us = self.trajectory()
+            self._numpy = NumpyEngine(self._problem)
+            self._numpy.start(xs[0], us)
+        if self._numpy is not None:
+            return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         kind = self._dynamics.iterate(
             self._w, self._memory, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
         )
@@ -101,10 +109,12 @@ class CompiledEngine:
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
-        return self._w.xs.copy(), self._w.us.copy()
+        return (self._w.xs.copy(), self._w.us.copy()) if self._numpy is None else self._numpy.trajectory()
 
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
+        if self._numpy is not None:
+            return self._numpy.gains()
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 

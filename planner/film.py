@@ -6,12 +6,14 @@ Made here from a Replay, drawn elsewhere, perhaps in another process: a film goe
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.archive import ASSET
+from planner.default_stage import stage_of
 from planner.errors import PlannerError
 from planner.stage import Readout, Stage
 
@@ -22,7 +24,13 @@ if TYPE_CHECKING:
 # simulator step, and one sample out of that would make the arrow flicker.
 _EXPOSURE = 0.01
 
-_ARRAYS = ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise")
+# Poses along the whole motion, for what is seen of it at once: trails and the place of the camera.
+_PATH = 240
+
+_ARRAYS = (
+    "t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise",
+    "path_t", "path_qpos", "path_ghost_qpos",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +39,7 @@ class Film:
 
     Attributes:
         mjcf: The model's XML text.
-        stage: How it is shown; None shows the whole model, the plan in the same place.
+        stage: How it is shown; None shows the whole motion, the plan in the same place.
         t: (F,) s.
         qpos: (F, nq) of the simulated machine.
         ghost_qpos: (F, nq) of the plan.
@@ -40,6 +48,10 @@ class Film:
         readings: (F, R, 2) the readouts, in the simulation and in the plan.
         largest: (R,) largest magnitude of each readout in the whole replay.
         rise: (F,) how far the camera's point is raised.
+        path_t: (P,) s, times along the whole replay, whatever the frames are.
+        path_qpos: (P, nq) of the simulated machine.
+        path_ghost_qpos: (P, nq) of the plan.
+        assets: Files that the model's text names.
     """
 
     mjcf: str
@@ -52,6 +64,10 @@ class Film:
     readings: np.ndarray
     largest: np.ndarray
     rise: np.ndarray
+    path_t: np.ndarray
+    path_qpos: np.ndarray
+    path_ghost_qpos: np.ndarray
+    assets: dict[str, bytes] = field(default_factory=dict)
 
     @classmethod
     def of(cls, replay: Replay, t: np.ndarray) -> Film:
@@ -69,13 +85,14 @@ class Film:
         for name in ("qpos", "xs", "plan_xs"):
             if not np.all(np.isfinite(getattr(replay, name))):
                 raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
-        stage = stage_of(replay)
+        stage = stage_of(replay.plan.problem)
         shown = stage or Stage(title="")
         xs = _interpolate(t, replay.t, replay.xs)
         plan_xs = _interpolate(t, replay.t, replay.plan_xs)
         indices = [readout.index for readout in shown.readouts]
         index, fraction = shown.follow or (0, 0.0)
         nq = replay.qpos.shape[1]
+        path = np.linspace(replay.t[0], replay.t[-1], _PATH)
         return cls(
             mjcf=replay.twin.mjcf,
             stage=stage,
@@ -87,6 +104,10 @@ class Film:
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
             largest=np.abs(np.concatenate([replay.xs, replay.plan_xs])[:, indices]).max(axis=0),
             rise=fraction * xs[:, index],
+            path_t=path,
+            path_qpos=_interpolate(path, replay.t, replay.qpos),
+            path_ghost_qpos=replay.twin.sim_of(_interpolate(path, replay.t, replay.plan_xs))[:, :nq],
+            assets=replay.twin.assets,
         )
 
     def __len__(self) -> int:
@@ -96,7 +117,9 @@ class Film:
         """Write the film, and JSON values beside it, to an .npz file."""
         stage = None if self.stage is None else asdict(replace(self.stage, plots=()))
         meta = json.dumps({"mjcf": self.mjcf, "stage": stage, "extra": extra})
-        np.savez(path, meta=np.array(meta), **{name: getattr(self, name) for name in _ARRAYS})
+        contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
+        contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
+        np.savez(path, meta=np.array(meta), **contents)
 
     @classmethod
     def load(cls, path: Path) -> tuple[Film, dict[str, Any]]:
@@ -104,16 +127,13 @@ class Film:
         with np.load(path, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
             arrays = {name: file[name] for name in _ARRAYS}
+            named = [name for name in file.files if name.startswith(ASSET)]
+            assets = {name.removeprefix(ASSET): file[name].tobytes() for name in named}
         stage = meta["stage"]
         if stage is not None:
             stage["readouts"] = tuple(Readout(**readout) for readout in stage["readouts"])
             stage = Stage(**stage)
-        return cls(mjcf=meta["mjcf"], stage=stage, **arrays), meta["extra"]
-
-
-def stage_of(replay: Replay) -> Stage | None:
-    """The stage of the replayed problem, if it has one."""
-    return getattr(replay.plan.problem, "stage", None)
+        return cls(mjcf=meta["mjcf"], stage=stage, **arrays, assets=assets), meta["extra"]
 
 
 def _interpolate(t: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ Around a trajectory (3.2, 3.3):
     minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du  + the same at the end
     subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
 
-with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets.
+with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
+only differences of states know whether these are plain vectors (see space.py).
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from planner.cost import Quadratic
 class Sweep(NamedTuple):
     """The solution of the LQ problem: du = k + K dx, its value 1/2 dx'P dx + s'dx + ..., and its slope."""
 
-    K: np.ndarray  # (N, nu, nx)
+    K: np.ndarray  # (N, nu, ndx)
     k: np.ndarray  # (N, nu)
-    P: np.ndarray  # (N+1, nx, nx)
-    s: np.ndarray  # (N+1, nx)
+    P: np.ndarray  # (N+1, ndx, ndx)
+    s: np.ndarray  # (N+1, ndx)
     slope: float  # of J along the direction (Eq. 42); minus twice the decrease promised
 
 
 def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
-    """Lambda (N+1, nx) of Eq. 16, 17."""
+    """Lambda (N+1, ndx) of Eq. 16, 17."""
     costate = np.empty_like(quadratic.q)
     costate[-1] = quadratic.q[-1]  # Eq. 17
     for n in reversed(range(len(A))):
@@ -45,17 +46,17 @@ def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0)
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
     Args:
-        A: (N, nx, nx).
-        B: (N, nx, nu).
+        A: (N, ndx, ndx).
+        B: (N, ndx, nu).
         quadratic: Of the cost.
         mu: Regularisation, added to R.
 
     Returns:
         The solution, or None when R + B'PB + mu I is not positive definite.
     """
-    N, nx, nu = B.shape
-    K, k = np.empty((N, nu, nx)), np.empty((N, nu))
-    P, s = np.empty((N + 1, nx, nx)), np.empty((N + 1, nx))
+    N, ndx, nu = B.shape
+    K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
+    P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
     slope = 0.0
     for n in reversed(range(N)):
@@ -77,9 +78,9 @@ def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0)
 
 
 def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, np.ndarray]:
-    """The LQ problem's own forward pass: dxs (N+1, nx), dus (N, nu), Eq. 25, 30."""
-    N, nx, nu = B.shape
-    dxs, dus = np.zeros((N + 1, nx)), np.empty((N, nu))
+    """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30."""
+    N, ndx, nu = B.shape
+    dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
     for n in range(N):
         dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
         dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,35 +10,62 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
-from planner.problem import Problem
-from planner.replay import matching_model
+from planner.mechanism import Mechanism
+from planner.problem import Problem, Requirements
+from planner.replay import compile_model, matching_model, with_model
+from planner.rigid_parity import rigid_parity
 from planner.twin import Twin
 
 STATES = 256
 BOUND = 1e-10  # relative; rounding is 1e-13
 
 
-def parity(problem: Problem, twin: Twin | None = None, seed: int = 0) -> Section:
-    """Compare dx/dt of the plan's dynamics with MuJoCo's at random states.
+def parity(
+    machine: Problem | Mechanism, mjcf: str | Path | None = None, *, twin: Twin | None = None, seed: int = 0
+) -> Section:
+    """Compare a machine's dynamics with MuJoCo's at random states, before or after planning.
+
+    A mechanism is compared term by term (mass matrix, bias force, actuator force, acceleration), and a term that
+    differs names its joint. Other dynamics are compared by dx/dt where the problem's requirements say so.
 
     Args:
-        problem: Its requirements name the states; without them the step does not apply.
+        machine: A mechanism, or a problem.
+        mjcf: Another MJCF, a path or the XML text, in place of the machine's own.
         twin: Another MuJoCo model in place of the problem's own.
         seed: Of the random states.
 
     Raises:
-        PlannerError: There is no MuJoCo model, or it does not fit.
+        PlannerError: There is no MuJoCo model to compare with.
+        ModelError: MuJoCo refuses the model, or it has other joints, actuators or states.
     """
-    requirements = problem.requirements
-    if requirements is None:
+    if isinstance(machine, Mechanism):
+        return _of_mechanism(machine, None, with_model(twin or Twin.of(machine), mjcf), seed)
+    requirements = machine.requirements or Requirements()
+    mechanism = getattr(machine.dynamics, "mechanism", None)
+    if requirements.rates is None and not isinstance(mechanism, Mechanism):
         return Section("parity", not_applicable="the problem names no states at which the two models are the same")
-    mujoco = load_mujoco()
-    twin = twin or problem.twin
+    twin = twin or machine.twin
     if twin is None:
         raise PlannerError("the problem has no MuJoCo model to be compared with, expected a twin.")
+    twin = with_model(twin, mjcf)
+    if requirements.rates is None and isinstance(mechanism, Mechanism):
+        prescribed = getattr(machine.dynamics, "prescribed", ())  # these joints obey no forces: compare them all free
+        return _of_mechanism(mechanism, None if prescribed else machine.dynamics, twin, seed)
+    return _of_rates(machine, requirements, twin, seed)
+
+
+def _of_mechanism(mechanism: Mechanism, dynamics: Any, twin: Twin, seed: int) -> Section:
+    return rigid_parity(mechanism, compile_model(twin.mjcf, twin.assets), dynamics, STATES, BOUND, seed)
+
+
+def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: int) -> Section:
+    """Parity of dx/dt at the states that the problem's requirements name."""
+    mujoco = load_mujoco()
     model = matching_model(twin, problem.dynamics.nu)
     data = mujoco.MjData(model)
     nq, nv = model.nq, model.nv
+    assert requirements.equal_states is not None  # a case gives both
+    assert requirements.rates is not None
     rng = np.random.default_rng(seed)
     ws = requirements.equal_states(rng, STATES)
     us = rng.normal(size=(STATES, problem.dynamics.nu))
@@ -51,7 +79,8 @@ def parity(problem: Problem, twin: Twin | None = None, seed: int = 0) -> Section
     error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
     note = f"dx/dt at {STATES} random states (seed {seed}), relative to the largest"
     figures = (Figure("rate_error", float(error.max()), "", BOUND, note),)
-    return Section("parity", (*figures, _start(problem, twin, model, requirements.start)))
+    start = (_start(problem, twin, model, requirements.start),) if requirements.start else ()
+    return Section("parity", (*figures, *start))
 
 
 def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Figure:

@@ -2,10 +2,13 @@
 
 Everywhere, files included, the control of a plan is
 
-    u = us[n] + K[n] @ (x - xs[n]),     held over stage n.
+    u = us[n] + K[n] @ (x - xs[n]),     held over stage n,
 
-plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, nx), history (one row
-per iteration, columns as in Iteration) and meta, one JSON string. No pickle.
+where x - xs[n] is the deviation space.difference(x, xs[n]), for plain vectors their difference.
+
+plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, ndx), history (one row
+per iteration, columns as in Iteration) and meta, one JSON string, in which `space` tells where xs has quaternions. No
+pickle.
 """
 
 from __future__ import annotations
@@ -21,8 +24,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from planner.archive import plan_name, read_archive, write_archive
+from planner.archive import ASSET, plan_name, read_archive, write_archive
 from planner.errors import FileError, PlannerError
+from planner.space import StateSpace, euclidean, space_of
 from planner.twin import Twin
 
 if TYPE_CHECKING:
@@ -77,6 +81,35 @@ class Iteration(NamedTuple):
         return f"{'iter':>5}  {'cost':>15}  {'|grad|':>9}  {'step':>9}  {'expected':>9}  {'actual':>9}  {'regular.':>9}"
 
 
+class Start(NamedTuple):
+    """How one of several starts of a solve ended.
+
+    Attributes:
+        number: 0 is the problem's own first guess.
+        status: How it ended.
+        cost: J of Eq. 9.
+        iterations: It took.
+    """
+
+    number: int
+    status: Status
+    cost: float
+    iterations: int
+
+    @property
+    def rank(self) -> tuple[bool, float, int]:
+        """Least for the best: converged before others, then the least cost."""
+        return self.status is not Status.CONVERGED, self.cost if math.isfinite(self.cost) else math.inf, self.number
+
+    def __str__(self) -> str:
+        return f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
+
+    @staticmethod
+    def header() -> str:
+        """The heading over the lines that str() makes."""
+        return f"{'start':>5}  {'cost':>15}  {'iterations':>10}  status"
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """An optimized motion with the gains that hold it.
@@ -85,7 +118,7 @@ class Plan:
         t: (N+1,) s, the knots.
         xs: (N+1, nx) states.
         us: (N, nu) controls, each held over its stage.
-        K: (N, nu, nx) gains of the last Riccati sweep.
+        K: (N, nu, ndx) gains of the last Riccati sweep.
         cost: J of Eq. 9.
         gradient_norm: Norm of Eq. 19 at the plan: check optimality from the file.
         status: How the solve ended.
@@ -94,6 +127,8 @@ class Plan:
         case: Name of the case in planner.cases, or None.
         parameters: Every argument of the case by name.
         twin: The MuJoCo model it is replayed in, or None.
+        starts: How each start of a solve with several ended; empty for a single one.
+        space: Where the states lie.
         versions: Of the software that made the plan.
     """
 
@@ -110,6 +145,8 @@ class Plan:
     parameters: dict[str, Any] = field(default_factory=dict)
     twin: Twin | None = None
     made_with: dict[str, str] | None = None
+    starts: tuple[Start, ...] = ()
+    stored_space: StateSpace | None = None
 
     @property
     def N(self) -> int:
@@ -135,6 +172,18 @@ class Plan:
     def message(self) -> str:
         """The status in a sentence (as in SciPy)."""
         return self.status.value
+
+    @property
+    def space(self) -> StateSpace:
+        """Where the states lie: of the problem's dynamics, or what the file says."""
+        if self.problem is not None:
+            return space_of(self.problem.dynamics)
+        return euclidean(self.xs.shape[1]) if self.stored_space is None else self.stored_space
+
+    @property
+    def start(self) -> int:
+        """Which of the starts this plan is; 0 is the problem's own first guess."""
+        return min(self.starts, key=lambda start: start.rank).number if self.starts else 0
 
     @property
     def versions(self) -> dict[str, str]:
@@ -163,9 +212,13 @@ class Plan:
             "versions": self.versions,
             "twin": None if self.twin is None else self.twin.to_dict(),
             "mjcf": None if self.twin is None else self.twin.mjcf,
+            "space": self.space.to_dict(),
+            "starts": [(s.number, s.status.name, float(s.cost), s.iterations) for s in self.starts],
         }
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
+        for name, content in ({} if self.twin is None else self.twin.assets).items():
+            arrays[ASSET + name] = np.frombuffer(content, np.uint8)
         write_archive(plan_name(path), arrays, meta)
         return Path(path)
 
@@ -177,6 +230,7 @@ class Plan:
             FileError: No such file, not a plan, damaged, or written by a newer version.
         """
         arrays, meta = read_archive(Path(path), len(Iteration._fields))
+        assets = {name.removeprefix(ASSET): arrays[name].tobytes() for name in arrays if name.startswith(ASSET)}
         try:
             plan = cls(
                 *(arrays[name] for name in ("t", "xs", "us", "K")),
@@ -186,8 +240,13 @@ class Plan:
                 history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
                 case=meta["case"],
                 parameters=meta["parameters"],
-                twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"]),
+                twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"], assets),
                 made_with=meta["versions"],
+                starts=tuple(
+                    Start(int(number), Status[status], math.nan if cost is None else float(cost), int(iterations))
+                    for number, status, cost, iterations in meta["starts"]
+                ),
+                stored_space=meta["space"],
             )
             return plan if plan.case is None else replace(plan, problem=_rebuilt(plan, plan.case))
         except PlannerError as error:
@@ -198,13 +257,14 @@ class Plan:
 
 def _rebuilt(plan: Plan, case: str) -> Problem:
     """The problem of a stored plan."""
-    from planner import cases  # a case builds on everything above it; only a file's name leads back here
+    from planner import cases, problem_file  # these build on everything above; only a file's name leads back here
 
-    problem = cases.build(case, **plan.parameters)
+    own = case == problem_file.CASE
+    problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(case, **plan.parameters)
     if problem.parameters != plan.parameters:
         missing = sorted(set(problem.parameters) - set(plan.parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
-    if plan.xs.shape[1] != problem.dynamics.nx or plan.us.shape != (problem.N, problem.dynamics.nu):
+    if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
         raise PlannerError(f"its arrays do not fit its case {case!r}.")
     return problem
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from planner.default_stage import stage_of
 from planner.errors import FileError
 from planner.files import PathLike, write_atomically
 from planner.plan import Plan
@@ -108,7 +109,7 @@ def draw_plan(plan: Plan, replay: Replay | None) -> Figure:
     for panel, cell in zip(panels, cells, strict=False):
         timed += _draw_panel(figure, cell, panel, plan, replay)
     if replay is not None and touched:
-        stage = None if plan.problem is None else plan.problem.stage
+        stage = stage_of(plan.problem)
         timed.append(_draw_force(figure, cells[len(panels)], replay, "" if stage is None else stage.force_unit))
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
@@ -121,7 +122,7 @@ def draw_plan(plan: Plan, replay: Replay | None) -> Figure:
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
     """The panels that the plan's stage lists; for a plan without any, its states and its controls."""
-    stage = None if plan.problem is None else plan.problem.stage
+    stage = stage_of(plan.problem)
     if stage is not None and stage.plots:
         return stage.plots
     nx, nu = min(plan.xs.shape[1], _MOST_CURVES), min(plan.us.shape[1], _MOST_CURVES)
@@ -256,7 +257,7 @@ def _head(figure: Figure, plan: Plan, replay: Replay | None, touched: bool) -> N
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    stage = None if plan.problem is None else plan.problem.stage
+    stage = stage_of(plan.problem)
     title = stage.title if stage is not None else (plan.case or "Plan")
     figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)), label="plan")]

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.arguments import array, count
-from planner.cost import Cost
-from planner.dynamics import Dynamics
+from planner.cost import Cost, states
+from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
+from planner.space import space_of
 from planner.stage import Stage
 from planner.twin import Twin
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a case asks of a proof beyond the general rules.
+    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional.
 
     Attributes:
         equal_states: (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the
@@ -34,12 +35,12 @@ class Requirements:
         goal: Replay -> the Section that judges whether the goal was reached.
     """
 
-    equal_states: Callable[[np.random.Generator, int], np.ndarray]
-    rates: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    start: str
-    no_same_step: str
-    tracking: Callable[[Replay], Section]
-    goal: Callable[[Replay], Section]
+    equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    start: str = ""
+    no_same_step: str = ""
+    tracking: Callable[[Replay], Section] | None = None
+    goal: Callable[[Replay], Section] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +50,11 @@ class Problem:
     Attributes:
         dynamics: f and its Jacobians.
         cost: phi and L.
-        x0: (nx,) start.
+        x0: (nx,) start. Its quaternions are normalised; one of length zero is refused.
         us: (N, nu) first guess of the controls; zero by default.
         horizon: N; needed only when neither us nor the cost tells it.
-        twin: The MuJoCo model that a plan is replayed in; None when there is none.
+        twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
+            from, None when there is none.
         stage: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         case: Name in planner.cases, or None.
@@ -75,7 +77,8 @@ class Problem:
 
     def __post_init__(self) -> None:
         nx, nu = self.dynamics.nx, self.dynamics.nu
-        object.__setattr__(self, "x0", array("x0", self.x0, (nx,)))
+        space = space_of(self.dynamics)
+        object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
         us = None if self.us is None else array("us", self.us, ("N", nu))
         N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
         if N is None and us is not None:
@@ -86,10 +89,20 @@ class Problem:
         us = np.zeros((N, nu)) if us is None else array("us", us, (N, nu))
         object.__setattr__(self, "horizon", N)
         object.__setattr__(self, "us", us)
-        for name, size, asked in (("N", N, "horizon"), ("nx", nx, "dynamics.nx"), ("nu", nu, "dynamics.nu")):
-            have = getattr(self.cost, name, size)
-            if have != size:
-                raise PlannerError(f"the cost is made for {name} = {have}, expected {asked} = {size}.")
+        sizes = (
+            ("N", N, "horizon"), ("nx", nx, "dynamics.nx"), ("ndx", space.ndx, "the dynamics' ndx"),
+            ("nu", nu, "dynamics.nu"),
+        )  # fmt: skip
+        for name, size, asked in sizes:
+            have = getattr(self.cost, name, None)
+            if have is not None and have != size:
+                hint = "; make it with space=dynamics.space" if space.ndx != nx and name in ("nx", "ndx") else ""
+                raise PlannerError(f"the cost is made for {name} = {have}, expected {asked} = {size}{hint}.")
+        have = getattr(self.cost, "space", None)
+        if have is not None and have != space:
+            raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and not self.dynamics.prescribed:
+            object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
 

@@ -18,23 +18,21 @@ from typing import Any
 import numpy as np
 
 from planner import lq
+from planner.cost import TrackingCost
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
-from planner.mjcf import model_text
+from planner.mechanism import Mechanism
 from planner.parity import parity
 from planner.plan import Plan
 from planner.problem import Problem
-from planner.replay import Replay, replay
+from planner.replay import Replay, replay, with_model
+from planner.same_step import same_step
 from planner.twin import Twin
 
 CONSISTENCY_BOUND = 1e-9  # relative; a plan and its file agree to rounding
-SAME_STEP_BOUND = 1e-8  # of the largest state; unstable machines amplify rounding along the plan
 STATE_BOUND = 1e-2  # end state, in rad, m, rad/s, m/s: what the general rules ask
 COST_BOUND = 1.0  # %
-
-# The integrators of a plan that MuJoCo has too.
-_MUJOCO_INTEGRATORS = {"rk4": "RK4", "semi-implicit-euler": "EULER"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +113,15 @@ def prove(plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = Non
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
     twin = twin or plan.twin
-    if twin is not None and mjcf is not None:
-        text = mjcf if isinstance(mjcf, str) and mjcf.lstrip().startswith("<") else model_text(mjcf)
-        twin = replace(twin, mjcf=text)
+    if twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    twin = with_model(twin, mjcf)
     runs = {"open-loop": replay(plan, twin=twin), "feedback": replay(plan, twin=twin, feedback=True)}
-    first = (consistency(plan, plan.problem), parity(plan.problem, twin, seed), _same_step(plan, plan.problem, twin))
+    first = (
+        consistency(plan, plan.problem),
+        parity(plan.problem, twin=twin, seed=seed),
+        same_step(plan, plan.problem, twin),
+    )
     judged = {mode: (_tracking(run, plan.problem), _goal(run, plan.problem)) for mode, run in runs.items()}
     sound = all(section.passed for section in first)
     mode = next((m for m, steps in judged.items() if sound and all(step.passed for step in steps)), None)
@@ -149,7 +151,10 @@ def consistency(plan: Plan, problem: Problem) -> Section:
     t = dynamics.dt * np.arange(plan.N + 1)
     errors = {
         "start_state_error": (np.abs(plan.xs[0] - problem.x0).max() / largest, "first state against the problem's x0"),
-        "stage_error": (np.abs(ends - plan.xs[1:]).max() / largest, "each state against one stage from the last"),
+        "stage_error": (
+            np.abs(plan.space.difference(ends, plan.xs[1:])).max() / largest,
+            "each state against one stage from the last",
+        ),
         "cost_error": (abs(cost.value(plan.xs, plan.us) - plan.cost) / scale, "the cost recomputed"),
         "gradient_error": (abs(norm - plan.gradient_norm) / scale, "the norm of Eq. 19 recomputed"),
         "time_error": (np.abs(plan.t - t).max() / problem.duration, "the knots against n dt"),
@@ -160,49 +165,93 @@ def consistency(plan: Plan, problem: Problem) -> Section:
     )
 
 
-def _same_step(plan: Plan, problem: Problem, twin: Twin | None) -> Section:
-    """Step 2: MuJoCo with the plan's own integrator and step."""
-    if problem.requirements is not None:
-        return Section("same step", not_applicable=problem.requirements.no_same_step)
-    integrator = _MUJOCO_INTEGRATORS.get(getattr(problem.dynamics, "integrator", ""))
-    if integrator is None:
-        return Section("same step", not_applicable="MuJoCo does not have the plan's integrator")
-    run = replay(plan, twin=twin, substeps=1, integrator=integrator)
-    error = float(np.abs(run.error).max()) / max(1.0, float(np.abs(plan.xs).max()))
-    note = f"MuJoCo's {integrator} at the plan's step, largest component over the path, relative to the largest state"
-    return Section("same step", (Figure("state_error", error, "", SAME_STEP_BOUND, note),))
-
-
 def _tracking(run: Replay, problem: Problem) -> Section:
-    """Step 3 of one replay."""
-    warnings = Figure("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings))
-    if problem.requirements is not None:
+    """Step 3 of one replay: by the machine's own rules, or the end and the cost by the general ones."""
+    common = (
+        Figure("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
+        Figure(
+            "ranges_reached", float(len(run.reached)), "", None,
+            " ".join(run.reached) or "of joints, controls and forces: a plan knows none, MuJoCo holds them",
+        ),
+    )  # fmt: skip
+    if problem.requirements is not None and problem.requirements.tracking is not None:
         section = problem.requirements.tracking(run)
-        return replace(section, figures=(*section.figures, warnings))
-    end = float(np.max(np.abs(run.xs[-1] - run.plan.xs[-1])))
+        return replace(section, figures=(*section.figures, *common))
+    error = np.abs(run.error)
     cost = 100.0 * abs(run.cost - run.plan.cost) / max(abs(run.plan.cost), 1e-12)
     return Section(
         run.title,
         (
-            Figure("end_state_error", end, "", STATE_BOUND, "largest component, MuJoCo against the plan"),
+            Figure("end_state_error", float(error[-1].max()), "", STATE_BOUND, "largest component, rad, m, rad/s, m/s"),
             Figure("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
-            warnings,
+            *common,
+            *_along_the_path(error, problem),
+            *(() if run.feedback else (_growth(run.plan, problem),)),
         ),
     )
 
 
+def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Figure, ...]:
+    """The largest errors over the whole replay, by kind where the plan's states are a mechanism's."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return (Figure("largest_state_error", float(error.max()), "", None, "over the path, largest component"),)
+    turns, nv = np.any(mechanism.S[:, :3] != 0.0, axis=1), mechanism.nv
+    kinds = {
+        "largest_angle_error": (error[:, :nv][:, turns], "rad"),
+        "largest_distance_error": (error[:, :nv][:, ~turns], "m"),
+        "largest_angular_velocity_error": (error[:, nv : 2 * nv][:, turns], "rad/s"),
+        "largest_velocity_error": (error[:, nv : 2 * nv][:, ~turns], "m/s"),
+    }
+    return tuple(
+        Figure(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
+        if values.size
+    )  # fmt: skip
+
+
+def _growth(plan: Plan, problem: Problem) -> Figure:
+    """How fast an error at the start grows along the plan without feedback: log ||dx(T)/dx(0)|| / T."""
+    phi, log = np.eye(plan.space.ndx), 0.0
+    for A in problem.dynamics.linearize(plan.xs, plan.us)[0]:
+        phi = A @ phi
+        size = float(np.linalg.norm(phi))
+        phi, log = phi / size, log + float(np.log(size))
+    log += float(np.log(np.linalg.norm(phi, 2)))
+    note = f"an error at the start becomes up to {np.exp(min(log, 700.0)):.1e} times as large by the end, open loop"
+    return Figure("error_growth_rate", log / problem.duration, "1/s", None, note)
+
+
 def _goal(run: Replay, problem: Problem) -> Section:
-    """Step 4 of one replay."""
-    if problem.requirements is not None:
+    """Step 4 of one replay: the machine's own judgement, or how far from its cost's final state it ends."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
-    return Section("goal", not_applicable="the problem states no goal apart from its cost")
+    costs = getattr(problem.cost, "costs", (problem.cost,))
+    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    if not wanted:
+        return Section("goal", not_applicable="the problem states no goal apart from its cost")
+
+    def distance(x: np.ndarray) -> float:
+        errors = (np.abs(run.plan.space.difference(x, c.x_ref[-1]))[np.any(c.Q[-1], axis=0)].max() for c in wanted)
+        return float(max(errors))
+
+    note = "largest component that the cost's final weight acts on, against its reference; shown, not judged"
+    return Section(
+        "goal",
+        (
+            Figure("planned_goal_error", distance(run.plan.xs[-1]), "", None, note),
+            Figure("replayed_goal_error", distance(run.xs[-1]), "", None, note),
+        ),
+    )
 
 
 def _reason(mode: str | None, steps: tuple[Section, ...], run: Replay) -> str:
     """The verdict in a sentence: what held, or what broke and by how much."""
     if mode is None:
         broken = next(section for section in steps if section.failures)
-        return f"{broken.title}: {'; '.join(map(str, broken.failures))}."
+        if broken.title == "parity":  # the first term that differs makes the later ones differ
+            return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}."
+        reached = f" {' '.join(run.reached)}" if broken in steps[-2:] and run.reached else ""
+        return f"{broken.title}: {'; '.join(map(str, broken.failures))}.{reached}"
     judged = [figure for section in steps[-2:] for figure in section.figures if figure.bound]
     worst = max(judged, key=lambda figure: figure.value / (figure.bound or 1.0))
     how = "with the plan's gains" if mode == "feedback" else "open loop"

@@ -22,11 +22,12 @@ from PIL import Image
 
 from planner import errors, gl, overlay
 from planner.arguments import count, number
+from planner.default_stage import stage_of
 from planner.encode import Encoder
 from planner.errors import PlannerError, RenderingUnavailable
 from planner.files import PathLike, file_error, write_atomically
-from planner.film import Film, stage_of
-from planner.scene import Scene
+from planner.film import Film
+from planner.scene import Scene, best_rows
 from planner.stage import Stage
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def render_video(
     _check_size(width, height, even=True)
     number("fps", fps, above=0.0)
     if speed is None:
-        speed = (stage_of(replay) or Stage(title="")).speed
+        speed = (stage_of(replay.plan.problem) or Stage(title="")).speed
     number("speed", speed, above=0.0)
     start, end = float(replay.t[0]), float(replay.t[-1])
     if not (end - start) * fps / speed < _LONGEST:
@@ -205,17 +206,21 @@ def _draw(film: Film, job: _Job, progress: Progress | None) -> np.ndarray:
 
 def _draw_strip(film: Film, job: _Job) -> np.ndarray:
     gap = max(1, round(job.height / 270))
-    tile = (job.width - gap * (len(film) - 1)) // len(film)
-    strip = np.full((job.height, job.width, 3), 255, np.uint8)
-    # What the division leaves over goes to both sides.
-    left = (job.width - tile * len(film) - gap * (len(film) - 1)) // 2
     # One camera for all poses, so that their heights compare.
     film = replace(film, rise=np.full(len(film), 0.5 * (film.rise.min() + film.rise.max())))
-    with Scene(film, tile, job.height, ghost=False) as scene:
+    rows = best_rows(film, job.width, job.height)
+    columns = math.ceil(len(film) / rows)
+    tile = (job.width - gap * (columns - 1)) // columns
+    high = (job.height - gap * (rows - 1)) // rows
+    strip = np.full((job.height, job.width, 3), 255, np.uint8)
+    # What the division leaves over goes to both sides.
+    left = (job.width - tile * columns - gap * (columns - 1)) // 2
+    unit = min(job.height / 540, tile / 160)
+    with Scene(film, tile, high, ghost=False) as scene:
         for frame in range(len(film)):
-            column = left + frame * (tile + gap)
-            unit = min(job.height / 540, tile / 160)
-            strip[:, column : column + tile] = overlay.write_time(scene.draw(frame), film.t[frame], unit)
+            row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
+            picture = overlay.write_time(scene.draw(frame), film.t[frame], unit)
+            strip[row : row + high, column : column + tile] = picture
     return strip
 
 

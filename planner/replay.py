@@ -8,7 +8,8 @@ integration error.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ import numpy as np
 from planner.arguments import count, number
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
+from planner.mjcf import model_text
 from planner.plan import Plan
+from planner.ranges import ranges_reached
 from planner.twin import Twin
 
 REFINEMENT = 20  # simulator steps per stage, at least
@@ -43,6 +46,7 @@ class Replay:
         contact_point: (M+1, 3) where it acts; NaN without contact.
         substeps: Simulator steps per stage of the plan.
         warnings: What MuJoCo complained of, one sentence each.
+        reached: Ranges of joints and actuators that the motion reached, one sentence each.
     """
 
     plan: Plan
@@ -60,6 +64,7 @@ class Replay:
     contact_point: np.ndarray
     substeps: int
     warnings: tuple[str, ...] = ()
+    reached: tuple[str, ...] = ()
 
     @property
     def timestep(self) -> float:
@@ -73,8 +78,8 @@ class Replay:
 
     @property
     def error(self) -> np.ndarray:
-        """(M+1, nx) simulated minus planned state."""
-        return self.xs - self.plan_xs
+        """(M+1, ndx) the deviation of the simulated state from the planned one."""
+        return self.plan.space.difference(self.xs, self.plan_xs)
 
     @property
     def cost(self) -> float:
@@ -85,15 +90,15 @@ class Replay:
         return self.plan.problem.cost.value(self.xs[:: self.substeps], us)
 
 
-def compile_model(mjcf: str) -> Any:
-    """MuJoCo's model of an MJCF text.
+def compile_model(mjcf: str, assets: dict[str, bytes] | None = None) -> Any:
+    """MuJoCo's model of an MJCF text and the files that it names.
 
     Raises:
         ModelError: MuJoCo refuses it; the message is MuJoCo's own, in one line.
     """
     mujoco = load_mujoco()
     try:
-        return mujoco.MjModel.from_xml_string(mjcf)
+        return mujoco.MjModel.from_xml_string(mjcf, assets or {})
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ModelError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from None
 
@@ -104,7 +109,7 @@ def matching_model(twin: Twin, nu: int) -> Any:
     Raises:
         ModelError: The model has other joints, activations or controls than the twin maps.
     """
-    model = compile_model(twin.mjcf)
+    model = compile_model(twin.mjcf, twin.assets)
     nw = twin.to_x.shape[1]
     have = (model.nq + model.nv + model.na, model.nu)
     if have != (nw, nu):
@@ -112,7 +117,17 @@ def matching_model(twin: Twin, nu: int) -> Any:
             f"the model has nq + nv + na = {have[0]} states and {have[1]} controls, expected {nw} and {nu}: "
             "it is not the machine that the plan was made for."
         )
+    kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
+    model.actuator_dyntype[model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)] = int(kinds.mjDYN_FILTER)
     return model
+
+
+def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
+    """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
+    if mjcf is None:
+        return twin
+    text = mjcf if isinstance(mjcf, str) and mjcf.lstrip().startswith("<") else model_text(mjcf)
+    return replace(twin, mjcf=text)
 
 
 def replay(
@@ -127,7 +142,7 @@ def replay(
 
     Args:
         plan: What to replay.
-        feedback: Apply u = us[n] + K[n] @ (x - x_plan(t)) at every simulator step instead of us[n].
+        feedback: Apply u = us[n] + K[n] @ difference(x, x_plan(t)) at every simulator step instead of us[n].
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says.
@@ -171,7 +186,8 @@ def between_knots(plan: Plan, substeps: int) -> np.ndarray:
 
 def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> Replay:
     mujoco = load_mujoco()
-    data, probe = mujoco.MjData(model), mujoco.MjData(model)
+    data = mujoco.MjData(model)
+    probe = mujoco.MjData(model) if may_touch(model) else None
     nq, nv, M = model.nq, model.nv, plan.N * substeps
     plan_xs = between_knots(plan, substeps)
     w = np.empty((M + 1, nq + nv + model.na))
@@ -183,18 +199,33 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     for i in range(M):
         u = plan.us[i // substeps]
         if feedback:
-            u = u + plan.K[i // substeps] @ (twin.x_of(w[i]) - plan_xs[i])
+            u = u + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
         data.ctrl[:] = ctrl[i] = u
-        force[i], point[i] = _contact(mujoco, model, data, probe)
+        if probe is not None:
+            force[i], point[i] = _contact(mujoco, model, data, probe)
         mujoco.mj_step(model, data)
         w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
-    force[M], point[M] = _contact(mujoco, model, data, probe)
+    if probe is not None:
+        force[M], point[M] = _contact(mujoco, model, data, probe)
+    t = model.opt.timestep * np.arange(M + 1)
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
-        t=model.opt.timestep * np.arange(M + 1), qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :],
-        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
-        warnings=_warnings(mujoco, data),
+        t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
+        plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
+        warnings=_warnings(mujoco, data), reached=ranges_reached(model, t, w, ctrl),
     )  # fmt: skip
+
+
+def may_touch(model: Any) -> bool:
+    """Whether two geoms of a model could ever make contact, as far as its masks tell."""
+    bits = load_mujoco().mjtDisableBit
+    if model.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
+        return False
+    if model.npair or model.nflex:
+        return True
+    fits = (model.geom_contype[:, None] & model.geom_conaffinity[None]) != 0
+    body = model.body_weldid[model.geom_bodyid]
+    return bool(np.any((fits | fits.T) & (body[:, None] != body[None])))
 
 
 def _contact(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.ndarray]:

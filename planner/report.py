@@ -13,6 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.default_stage import stage_of
 from planner.figures import Figure, Section
 from planner.files import PathLike, file_error, write_atomically
 from planner.plan import Plan
@@ -117,7 +118,7 @@ def html(plan: Plan, proof: Proof | None, folder: Path, video_note: str = "") ->
 
 
 def _title(plan: Plan) -> str:
-    stage = None if plan.problem is None else plan.problem.stage
+    stage = stage_of(plan.problem)
     return stage.title if stage is not None else (plan.case or "Plan")
 
 

@@ -1,31 +1,42 @@
-"""The three-dimensional part of a picture: the machine, the ghost of the plan, force arrow, goal line, camera.
+"""The three-dimensional part of a picture: the machine, the ghost of the plan, trails, force arrow, goal line, camera.
 
-Only kinematics is computed here. The one thing that a picture adds to the model is drawn as loose shapes, which
-MuJoCo forgets with the next frame.
+Only kinematics is computed here. What a picture adds to the model is drawn as loose shapes, which MuJoCo forgets with
+the next frame; a model without a sky or lights of its own gets both.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import TracebackType
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from PIL import Image
 
 from planner import gl
-from planner.errors import RenderingUnavailable
+from planner.camera import standing_back, swept_box
+from planner.errors import PlannerError, RenderingUnavailable
 from planner.film import Film
 from planner.replay import compile_model
 from planner.stage import Stage
 
 GHOST = (0.05, 0.62, 0.48, 0.34)
+_IN_PLACE = 0.16  # opacity of a ghost that stands in the machine, which must be seen through it
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
+TRAIL = (0.80, 0.25, 0.10, 1.0)
+GHOST_TRAIL = (*GHOST[:3], 0.8)
 
 # Thickness of lines and arrows, in units of the camera's distance: the same on the screen at any scale.
 _LINE = 0.0016
 _ARROW = 0.007
 _DASHES = 24
+_TRAIL = 0.002
+
+_SKY = {"name": "planner_sky", "type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88",
+        "rgb2": "0.93 0.95 0.97", "width": "64", "height": "384"}  # fmt: skip
+_SHOWN_GROUPS = 3  # geom groups that MuJoCo draws unless told otherwise
 
 
 class Scene:
@@ -52,7 +63,7 @@ class Scene:
         self._stage = film.stage or Stage(title="")
         self._ghost = ghost
         self._width, self._height = width, height
-        model = compile_model(film.mjcf)
+        model = visible_model(film)
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
@@ -60,8 +71,10 @@ class Scene:
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
-        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._option, self._perturb = _option(model), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
+        self._look_at, self._distance = self._place(width / height)
+        self._trails = self._paths()
         try:
             self._renderer: Any = mujoco.Renderer(model, rows, columns)
         except (mujoco.FatalError, RuntimeError, ImportError) as error:
@@ -88,6 +101,7 @@ class Scene:
                 _without_shadow(geom)
         if self._ghost:
             self._add_ghost(self._film.ghost_qpos[frame])
+        self._add_trails(self._film.t[frame])
         self._add_force(self._film.force[frame], self._film.point[frame])
         if self._stage.goal_line is not None:
             self._add_dashes(*np.asarray(self._stage.goal_line, dtype=float))
@@ -112,16 +126,59 @@ class Scene:
         self._mujoco.mj_camlight(self._model, data)
         self._mujoco.mj_tendon(self._model, data)
 
-    def _aim(self, rise: float) -> None:
-        if self._film.stage is None:
-            self._mujoco.mjv_defaultFreeCamera(self._model, self._camera)
-            return
+    def _place(self, aspect: float) -> tuple[np.ndarray, float]:
+        """The point the camera looks at, before it rises, and its distance from there."""
         stage = self._stage
-        # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
-        aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
-        self._camera.lookat[:] = np.asarray(stage.look_at) - aside + np.array([0.0, 0.0, rise])
-        self._camera.distance = stage.distance
+        if stage.distance is not None:
+            # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
+            aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
+            return np.asarray(stage.look_at) - aside, stage.distance
+        look_at, distance = _whole_motion(self._film, self._model, stage, aspect, self._ghost)
+        extent, planes = self._model.stat.extent, self._model.vis.map
+        planes.zfar = max(planes.zfar, 4.0 * distance / extent)
+        planes.znear = min(planes.znear, 0.05 * distance / extent)
+        return look_at, distance
+
+    def _aim(self, rise: float) -> None:
+        stage = self._stage
+        self._camera.lookat[:] = self._look_at
+        if stage.distance is not None:
+            self._camera.lookat[2] += rise
+        self._camera.distance = self._distance
         self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
+
+    def _paths(self) -> list[tuple[np.ndarray, tuple[float, ...]]]:
+        """The path (P, 3) of the stage's site in the simulation and in the plan, and their colours."""
+        name, mujoco = self._stage.trail, self._mujoco
+        if not name:
+            return []
+        site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
+        if site < 0:
+            known = ", ".join(self._model.site(i).name for i in range(self._model.nsite)) or "none"
+            raise PlannerError(f"the stage's trail is {name!r}, expected a site of the model: {known}.")
+
+        def path(poses: np.ndarray, offset: np.ndarray) -> np.ndarray:
+            points = np.empty((len(poses), 3))
+            for point, qpos in zip(points, poses, strict=True):
+                self._data.qpos[:] = qpos
+                mujoco.mj_kinematics(self._model, self._data)
+                point[:] = self._data.site_xpos[site] + offset
+            return points
+
+        trails = [(path(self._film.path_qpos, np.zeros(3)), TRAIL)]
+        if self._ghost:
+            trails.append((path(self._film.path_ghost_qpos, np.asarray(self._stage.ghost_offset)), GHOST_TRAIL))
+        return trails
+
+    def _add_trails(self, t: float) -> None:
+        capsule = self._mujoco.mjtGeom.mjGEOM_CAPSULE
+        for path, colour in self._trails:
+            # The plan's is thinner, so that it shows only where the two part.
+            width = _TRAIL * self._camera.distance * (1.0 if colour is TRAIL else 0.7)
+            now = [[np.interp(t, self._film.path_t, column) for column in path.T]]
+            points = np.concatenate([path[self._film.path_t < t], now])
+            for a, b in pairwise(points):
+                self._connect(capsule, width, a, b, colour)
 
     def _add_ghost(self, qpos: np.ndarray) -> None:
         mujoco, scene = self._mujoco, self._renderer.scene
@@ -133,7 +190,7 @@ class Scene:
         for geom in scene.geoms[first : scene.ngeom]:
             geom.pos[:] += self._stage.ghost_offset
             geom.matid = -1
-            geom.rgba[:] = GHOST
+            geom.rgba[:] = GHOST if any(self._stage.ghost_offset) else (*GHOST[:3], _IN_PLACE)
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
             _without_shadow(geom)
 
@@ -165,6 +222,58 @@ class Scene:
         geom.emission = 0.4
         _without_shadow(geom)
         scene.ngeom += 1
+
+
+def visible_model(film: Film) -> Any:
+    """The film's model with a sky and light, its own or ours.
+
+    Raises:
+        ModelError: MuJoCo refuses the model's text.
+    """
+    mujoco = gl.load_mujoco()
+    model = compile_model(film.mjcf, film.assets)
+    if not np.any(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
+        root = ElementTree.fromstring(film.mjcf)
+        ElementTree.SubElement(ElementTree.SubElement(root, "asset"), "texture", _SKY)
+        model = compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets)
+    if not model.nlight:
+        model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.55
+    return model
+
+
+def best_rows(film: Film, width: int, height: int) -> int:
+    """In how many rows the poses of a strip are largest; one where the stage has a camera of its own."""
+    stage = film.stage or Stage(title="")
+    if stage.distance is not None:
+        return 1
+    model = visible_model(film)
+
+    def size(rows: int) -> float:
+        columns, high = -(-len(film) // rows), height / rows
+        return high / _whole_motion(film, model, stage, width / columns / high, ghost=False)[1]
+
+    return max(range(1, 1 + min(3, len(film))), key=size)
+
+
+def _whole_motion(film: Film, model: Any, stage: Stage, aspect: float, ghost: bool) -> tuple[np.ndarray, float]:
+    """Where to look, and from how far, to see the whole motion."""
+    box = swept_box(model, film.path_qpos)
+    if ghost:
+        box = box.beside(np.asarray(stage.ghost_offset))
+    distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect)
+    return 0.5 * (box.low + box.high), distance
+
+
+def _option(model: Any) -> Any:
+    """MuJoCo's own choice of what is drawn; more where that would leave nothing of a machine to see."""
+    mujoco = gl.load_mujoco()
+    option = mujoco.MjvOption()
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    if not np.any(moving):
+        option.flags[mujoco.mjtVisFlag.mjVIS_INERTIA] = True
+    elif not np.any(model.geom_group[moving] < _SHOWN_GROUPS):
+        option.geomgroup[:] = 1
+    return option
 
 
 def _without_shadow(geom: Any) -> None:

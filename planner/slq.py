@@ -9,20 +9,26 @@
 
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
 direction to first order, and it stays near the trajectory where the dynamics are unstable.
+
+It ends in a local minimum, the one its first guess leads to; with several starts solve() looks for a better one.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from planner.arguments import choice, count, number
 from planner.engine import Engine, borrow, give_back
 from planner.kernels.workspace import ACCEPTED, CONVERGED
+from planner.multistart import best_of
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
+from planner.space import space_of
 
 UPDATES = ("feedback", "open-loop")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
@@ -40,7 +46,10 @@ def solve(
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float = 1e-10,
-    callback: Callable[[Iteration], object] | None = None,
+    callback: Callable[[Any], object] | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    spread: float = 1.0,
 ) -> Plan:
     """Optimize a motion.
 
@@ -51,10 +60,17 @@ def solve(
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J).
-        callback: Called with each Iteration; print makes a table. It may raise StopIteration to end the solve.
+        callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
+            It may raise StopIteration to end the solve.
+        starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
+            processors; which plan comes out does not depend on how many there are.
+        seed: Of the random changes.
+        spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
+            make of it where these are larger.
 
     Returns:
-        A Plan. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
+        A Plan; of several starts the one of least cost among the converged, else of all, which lists the others in
+        `starts`. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
 
     Raises:
         PlannerError: An argument that is none of the choices or out of range.
@@ -64,10 +80,23 @@ def solve(
     count("max_iterations", max_iterations)
     number("gradient_tolerance", gradient_tolerance, least=0.0)
     number("decrease_tolerance", decrease_tolerance, least=0.0)
+    count("starts", starts)
+    count("seed", seed, least=0)
+    number("spread", spread, above=0.0)
+    descend = partial(_descend, problem, feedback, rule, gradient_tolerance, decrease_tolerance)
+    if starts > 1:
+        return best_of(problem, descend, max_iterations, starts, seed, spread, callback)
+    return descend(problem.first_guess, max_iterations, callback)
 
+
+def _descend(
+    problem: Problem, feedback: bool, rule: int, gradient_tolerance: float, decrease_tolerance: float,
+    first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
+) -> Plan:  # fmt: skip
+    """One solve from one first guess (N, nu)."""
     engine = borrow(problem)
     history: list[Iteration] = []
-    cost = engine.start(problem.x0, problem.first_guess)
+    cost = engine.start(problem.x0, first_guess)
     if not math.isfinite(cost):
         return _not_finite(problem, engine, cost)
 
@@ -124,7 +153,7 @@ def _sweep(engine: Engine, largest: float) -> float:
 def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:
     """The plan of a first guess that runs away: no gains, no gradient."""
     xs, us = engine.trajectory()
-    K = np.zeros((*us.shape, xs.shape[1]))
+    K = np.zeros((*us.shape, space_of(problem.dynamics).ndx))
     return _plan(problem, xs, us, K, cost, math.nan, Status.NOT_FINITE, [])
 
 

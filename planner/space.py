@@ -123,7 +123,7 @@ def log_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 
 def hat(v: np.ndarray) -> np.ndarray:
-    """Cross product as a matrix (..., 3, 3): hat(v) w is v x w."""
+    """The cross product with v as a matrix (..., 3, 3): times w it is v x w."""
     matrix = np.zeros((*v.shape, 3), dtype=v.dtype)
     matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
     return matrix - np.swapaxes(matrix, -1, -2)

@@ -34,13 +34,15 @@ class Stage:
         goal_label: Written beside that line.
         look_at: The point the camera looks at.
         follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
-        distance: From the camera to its point.
+        distance: From the camera to its point; None looks at the whole motion instead of look_at and follow.
         azimuth: Of the camera, degrees (MuJoCo's convention).
         elevation: Of the camera, degrees (negative looks down).
         force_scale: Length of the contact force arrow per unit of force; 0 draws none.
         force_offset: From the contact point to where the arrow begins, so that the machine does not hide it.
         force_unit: Of the contact force, for plots.
         speed: Playback speed; 0.25 is four times slow motion.
+        plots: Panels of the report.
+        trail: A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none.
     """
 
     title: str
@@ -50,7 +52,7 @@ class Stage:
     goal_label: str = "goal"
     look_at: Point = (0.0, 0.0, 0.0)
     follow: tuple[int, float] | None = None
-    distance: float = 5.0
+    distance: float | None = None
     azimuth: float = 90.0
     elevation: float = -10.0
     force_scale: float = 0.0
@@ -58,6 +60,7 @@ class Stage:
     force_unit: str = ""
     speed: float = 1.0
     plots: tuple[Panel, ...] = field(default=())
+    trail: str = ""
 
 
 @dataclass(frozen=True)

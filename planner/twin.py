@@ -9,18 +9,22 @@ as its spring at rest, or as the ground lets it be),
 
     w = min over k of (to_sim[k] @ x + to_sim_offset[k]).
 
-The control is MuJoCo's ctrl. So replay and render know no machine: they know a text and two maps.
+The control is MuJoCo's ctrl. So replay and render know no machine: they know a text and two maps. A Mechanism's state
+is the simulator's own, so its maps are identities.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from planner.arguments import array
 from planner.errors import PlannerError
+
+if TYPE_CHECKING:
+    from planner.mechanism import Mechanism
 
 _MAPS: dict[str, tuple[int | str, ...]] = {
     "to_x": ("nx", "nw"), "to_x_offset": ("nx",), "to_sim": ("K", "nw", "nx"), "to_sim_offset": ("K", "nw"),
@@ -37,6 +41,7 @@ class Twin:
         to_x_offset: (nx,).
         to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
         to_sim_offset: (K, nw).
+        assets: Files that the text names, meshes for example, by the name it uses.
     """
 
     mjcf: str
@@ -44,6 +49,7 @@ class Twin:
     to_x_offset: np.ndarray
     to_sim: np.ndarray
     to_sim_offset: np.ndarray
+    assets: dict[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, sizes in _MAPS.items():
@@ -55,6 +61,12 @@ class Twin:
             if getattr(self, name).shape != shape:
                 raise PlannerError(f"Twin: {name} has shape {getattr(self, name).shape}, expected {shape}.")
 
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> Twin:
+        """The model that a mechanism was read from; the plan's state is MuJoCo's own, x = (qpos, qvel, act)."""
+        same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
+        return cls(mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets))
+
     def x_of(self, w: np.ndarray) -> np.ndarray:
         """The plan's state (..., nx) of simulator states w (..., nw)."""
         return w @ self.to_x.T + self.to_x_offset
@@ -64,16 +76,16 @@ class Twin:
         return np.min(np.einsum("kwx,...x->...kw", self.to_sim, x) + self.to_sim_offset, axis=-2)
 
     def to_dict(self) -> dict[str, Any]:
-        """The maps (not the text) as JSON values."""
+        """The maps (not the text and its files) as JSON values."""
         return {name: getattr(self, name).tolist() for name in _MAPS}
 
     @classmethod
-    def from_dict(cls, mjcf: str | None, maps: dict[str, Any]) -> Twin:
-        """A twin from its text and what to_dict() gave.
+    def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
+        """A twin from its text, what to_dict() gave and its files.
 
         Raises:
             PlannerError: The maps or the text are missing, or do not fit together.
         """
         if not isinstance(mjcf, str) or set(maps) != set(_MAPS):
             raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
-        return cls(mjcf, **maps)
+        return cls(mjcf, **maps, assets=assets or {})

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 import planner
 from planner.commands.results import OUTPUTS
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PLANNER = [sys.executable, "-m", "planner"]
 
 
@@ -96,6 +98,67 @@ def test_flags_reach_the_plan(tmp_path, flags):
     assert document["plan"]["iterations"] > 0
 
 
+@pytest.mark.parametrize("words", [("two-link",), ("acrobot",), ("acrobot", "--start", "hanging")], ids=" ".join)
+def test_the_arms_converge_and_pass(tmp_path, words):
+    done = run("run", *words, "--no-video", "--json", "--out", "o", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    assert (document["plan"]["status"], document["proof"]["verdict"]) == ("CONVERGED", "PASS")
+    done = run("prove", tmp_path / "o" / "plan.npz", "--out", "again.json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "o" / "proof.json").read_bytes()
+
+
+def test_starts_reach_the_plan(tmp_path):
+    words = ["solve", "two-link", "--horizon", 40, "--starts", 3, "--seed", 4, "--json"]
+    done = run(*words, "--out", "p.npz", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    plan = planner.Plan.load(tmp_path / "p.npz")
+    assert [start["number"] for start in document["plan"]["starts"]] == [0, 1, 2]
+    assert document["plan"]["start"] == plan.start
+    assert plan.cost == min(start.cost for start in plan.starts if start.status is planner.Status.CONVERGED)
+    assert "start" in done.stderr  # the table of starts
+    assert "of 3 is the best" in done.stderr
+    assert run(*words, "--out", "q.npz", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "q.npz").read_bytes() == (tmp_path / "p.npz").read_bytes()
+
+
+def test_a_problem_file_runs_like_a_case(tmp_path):
+    done = run("run", EXAMPLES / "crane.toml", "--no-video", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "PASS" in done.stdout
+    folder = tmp_path / "renders" / "crane"  # named after the file
+    assert {p.name for p in folder.iterdir()} == {"plan.npz", "proof.json", "plots.png", "report.html"}
+    done = run("prove", folder / "plan.npz", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["plan"]["parameters"]["goal"] == {"trolley": 2.0}
+    done = run("solve", EXAMPLES / "crane.toml", "--starts", 2, "--seed", 1, "--out", "p.npz", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert planner.Plan.load(tmp_path / "p.npz").parameters["starts"] == 2
+
+
+def test_a_wrong_problem_file_gets_one_sentence(tmp_path):
+    text = (EXAMPLES / "crane.toml").read_text().replace("crane.xml", str(EXAMPLES / "crane.xml"))
+    for old, new, fragments in (
+        ("trolley = 2.0", "troley = 2.0", ("troley", "Did you mean 'trolley'?")),
+        ('contacts = "off"', "", ("crane.xml", "contacts", "contacts='off'")),
+        ("dt = 0.02", "dt = -0.02", ("dt is -0.02",)),
+        ("duration", "durration", ("durration", "Did you mean 'duration'?")),
+    ):
+        (tmp_path / "p.toml").write_text(text.replace(old, new))
+        refused(run("run", "p.toml", cwd=tmp_path), *fragments)
+        assert [p.name for p in tmp_path.iterdir()] == ["p.toml"]
+
+
+def test_a_plan_of_another_machine(finished, tmp_path):
+    folder, _ = finished
+    other = planner.cases.acrobot().twin
+    assert other is not None
+    (tmp_path / "other.xml").write_text(other.mjcf)
+    refused(run("prove", folder / "out" / "plan.npz", "--mjcf", "other.xml", cwd=tmp_path), "the plan was made for")
+    assert [p.name for p in tmp_path.iterdir()] == ["other.xml"]
+
+
 def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
     done = run(
         "run", "hopper", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--out", "o", cwd=tmp_path
@@ -157,6 +220,14 @@ def test_prove_against_another_model(finished, tmp_path):
         (("run", "hopper", "--hieght", "3"), ("--hieght", "Did you mean --height?")),
         (("run", "hoper"), ("hoper", "hopper")),
         (("run",), ("CASE",)),
+        (("run", "acrobot", "--start", "up"), ("--start", "'up'", "hanging")),
+        (("run", "acrobot", "--gues", "zero"), ("--gues", "Did you mean --guess?")),
+        (("run", "two-link", "--mass1", "0"), ("mass1 is 0.0",)),
+        (("run", "two-link", "--starts", "0"), ("starts is 0", "at least 1")),
+        (("run", "two-link", "--starts", "2", "--seed", "-1"), ("seed is -1",)),
+        (("run", "nowhere.toml"), ("nowhere.toml", "No such file")),
+        (("solve", "nowhere.toml", "--height", "3"), ("--height",)),
+        (("run", "crane.xml"), ("crane.xml", "two-link", "PROBLEM.toml")),
         (("fly",), ("fly", "run")),
         (("run", "hopper", "extra"), ("'extra'",)),
         (("prove", "nowhere.npz"), ("nowhere.npz", "is not a file")),
@@ -252,7 +323,10 @@ def test_list_help_version_warmup(tmp_path):
     assert "hopper" in done.stdout
     assert "--flow-weight" in done.stdout
     cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
-    assert cases[0]["parameters"]["height"] == 20.0
+    assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0
+    assert [case["case"] for case in cases] == list(planner.cases.CASES)
+    for case in cases:
+        assert set(case["parameters"]) == set(planner.cases.build(case["case"]).parameters)
     text = run("run", "hopper", "--help", cwd=tmp_path)
     assert text.returncode == 0
     for word in ("--height", "Default: 20.0", "--no-refine", "--no-video", "--json", "in/s^2"):
@@ -265,7 +339,7 @@ def test_list_help_version_warmup(tmp_path):
 def test_a_reader_that_leaves_is_no_error(tmp_path):
     code = f"{sys.executable} -m planner list | head -n 1"
     done = subprocess.run(["sh", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
-    assert done.stdout.startswith("hopper: ")
+    assert done.stdout.count("\n") == 1
     assert done.stderr == ""
 
 

@@ -1,5 +1,7 @@
 """The LQ subproblem: the sweep against one dense linear solve, the identities of section 3, and kernels against lq."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,9 @@ from planner import FunctionDynamics, TrackingCost, lq
 from planner.cost import Quadratic
 from planner.kernels import riccati as kernels
 from planner.kernels.lanes import WIDTH
-from planner.kernels.workspace import workspace
+from planner.kernels.quadratic import gradients
+from planner.kernels.workspace import Workspace
+from planner.space import euclidean
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -215,7 +219,7 @@ def test_an_indefinite_stage_is_found(stage):
     assert lq.riccati(A, B, m, 0.99) is None
     assert lq.riccati(A, B, m, 1.01) is not None
     w = filled(A, B, m)
-    assert [kernels.riccati(w, mu)[2] for mu in (0.0, 0.99, 1.01)] == [False, False, True]
+    assert [swept(w, mu)[2] for mu in (0.0, 0.99, 1.01)] == [False, False, True]
 
 
 @pytest.mark.parametrize("where", [(0, 0), (1, 1), (0, 1)])
@@ -225,7 +229,7 @@ def test_nan_is_not_positive_definite(nu, where):
     i, j = min(where[0], nu - 1), min(where[1], nu - 1)
     A, B, m = random_problem(6, 3, 3, nu)
     m.R[1, i, j] = m.R[1, j, i] = np.nan
-    assert not kernels.riccati(filled(A, B, m), 0.0)[2]
+    assert not swept(filled(A, B, m))[2]
     assert lq.riccati(A, B, m) is None
 
 
@@ -233,15 +237,17 @@ def test_nan_is_not_positive_definite(nu, where):
 
 
 def filled(A, B, m):
-    """A workspace that holds the problem; columns beyond the problem's own stay zero."""
+    """A workspace that holds the problem."""
     N, nx, nu = B.shape
-    w = workspace(m.Q, m.R, np.zeros((N + 1, nx)), np.zeros((N, nu)))
-    w.F[:, :, :nu], w.F[:, :, nu : nu + nx] = B, A
-    w.l[:N, :nu], w.l[:, nu : nu + nx] = m.r, m.q
+    weights = SimpleNamespace(Q=m.Q, R=m.R, x_ref=np.zeros((N + 1, nx)), u_ref=np.zeros((N, nu)))
+    w = Workspace(weights, euclidean(nx), structured=False)
+    x = slice(w.first, w.first + nx)
+    w.F[:, :, :nu], w.F[:, :, x] = B, A
+    w.l[:N, :nu], w.l[:, x] = m.r, m.q
     return w
 
 
-# (nx, nu): one block of eight columns filled and part filled, exactly two, and more than two.
+# (nx, nu): blocks of four columns filled and part filled, one to several.
 BLOCKS = [(1, 1), (3, 1), (4, 2), (6, 2), (7, 1), (8, 1), (5, 3), (12, 3), (12, 2), (14, 2), (15, 3), (1, 3)]
 
 
@@ -252,16 +258,15 @@ def test_compiled_sweep_is_its_twin(nx, nu, seed, N, mu):
     A, B, m = random_problem(seed, N, nx, nu)
     twin = lq.riccati(A, B, m, mu)
     w = filled(A, B, m)
-    norm, slope, definite = kernels.riccati(w, mu)
+    norm, slope, definite = kernels.riccati(w.table, mu, 0.0)
     assert definite
     gradient = lq.gradient(A, B, m)
     assert_close(w.gradient, gradient, 11)
     assert norm == pytest.approx(np.linalg.norm(gradient), rel=1e-11)
     assert slope == pytest.approx(twin.slope, rel=1e-9)
     assert_close(w.k, twin.k)
-    assert_close(w.K[:, :, nu : nu + nx], twin.K)
-    assert not w.K[:, :, nu + nx :].any()  # padding stays zero
-    kernels.direction(w)
+    assert_close(w.K[:, :, w.first : w.first + nx], twin.K)
+    kernels.direction(w.table, 0.0)
     assert_close(w.dus, lq.direction(A, B, twin)[1])
 
 
@@ -272,43 +277,42 @@ def test_compiled_gradients_are_the_costs(nx, nu, seed, N):
     rng = np.random.default_rng(seed)
     A, B, m = random_problem(seed, N, nx, nu)
     cost = TrackingCost(m.Q, m.R, rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu)))
-    w = workspace(cost.Q, cost.R, cost.x_ref, cost.u_ref)
+    w = Workspace(cost, euclidean(nx), structured=False)
+    x = slice(w.first, w.first + nx)
     w.xs[:], w.us[:] = rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu))
-    w.F[:, :, :nu], w.F[:, :, nu : nu + nx] = B, A
-    kernels.gradients(w)
+    w.F[:, :, :nu], w.F[:, :, x] = B, A
+    gradients(w.table)
     model = cost.quadratize(w.xs, w.us)
     np.testing.assert_allclose(w.l[:N, :nu], model.r, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(w.l[:, nu : nu + nx], model.q, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(w.l[:, x], model.q, rtol=1e-12, atol=1e-12)
     assert not w.l[N, :nu].any()  # there is no control at the end
-    kernels.riccati(w, 0.0)
+    kernels.riccati(w.table, 0.0, 0.0)
     assert_close(w.gradient, lq.gradient(A, B, model), 11)
+
+
+def swept(w, mu=0.0):
+    """The compiled sweep; the workspace is a name here, so that its memory lives as long as the call."""
+    return kernels.riccati(w.table, mu, 0.0)
 
 
 def test_compiled_sweep_forgets_the_last_one():
     """A workspace is used again and again: nothing of an earlier sweep may leak, least of a failed one."""
     nx, nu, N = 12, 3, 6
-    fresh = [filled(*random_problem(seed, N, nx, nu)) for seed in (1, 2)]
-    used = filled(*random_problem(1, N, nx, nu))
-    kernels.riccati(used, 0.0)
-    used.R[3, 0, 0], used.W[3, 0, 0] = -1e6, -1e6
-    assert not kernels.riccati(used, 0.0)[2]
-    second = filled(*random_problem(2, N, nx, nu))
-    for name in ("F", "l", "W"):
-        getattr(used, name)[:] = getattr(second, name)
-    expected, ours = kernels.riccati(fresh[1], 0.0), kernels.riccati(used, 0.0)
-    assert ours == expected
-    np.testing.assert_array_equal(used.K, fresh[1].K)
-    np.testing.assert_array_equal(used.k, fresh[1].k)
+    fresh, used = filled(*random_problem(1, N, nx, nu)), filled(*random_problem(1, N, nx, nu))
+    expected = swept(fresh)
+    used.F[:] *= 30.0
+    swept(used)
+    assert not swept(used, -1e9)[2]
+    used.F[:] = fresh.F
+    assert swept(used) == expected
+    np.testing.assert_array_equal(used.K, fresh.K)
+    np.testing.assert_array_equal(used.k, fresh.k)
 
 
 def test_rows_are_whole_lanes():
-    """What the sweep relies on: rows of the padded arrays start on a cache line, and W = diag(R, Q)."""
-    rng = np.random.default_rng(0)
-    Q, R = np.array([spd(rng, 12) for _ in range(4)]), np.array([spd(rng, 3) for _ in range(3)])
-    w = workspace(Q, R, np.zeros((4, 12)), np.zeros((3, 3)))
-    for a in (w.W, w.F, w.K, w.H, w.G, w.l):
+    """What the sweep relies on: rows of the padded arrays are whole lanes, and x begins on one."""
+    w = filled(*random_problem(0, 3, 12, 3))
+    assert w.first % WIDTH == 0
+    for a in (w.F, w.K, w.l):
         assert a.shape[-1] % WIDTH == 0
-        assert a.ctypes.data % 64 == 0  # bytes of eight doubles
-    np.testing.assert_array_equal(w.W[1, :, :15], block_diag(R[1], Q[1]))
-    np.testing.assert_array_equal(w.W[3, :, :15], block_diag(np.zeros((3, 3)), Q[3]))
-    assert not w.W[:, :, 15:].any()
+        assert a.ctypes.data % 64 == 0  # a cache line

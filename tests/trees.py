@@ -4,13 +4,17 @@ Hypothesis draws the structure, so that a failing tree shrinks to a small one; t
 Hypothesis seeds.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from planner.dynamics import RigidBodyDynamics
 from planner.gl import load_mujoco
-from planner.space import exp_quaternion
+from planner.mechanism import SCREW, Mechanism
+from planner.space import exp_quaternion, product
 
 mujoco = load_mujoco()
 
@@ -129,6 +133,49 @@ def mechanism_texts(max_dofs=40, max_bodies=12):
     )
 
 
+def machines(examples, max_dofs=40, max_bodies=12, **more):
+    """Decorator: a test of (text, seed, ...) on that many random machines, the same ones in every run."""
+
+    def decorate(test):
+        texts = mechanism_texts(max_dofs, max_bodies)
+        whole = given(text=texts, seed=st.integers(0, 2**32 - 1), **more)(test)
+        checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]
+        return settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=checks)(whole)
+
+    return decorate
+
+
+ACTUATORS = (
+    '<motor joint="{joint}" gear="{gear}"/>',
+    '<general joint="{joint}" gear="{gear}" gainprm="{a}" biastype="affine" biasprm="{b} -{a} -{c}"/>',
+    '<general joint="{joint}" gear="{gear}" gainprm="{a}" dyntype="integrator"/>',
+    '<general joint="{joint}" gear="{gear}" gainprm="{a}" dyntype="filter" dynprm="0.3" biastype="affine"'
+    ' biasprm="0 -{b} -{c}"/>',
+)
+
+
+def actuated(mjcf, rng, activations=True):
+    """A text of tree_xml with actuators on most joints: motors, on hinges and slides also servos and activations."""
+    joints = re.findall(r'<joint name="(\w+)" type="(\w+)"', mjcf)
+    kept = [joint for joint in joints if rng.random() < 0.8] or joints[:1]
+    elements = ""
+    for name, kind in kept:
+        single = kind in ("hinge", "slide")
+        form = ACTUATORS[rng.integers(4 if activations else 2) if single else 0]
+        gear, numbers = rng.normal(size=DOFS[kind]), 0.3 + rng.random(3)
+        elements += form.format(joint=name, gear=text(gear), **dict(zip("abc", map(float, numbers), strict=True)))
+    return mjcf.replace("</mujoco>", f"<actuator>{elements}</actuator></mujoco>")
+
+
+def stepped(mechanism, q, direction, step):
+    """Complex q: an imaginary step along the group, direction (nv,); Q exp(e) is Q (1, e/2) to first order."""
+    result, screws = q.astype(complex), mechanism.kind == SCREW
+    result[mechanism.q_address[screws]] += step * direction[screws]
+    for a, i in mechanism.quaternions:
+        result[a : a + 4] = product(q[a : a + 4], np.array([1.0, *(0.5 * step * direction[i : i + 3])]))
+    return result
+
+
 def random_state(space, rng, unnormalised=None):
     """A state x (nx,) of a mechanism's StateSpace: quaternions all over the group and near home, of length one or not.
 
@@ -144,6 +191,30 @@ def random_state(space, rng, unnormalised=None):
         if unnormalised or (unnormalised is None and rng.random() < 0.3):
             x[i : i + 4] *= rng.uniform(0.5, 2.0) * rng.choice([-1.0, 1.0])
     return x
+
+
+def driven(text, seed, K, integrator="rk4", dt=0.02, prescribe=True):
+    """Dynamics of a machine with actuators and perhaps prescribed joints, K states and controls, the generator."""
+    rng = np.random.default_rng(seed)
+    m = Mechanism.from_mjcf(actuated(text, rng))
+    prescribed = [name for name in m.joint_names if prescribe and rng.random() < 0.15]
+    dynamics = RigidBodyDynamics(m, dt, integrator, prescribed)
+    xs = np.array([random_state(m.space, rng) for _ in range(K)])
+    return dynamics, xs, rng.normal(size=(K, dynamics.nu)), rng
+
+
+def chain(*rows, seed=0):
+    """The text of bodies with these joints, each on the one before, without dampers."""
+    text = tree_xml([Body(i - 1, row) for i, row in enumerate(rows)], np.random.default_rng(seed))
+    return re.sub(r' damping="\S+"', "", text)
+
+
+CHAINS = {
+    "arm": chain(("hinge",), ("slide", "hinge"), ("hinge",)),
+    "balls": chain(("ball",), ("ball",), ("hinge",), seed=1),
+    "body in space": chain(("free",), ("hinge", "ball"), seed=2),
+    "body in space with a slide": chain(("free",), ("ball", "slide"), seed=3),
+}
 
 
 @dataclass

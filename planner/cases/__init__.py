@@ -7,13 +7,15 @@ from collections.abc import Callable
 from typing import Any
 
 from planner.arguments import choice
+from planner.cases.acrobot import acrobot
 from planner.cases.hopper import hopper
+from planner.cases.two_link import two_link
 from planner.errors import PlannerError
 from planner.problem import Problem
 
-CASES: dict[str, Callable[..., Problem]] = {"hopper": hopper}
+CASES: dict[str, Callable[..., Problem]] = {"two-link": two_link, "acrobot": acrobot, "hopper": hopper}
 
-__all__ = ["CASES", "build", "hopper"]
+__all__ = ["CASES", "acrobot", "build", "hopper", "two_link"]
 
 
 def build(name: str, **parameters: Any) -> Problem:

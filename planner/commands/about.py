@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 import time
 
-from planner import cases
-from planner.commands.parser import documented_arguments, summary
+from planner import cases, problem_file
+from planner.commands.parser import PROBLEM_FILE, documented_arguments, summary
 from planner.console import Console
-from planner.kernels import hopper
+from planner.kernels import hopper, tree_solve
 from planner.kernels.jit import is_warm
+from planner.parity import parity
 from planner.plan import installed_versions
 from planner.slq import solve
 
@@ -30,20 +32,24 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
             {"case": name, "summary": summary(case),
              "parameters": {p.name: p.default for p in inspect.signature(case).parameters.values()}}
         )  # fmt: skip
-    console.document({"command": "list", "cases": document})
+    keys = {**problem_file.KEYS, **{f"weights.{name}": text for name, text in problem_file.WEIGHTS.items()}}
+    defaults = {**problem_file.DEFAULTS, **{f"weights.{n}": v for n, v in problem_file.DEFAULT_WEIGHTS.items()}}
+    console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
+    shown = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
+    console.table(("  key", "default", ""), shown)
+    console.document({"command": "list", "cases": document, "problem_file": {"keys": keys, "defaults": defaults}})
     return 0
 
 
 def warmup(arguments: argparse.Namespace, console: Console) -> int:
     """Compile the numerical core, once; says so only if there is something to compile."""
-    cold = not is_warm(hopper.iterate)
+    cold = not (is_warm(hopper.iterate) and is_warm(tree_solve.iterate))
     began = time.perf_counter()
-    problem = cases.hopper(horizon=8, duration=0.04)
-    plan = solve(problem, max_iterations=2)
-    problem.dynamics.step(plan.xs[:1], plan.us[:1])
-    problem.dynamics.linearize(plan.xs, plan.us)
-    if problem.requirements is not None:
-        problem.requirements.rates(plan.xs[:1], plan.us[:1])
+    for problem in (cases.hopper(horizon=8, duration=0.04), cases.acrobot(horizon=8, duration=0.04)):
+        plan = solve(problem, max_iterations=2)
+        problem.dynamics.step(plan.xs[:1], plan.us[:1])
+        problem.dynamics.linearize(plan.xs, plan.us)
+        parity(problem)  # rates, or every term of the mechanics
     seconds = time.perf_counter() - began
     if cold:
         console.say(f"compiled in {seconds:.1f} s")

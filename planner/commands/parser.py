@@ -7,12 +7,18 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args, get_type_hints
 
+from planner import problem_file
 from planner.cases import CASES
 from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
 from planner.slq import LINE_SEARCHES, UPDATES
+
+PROBLEM_FILE = "PROBLEM.toml"
+"""Stands for any file of that kind where a case may be named."""
+
+_OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
 
 
 class _Parser(argparse.ArgumentParser):
@@ -63,19 +69,28 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
-    texts = documented_arguments(case)
+    texts, hints = documented_arguments(case), get_type_hints(case)
     for name, parameter in inspect.signature(case).parameters.items():
         flag, default = f"--{name.replace('_', '-')}", parameter.default
+        words = [word for word in _leaves(hints[name]) if isinstance(word, str)]
         options: dict[str, Any] = {"default": argparse.SUPPRESS, "help": texts.get(name, "")}
         if default is not None:
             options["help"] += f" Default: {default}."
         if name == "integrator":
             options["choices"] = INTEGRATORS
-        elif "int" in str(parameter.annotation) or isinstance(default, int):
+        elif words:
+            options["choices"] = words
+        elif int in _leaves(hints[name]):
             options |= {"type": _whole, "metavar": "N"}
         else:
             options |= {"type": _number, "metavar": "X"}
         parser.add_argument(flag, dest=f"case_{name}", **options)
+
+
+def _leaves(hint: Any) -> tuple[Any, ...]:
+    """The types and words that a type hint is made of: those of `Literal["a", "b"] | None` are "a", "b" and None."""
+    parts = get_args(hint)
+    return (hint,) if not parts else tuple(leaf for part in parts for leaf in _leaves(part))
 
 
 def _add_solver(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +102,13 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-iterations", type=_whole, default=1000, metavar="N", help="Limit of the solver. Default: 1000."
     )
+    parser.add_argument(
+        "--starts", type=_whole, default=None, metavar="N",
+        help="First guesses to try: the problem's own and smooth random changes of it; the best counts. Default: 1.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seed", type=_whole, default=None, metavar="N", help="Of the random first guesses. Default: 0."
+    )
 
 
 def _add_output(parser: argparse.ArgumentParser) -> None:
@@ -95,7 +117,10 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
 
 
 def build() -> argparse.ArgumentParser:
-    """The whole grammar; parsed arguments carry `command` and, where a case is named, `case` and `case_*`."""
+    """The whole grammar; parsed arguments carry `command` and, where a case is named, `case` and `case_*`.
+
+    A problem file is named as if it were a case: `run crane.toml` is parsed as `run PROBLEM.toml crane.toml`.
+    """
     top = _Parser(prog="planner", description="Plan a robot's motion, then prove the plan in MuJoCo.")
     top.add_argument("--version", action="store_true", help="Print versions and exit.")
     commands = top.add_subparsers(dest="command", metavar="COMMAND")
@@ -115,7 +140,13 @@ def build() -> argparse.ArgumentParser:
             _add_case(child, build_case)
             _add_solver(child)
             children.append(child)
-        return children
+        own = machines.add_parser(
+            PROBLEM_FILE, help=_OWN, description=f"{text} {_OWN}", epilog=f"Its keys: {', '.join(problem_file.KEYS)}."
+        )
+        own.set_defaults(parser=own)
+        own.add_argument("problem", metavar="FILE", help="A problem.toml.")
+        _add_solver(own)
+        return [*children, own]
 
     _add_output(command("list", "List the machines, what each shows and its parameters."))
     for parser in with_case("run", "Plan, prove, plot and film a case."):
@@ -159,6 +190,8 @@ def parse(argv: list[str]) -> argparse.Namespace:
     Raises:
         PlannerError: Wrong usage, in one sentence that guesses what was meant.
     """
+    if argv[:1] in (["run"], ["solve"]) and argv[1:] and argv[1].endswith(".toml"):
+        argv = [argv[0], PROBLEM_FILE, *argv[1:]]
     arguments, unknown = build().parse_known_args(argv)
     if not unknown:
         return arguments

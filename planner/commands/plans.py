@@ -11,6 +11,7 @@ import numpy as np
 from planner import cases
 from planner.archive import plan_name
 from planner.arguments import count
+from planner.commands.parser import PROBLEM_FILE
 from planner.commands.results import (
     INTERRUPTED,
     OUTPUTS,
@@ -26,26 +27,38 @@ from planner.files import staged_folder, write_atomically
 from planner.mjcf import model_text
 from planner.parity import parity
 from planner.plan import Plan
-from planner.problem import Problem
+from planner.problem_file import ProblemFile, load
 from planner.proof import Proof, prove
 from planner.slq import solve
 
 DONE, NOT_DONE, INTERRUPTED_CODE = 0, 1, 130
 
 
-def _problem(arguments: argparse.Namespace) -> Problem:
+def _problem(arguments: argparse.Namespace) -> ProblemFile:
+    """The problem of a case or a file, and from how many first guesses it is solved."""
     count("max_iterations", arguments.max_iterations)
+    if arguments.case == PROBLEM_FILE:
+        return load(arguments.problem, starts=arguments.starts, seed=arguments.seed)
+    starts = 1 if arguments.starts is None else count("starts", arguments.starts)
+    seed = 0 if arguments.seed is None else count("seed", arguments.seed, least=0)
     given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
-    return cases.build(arguments.case, **given)
+    return ProblemFile(cases.build(arguments.case, **given), starts, seed)
 
 
-def _solved(problem: Problem, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+def _name(arguments: argparse.Namespace) -> str:
+    """What a run is called: its case, or its file without folder and ending."""
+    return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
+
+
+def _solved(asked: ProblemFile, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+    problem = asked.problem
     solve(problem, max_iterations=1)  # what a first run compiles is not the solve's time
-    console.note(f"planning {problem.case}: {problem.N} stages of {problem.dynamics.dt:.4g} s")
+    several = f", {asked.starts} starts" if asked.starts > 1 else ""
+    console.note(f"planning {_name(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
     began = time.perf_counter()
     plan = solve(
-        problem, update=arguments.update, line_search=arguments.line_search,
-        max_iterations=arguments.max_iterations, callback=console.iteration,
+        problem, update=arguments.update, line_search=arguments.line_search, starts=asked.starts, seed=asked.seed,
+        max_iterations=arguments.max_iterations, callback=console.iteration if asked.starts == 1 else console.start,
     )  # fmt: skip
     return plan, time.perf_counter() - began
 
@@ -66,15 +79,15 @@ def _exit_code(plan: Plan, proof: Proof | None) -> int:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, prove, plot and film a case into a folder."""
-    problem = _problem(arguments)
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
-    folder = Path(arguments.out or f"renders/{arguments.case}")
+    asked = _problem(arguments)
+    folder = Path(arguments.out or f"renders/{_name(arguments)}")
     with staged_folder(folder, OUTPUTS) as staged:
-        first = parity(problem)
+        first = parity(asked.problem)
         if not first.passed:
             raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {'; '.join(map(str, first.failures))}.")
-        plan, seconds = _solved(problem, arguments, console)
+        plan, seconds = _solved(asked, arguments, console)
         show_plan(plan, seconds, console)
         proof = _proved(plan)
         if proof is not None:
@@ -97,10 +110,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case and save the plan."""
-    problem = _problem(arguments)
+    asked = _problem(arguments)
     out = plan_name(arguments.out)
     with write_atomically(out) as unfinished:  # fails now rather than after the work
-        plan, seconds = _solved(problem, arguments, console)
+        plan, seconds = _solved(asked, arguments, console)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
     console.say(str(out))

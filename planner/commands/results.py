@@ -9,7 +9,7 @@ from typing import Any
 from planner.console import Console
 from planner.errors import RenderingUnavailable
 from planner.jsonable import finite
-from planner.plan import Plan
+from planner.plan import Plan, Status
 from planner.plots import plot_plan
 from planner.proof import Proof
 from planner.replay import Replay
@@ -69,6 +69,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     return {
         "case": plan.case, "parameters": plan.parameters, "status": plan.status.name, "success": plan.success,
         "message": plan.message, "cost": plan.cost, "gradient_norm": plan.gradient_norm, "iterations": plan.nit,
+        "starts": [start._asdict() | {"status": start.status.name} for start in plan.starts], "start": plan.start,
         "horizon": plan.N, "dt": plan.dt, "versions": plan.versions,
     }  # fmt: skip
 
@@ -79,6 +80,9 @@ def show_plan(plan: Plan, seconds: float, console: Console) -> None:
         f"{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, |gradient| {plan.gradient_norm:.2e}, "
         f"{1e3 * seconds:.3g} ms"
     )
+    if plan.starts:
+        converged = sum(start.status is Status.CONVERGED for start in plan.starts)
+        console.say(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
     if not plan.success:
         console.say(plan.message)
 

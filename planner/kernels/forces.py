@@ -6,7 +6,7 @@ All terms but the springs of balls are linear, so their derivatives are the list
 from __future__ import annotations
 
 from planner.kernels.jit import jit
-from planner.kernels.lanes import floats, integers, load, spread, store
+from planner.kernels.lanes import floats, integers, load, store
 from planner.kernels.model import (
     ACTIVATION_GAIN,
     ACTIVATION_INPUT,
@@ -66,10 +66,8 @@ def add_passive(m, q, v, tau, scratch):
 
 @jit
 def add_actuators(m, q, v, u, act, tau):
-    """Actuator forces for inputs u (nu lanes) and activations act (na lanes) onto tau."""
-    constant, q_address = floats(m, CONSTANT), integers(m, Q_ADDRESS)
-    for i in range(m[NV]):
-        store(tau, i, load(tau, i) + load(constant, i))
+    """Actuator forces but for the constant ones, by inputs u (nu lanes) and activations act (na lanes), onto tau."""
+    q_address = integers(m, Q_ADDRESS)
     dof, index, value = integers(m, INPUT_DOF), integers(m, INPUT_INDEX), floats(m, INPUT_VALUE)
     for t in range(m[INPUTS]):
         i, k = load(dof, t), load(index, t)
@@ -88,9 +86,9 @@ def add_actuators(m, q, v, u, act, tau):
 @jit
 def applied_forces(m, q, v, u, act, tau, a, scratch):
     """All forces on the joints (tau), and the accelerations that u prescribes (into a)."""
-    prescribed = integers(m, PRESCRIBED)
+    prescribed, constant = integers(m, PRESCRIBED), floats(m, CONSTANT)
     for i in range(m[NV]):
-        store(tau, i, spread(0.0))
+        store(tau, i, load(constant, i))
         if load(prescribed, i) >= 0:
             store(a, i, load(u, load(prescribed, i)))
     add_passive(m, q, v, tau, scratch)

@@ -264,6 +264,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
 @jit
 def start(integrator, dt, parameters, w, search):
     """Roll out the controls in US from the first state in XS; returns the cost."""
+    w = pointer(w)
     for i in range(WIDTH):
         search[ALPHA, i] = 0.0
     for n in range(w[N]):
@@ -281,6 +282,7 @@ def iterate(
 
     Fills row OUT of `search` with (gradient norm, slope, step, cost after).
     """
+    w = pointer(w)
     if fresh:
         linearize(
             integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[WIDTH_Z],

@@ -45,10 +45,14 @@ def sincos(x):
     r = (x - k * _PI) - k * _PI_REST
     sign = 1.0 - 2.0 * (k - 2.0 * floor(k * 0.5))
     z = r * r
-    s = ((((((((_S11 * z + _S10) * z + _S9) * z + _S8) * z + _S7) * z + _S6) * z + _S5) * z + _S4) * z + _S3) * z
-    s = (s + _S2) * z
-    c = ((((((((_C11 * z + _C10) * z + _C9) * z + _C8) * z + _C7) * z + _C6) * z + _C5) * z + _C4) * z + _C3) * z
-    c = ((c + _C2) * z + _C1) * z
+    # Estrin's scheme: what waits for a link's pose waits for this, and Horner's chain is twice as long
+    z2 = z * z
+    z4 = z2 * z2
+    z8 = z4 * z4
+    s = (_S2 + _S3 * z) + (_S4 + _S5 * z) * z2 + ((_S6 + _S7 * z) + (_S8 + _S9 * z) * z2) * z4 + (_S10 + _S11 * z) * z8
+    c = (_C2 + _C3 * z) + (_C4 + _C5 * z) * z2 + ((_C6 + _C7 * z) + (_C8 + _C9 * z) * z2) * z4 + (_C10 + _C11 * z) * z8
+    s = s * z
+    c = (c * z + _C1) * z
     return sign * (r + r * s), sign * (1.0 + c)
 
 

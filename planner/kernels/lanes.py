@@ -11,11 +11,14 @@ step lengths the last four are hardly ever wanted.
     load4(p, k)           four consecutive doubles of a (K,) array, as V4
     store4(p, k, v)
     at(p, k)              the pointer to entry k
-    lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k], t an int64 array
+    t[k]                  entry k of a table: integers that no kernel writes
+    lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k]
 
 Pointers are taken once, at a kernel's entry: arrays used inside loops are reference counted, which spills every
 vector register around each use. A table of addresses in one int64 array carries all memory of a solve across the
-boundary from Python at the price of one argument (thirty arrays cost 4 us a call).
+boundary from Python at the price of one argument (thirty arrays cost 4 us a call); what Python calls takes its
+pointer, so that inner calls pass one word. Integers are constant to all kernels, and LLVM is told: it need not read
+them again after each store.
 """
 
 from __future__ import annotations
@@ -149,12 +152,19 @@ def pointer(typingctx: Any, array: Any) -> Any:
     return result(array), lower
 
 
+def _constant(builder: Any, value: Any) -> Any:
+    """A loaded value, as one that nothing overwrites."""
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return value
+
+
 @intrinsic
 def load(typingctx: Any, p: Any, k: Any) -> Any:
-    """Entry k of a pointer: V4 or float64."""
+    """Entry k of a pointer: V4, float64 or int64."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(builder.gep(args[0], [args[1]]), align=8)
+        value = builder.load(builder.gep(args[0], [args[1]]), align=8)
+        return _constant(builder, value) if sig.args[0] == _INTEGERS else value
 
     return p.entry(p, types.intp), lower
 
@@ -193,12 +203,24 @@ def as_floats(typingctx: Any, p: Any) -> Any:
     return _FLOATS(p), lower
 
 
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        if args[0] == _INTEGERS and isinstance(args[1], types.Integer):
+            return signature(types.int64, _INTEGERS, types.intp)
+        return None
+
+
+@lower_builtin(operator.getitem, _PointerType, types.Integer)
+def _get_item(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return _constant(builder, builder.load(builder.gep(args[0], [args[1]]), align=8))
+
+
 def _define_entry(result: _PointerType) -> Any:
     @intrinsic
     def entry(typingctx: Any, table: Any, k: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            data = context.make_array(sig.args[0])(context, builder, args[0]).data
-            address = builder.load(builder.gep(data, [args[1]]))
+            address = _constant(builder, builder.load(builder.gep(args[0], [args[1]]), align=8))
             return builder.inttoptr(address, context.get_value_type(result))
 
         return result(table, types.intp), lower

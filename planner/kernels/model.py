@@ -19,6 +19,7 @@ import numpy as np
 from planner.kernels.lanes import WIDTH
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
+INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
@@ -157,13 +158,13 @@ def _own_frame(S: np.ndarray, kind: int) -> np.ndarray:
 
 
 def _inertias(mechanism: Any, frames: np.ndarray) -> np.ndarray:
-    """(nv, 10) in each link's frame: m, m c (3), second moment about the origin (xx, xy, xz, yy, yz, zz)."""
-    m, R = mechanism.mass, frames[:, :3, :3]
+    """(nv, 11) in each link's frame: m, c (3), j, a (3), b (3), with j 1 - a a' - b b' the inertia about c."""
+    R = frames[:, :3, :3]
     c = np.einsum("nji,nj->ni", R, mechanism.com - frames[:, :3, 3])
-    square = np.einsum("ni,ni->n", c, c)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
-    J = np.einsum("nai,nab,nbj->nij", R, mechanism.inertia, R) + m[:, None, None] * square
-    rows, columns = np.triu_indices(3)
-    return np.concatenate([m[:, None], m[:, None] * c, J[:, rows, columns]], axis=1)
+    moments, axes = np.linalg.eigh(mechanism.inertia)
+    lengths = np.sqrt(moments[:, 2:] - moments[:, :2])
+    vectors = lengths[:, :, None] * np.einsum("nji,njk->nki", R, axes)[:, :2]
+    return np.concatenate([mechanism.mass[:, None], c, moments[:, 2:], vectors.reshape(-1, 6)], axis=1)
 
 
 def _related(parent: np.ndarray, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
-ARMIJO_BATCHES, BRACKET_BATCHES = 6, 16  # of candidates, before the search gives up
+ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
 
 @jit

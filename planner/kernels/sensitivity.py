@@ -28,6 +28,7 @@ from planner.kernels.model import (
     FIRST,
     HOME,
     INERTIA,
+    INERTIA_SIZE,
     KIND,
     NV,
     PARENT,
@@ -118,7 +119,7 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
         store3(ws, b + TWIST + 3, u)
         store3(ws, b + ACCELERATION, aw)
         store3(ws, b + ACCELERATION + 3, av)
-        mass = load(inertia, 10 * i)
+        mass = load(inertia, INERTIA_SIZE * i)
         if mass > 0.0:
             h, J = moved_inertia(inertia, i, R, P)
             store3(ws, b + FIRST_MOMENT, h)

@@ -17,13 +17,23 @@ from __future__ import annotations
 from planner.kernels import workspace as W
 from planner.kernels.jit import inline
 from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, spread, store, store4
-from planner.kernels.tiles import four_rows, one_row
+from planner.kernels.tiles import four_rows, two_sums
 
 
 @inline
-def _copied(a, b, columns):
-    for j in range(0, columns, WIDTH):
-        store4(b, j, load4(a, j))
+def _pull_back(w, n, F, rows, scale, first_row, stays):
+    """Gradient h and the costate, l + (s, if it stays) + scale F' s (Eq. 16), from s in their arrays' second rows."""
+    width = w[W.WIDTH_Z]
+    h, c, l = floats(w, W.h), floats(w, W.COSTATE), at(floats(w, W.STAGE_GRADIENT), n * width)
+    for j in range(0, width, WIDTH):
+        x, y = two_sums(at(h, width + first_row), at(c, width + first_row), F, 0, width, rows, width, j)
+        p = load4(l, j)
+        if stays:
+            store4(h, j, p + load4(h, width + j) + scale * x)
+            store4(c, j, p + load4(c, width + j) + scale * y)
+        else:
+            store4(h, j, p + x)
+            store4(c, j, p + y)
 
 
 @inline
@@ -31,26 +41,49 @@ def dense_stage(w, n, dt):
     """H, and h and the costate through F' (Eq. 16), for F = (B | A)."""
     ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
     F, M, G = at(floats(w, W.LINEAR), n * ndx * width), floats(w, W.H), floats(w, W.G)
-    P, l = first * width + first, at(floats(w, W.STAGE_GRADIENT), n * width)
+    h, c, P = floats(w, W.h), floats(w, W.COSTATE), first * width + first
     for i in range(0, ndx, WIDTH):
-        four_rows(G, i * width, width, M, P + i, width, F, 0, width, ndx, 1.0, width, False)
-    for which in range(2):
-        s = floats(w, W.h) if which == 0 else floats(w, W.COSTATE)
-        _copied(l, at(s, width), width)
-        one_row(s, width, s, first, 1, F, 0, width, ndx, 1.0, width)  # Eq. 16
-        _copied(at(s, width), s, width)
+        C = (G, i * width, width)
+        four_rows(C, (M, P + i, width, 1), (F, 0, width), ndx, 1.0, width, C, False)
+    for j in range(first, width, WIDTH):
+        store4(h, width + j, load4(h, j))
+        store4(c, width + j, load4(c, j))
+    _pull_back(w, n, F, ndx, 1.0, first, False)
     for i in range(0, width, WIDTH):
-        four_rows(M, i * width + i, width, F, i, width, G, i, width, ndx, 1.0, width - i, False)
+        C = (M, i * width + i, width)
+        four_rows(C, (F, i, width, 1), (G, i, width), ndx, 1.0, width - i, C, False)
+
+
+@inline
+def _times_E_plain(M, p, ldp, S, o, ld, nv, dt):
+    """E' P E without rotations, in one pass over the quarters of P."""
+    zero = spread(0.0)
+    for i in range(nv):
+        pq, pv, oq, ov = p + i * ldp, p + (nv + i) * ldp, o + i * ld, o + (nv + i) * ld
+        for j in range(0, nv, WIDTH):
+            qq = load4(M, pq + j)
+            store4(S, oq + j, qq)
+            store4(S, ov + j, dt * qq + load4(M, pv + j))
+        for j in range(0, nv, WIDTH):  # over what the rows above left past their ends
+            qq = load4(M, pq + j)
+            qv = dt * qq + load4(M, pq + nv + j)
+            store4(S, oq + nv + j, qv)
+            store4(S, ov + nv + j, dt * (qv + load4(M, pv + j)) + load4(M, pv + nv + j))
+        store4(S, oq + 2 * nv, zero)
+        store4(S, ov + 2 * nv, zero)
 
 
 @inline
 def _times_E(w, n, dt):
-    """S = E' P E; returns the length of its rows."""
+    """S = (0 | E' P E), columns in the order of z; returns the length of its rows."""
     ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
     nv = ndx // 2
-    ld = (ndx + 2 * WIDTH - 1) // WIDTH * WIDTH
-    M, S = floats(w, W.H), floats(w, W.S)
+    ld = first + (ndx + 2 * WIDTH - 1) // WIDTH * WIDTH
+    M, S = floats(w, W.H), at(floats(w, W.S), first)  # the first columns stay zero
     balls, starts = w[W.QUATERNIONS], integers(w, W.QUATERNION_DX)
+    if balls == 0:
+        _times_E_plain(M, first * width + first, width, S, 0, ld, nv, dt)
+        return ld
     E = at(floats(w, W.TRANSPORT), n * 18 * balls)
     zero = spread(0.0)
     for i in range(ndx):  # P E
@@ -84,28 +117,31 @@ def _times_E(w, n, dt):
                 turned = load(E, e + c) * x + load(E, e + 3 + c) * y + load(E, e + 6 + c) * z
                 store4(S, (k + c) * ld + j, turned)
         for c in range(3):  # tiles read past the end of rows
-            for j in range(ndx, ld):
+            for j in range(ndx, ld - first):
                 store(S, (k + c) * ld + j, 0.0)
                 store(S, (nv + k + c) * ld + j, 0.0)
     return ld
 
 
 @inline
-def _times_E_vector(w, n, dt, s):
-    """E' s of a value gradient s (ndx), in place."""
-    nv = w[W.NDX] // 2
+def _times_E_vector(w, n, dt, s, t):
+    """E' s of a value gradient s (ndx), into t."""
+    ndx = w[W.NDX]
+    nv = ndx // 2
+    for j in range(0, nv, WIDTH):
+        store4(t, j, load4(s, j))
+    for j in range(0, nv, WIDTH):
+        store4(t, nv + j, load4(s, nv + j) + dt * load4(s, j))
+    store4(t, ndx, spread(0.0))
     starts = integers(w, W.QUATERNION_DX)
     E = at(floats(w, W.TRANSPORT), n * 18 * w[W.QUATERNIONS])
-    for i in range(nv):
-        store(s, nv + i, load(s, nv + i) + dt * load(s, i))
     for b in range(w[W.QUATERNIONS]):
         k, e = load(starts, b), 18 * b
         x, y, z = load(s, k), load(s, k + 1), load(s, k + 2)
         for c in range(3):
             turned = x * load(E, e + 9 + c) + y * load(E, e + 12 + c) + z * load(E, e + 15 + c)
-            own = x if c == 0 else y if c == 1 else z
-            store(s, nv + k + c, load(s, nv + k + c) + dt * (turned - own))
-            store(s, k + c, x * load(E, e + c) + y * load(E, e + 3 + c) + z * load(E, e + 6 + c))
+            store(t, nv + k + c, load(s, nv + k + c) + dt * turned)
+            store(t, k + c, x * load(E, e + c) + y * load(E, e + 3 + c) + z * load(E, e + 6 + c))
 
 
 @inline
@@ -114,30 +150,18 @@ def structured_stage(w, n, dt):
     ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
     nv = ndx // 2
     F, M, Y, S = at(floats(w, W.LINEAR), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
-    l = at(floats(w, W.STAGE_GRADIENT), n * width)
+    h, c = floats(w, W.h), floats(w, W.COSTATE)
     ld = _times_E(w, n, dt)
-    for which in range(2):
-        s = floats(w, W.h) if which == 0 else floats(w, W.COSTATE)
-        _times_E_vector(w, n, dt, at(s, first))
-        _copied(l, at(s, width), first)
-        for j in range(first, width, WIDTH):
-            store4(s, width + j, load4(l, j) + load4(s, j))
-        one_row(s, width, s, first + nv, 1, F, 0, width, nv, dt, width)  # Eq. 16
-        _copied(at(s, width), s, width)
+    _times_E_vector(w, n, dt, at(h, first), at(h, width + first))
+    _times_E_vector(w, n, dt, at(c, first), at(c, width + first))
+    _pull_back(w, n, F, nv, dt, first + nv, True)
     for i in range(0, ndx, WIDTH):  # Y = S (0 | 1) + S_xv D; of the position rows only what lies above
-        start = 0 if i + WIDTH > nv else first + i
-        for k in range(i, i + WIDTH):
-            for j in range(start, first, WIDTH):
-                store4(Y, k * width + j, spread(0.0))
-            for j in range(max(start, first) - first, width - first, WIDTH):
-                store4(Y, k * width + first + j, load4(S, k * ld + j))
-        o = i * width + start
-        four_rows(Y, o, width, S, nv * ld + i, ld, F, start, width, nv, dt, width - start, True)
+        j = 0 if i + WIDTH > nv else first + i
+        A, base = (S, nv * ld + first + i, ld, 1), (S, i * ld + j, ld)
+        four_rows((Y, i * width + j, width), A, (F, j, width), nv, dt, width - j, base, True)
     for i in range(0, width, WIDTH):
-        o = i * width + i
+        C, A, B = (M, i * width + i, width), (F, i, width, 1), (Y, nv * width + i, width)
         if i < first:
-            four_rows(M, o, width, F, i, width, Y, nv * width + i, width, nv, dt, width - i, False)
+            four_rows(C, A, B, nv, dt, width - i, C, False)
         else:
-            for k in range(WIDTH):
-                _copied(at(Y, (i - first + k) * width + i), at(M, o + k * width), width - i)
-            four_rows(M, o, width, F, i, width, Y, nv * width + i, width, nv, dt, width - i, True)
+            four_rows(C, A, B, nv, dt, width - i, (Y, (i - first) * width + i, width), True)

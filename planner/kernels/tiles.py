@@ -12,12 +12,14 @@ from planner.kernels.lanes import WIDTH, load, load4, spread, store, store4
 
 
 @inline
-def _four_by_eight(C, c, ldc, A, a, lda, B, b, ldb, n, factor, add):
+def _four_by_eight(C, A, B, n, factor, base, add):
     z = spread(0.0)
     r0, r1, r2, r3, s0, s1, s2, s3 = z, z, z, z, z, z, z, z
+    p, a, lda, step = A
+    q, b, ldb = B
     for _ in range(n):
-        v, w = load4(B, b), load4(B, b + WIDTH)
-        a0, a1, a2, a3 = load(A, a), load(A, a + 1), load(A, a + 2), load(A, a + 3)
+        v, w = load4(q, b), load4(q, b + WIDTH)
+        a0, a1, a2, a3 = load(p, a), load(p, a + step), load(p, a + 2 * step), load(p, a + 3 * step)
         r0 += a0 * v
         s0 += a0 * w
         r1 += a1 * v
@@ -28,76 +30,83 @@ def _four_by_eight(C, c, ldc, A, a, lda, B, b, ldb, n, factor, add):
         s3 += a3 * w
         a += lda
         b += ldb
-    _put(C, c, r0, factor, add)
-    _put(C, c + WIDTH, s0, factor, add)
-    _put(C, c + ldc, r1, factor, add)
-    _put(C, c + ldc + WIDTH, s1, factor, add)
-    _put(C, c + 2 * ldc, r2, factor, add)
-    _put(C, c + 2 * ldc + WIDTH, s2, factor, add)
-    _put(C, c + 3 * ldc, r3, factor, add)
-    _put(C, c + 3 * ldc + WIDTH, s3, factor, add)
+    _put(C, 0, 0, r0, factor, base, add)
+    _put(C, 0, WIDTH, s0, factor, base, add)
+    _put(C, 1, 0, r1, factor, base, add)
+    _put(C, 1, WIDTH, s1, factor, base, add)
+    _put(C, 2, 0, r2, factor, base, add)
+    _put(C, 2, WIDTH, s2, factor, base, add)
+    _put(C, 3, 0, r3, factor, base, add)
+    _put(C, 3, WIDTH, s3, factor, base, add)
 
 
 @inline
-def _four_by_four(C, c, ldc, A, a, lda, B, b, ldb, n, factor, add):
+def _four_by_four(C, A, B, n, factor, base, add):
     z = spread(0.0)
     r0, r1, r2, r3 = z, z, z, z
+    p, a, lda, step = A
+    q, b, ldb = B
     for _ in range(n):
-        v = load4(B, b)
-        r0 += load(A, a) * v
-        r1 += load(A, a + 1) * v
-        r2 += load(A, a + 2) * v
-        r3 += load(A, a + 3) * v
+        v = load4(q, b)
+        r0 += load(p, a) * v
+        r1 += load(p, a + step) * v
+        r2 += load(p, a + 2 * step) * v
+        r3 += load(p, a + 3 * step) * v
         a += lda
         b += ldb
-    _put(C, c, r0, factor, add)
-    _put(C, c + ldc, r1, factor, add)
-    _put(C, c + 2 * ldc, r2, factor, add)
-    _put(C, c + 3 * ldc, r3, factor, add)
+    _put(C, 0, 0, r0, factor, base, add)
+    _put(C, 1, 0, r1, factor, base, add)
+    _put(C, 2, 0, r2, factor, base, add)
+    _put(C, 3, 0, r3, factor, base, add)
 
 
 @inline
-def _put(C, c, row, factor, add):
-    store4(C, c, load4(C, c) + factor * row if add else factor * row)
+def _put(C, i, j, row, factor, base, add):
+    p, c, ldc = C
+    q, b, ldb = base
+    store4(p, c + i * ldc + j, load4(q, b + i * ldb + j) + factor * row if add else factor * row)
 
 
 @inline
-def four_rows(C, c, ldc, A, a, lda, B, b, ldb, n, factor, columns, add):
-    """Four rows of C, from offset c, become factor A' B (or gain it): A and B from a and b, contracted over n rows."""
+def _from(matrix, j):
+    return matrix[0], matrix[1] + j, matrix[2]
+
+
+@inline
+def four_rows(C, A, B, n, factor, columns, base, add):
+    """Four rows of C become factor A' B, or base + factor A' B with `add`, contracted over n rows of A and B.
+
+    C, B and base are (pointer, offset, row length); of A also what lies between its columns comes last.
+    """
     j = 0
     while j + WIDTH < columns:
-        _four_by_eight(C, c + j, ldc, A, a, lda, B, b + j, ldb, n, factor, add)
+        _four_by_eight(_from(C, j), A, _from(B, j), n, factor, _from(base, j), add)
         j += 2 * WIDTH
     if j < columns:
-        _four_by_four(C, c + j, ldc, A, a, lda, B, b + j, ldb, n, factor, add)
+        _four_by_four(_from(C, j), A, _from(B, j), n, factor, _from(base, j), add)
 
 
 @inline
-def one_row(C, c, A, a, lda, B, b, ldb, n, factor, columns):
-    """One row of C, from offset c, gains factor times the rows of B weighted by A[a], A[a + lda], ..."""
-    j = 0
-    z = spread(0.0)
-    while j + 3 * WIDTH < columns:
-        r0, r1, r2, r3, k = z, z, z, z, b + j
+def two_sums(u, v, B, b, ldb, n, columns, j):
+    """Four columns from j, twice: the rows of B weighted by u (n) and by v (n)."""
+    x0, y0, k = spread(0.0), spread(0.0), b + j
+    for i in range(n):
+        row = load4(B, k)
+        x0 += load(u, i) * row
+        y0 += load(v, i) * row
+        k += ldb
+    return x0, y0
+
+
+@inline
+def weighted_rows(C, base, weights, B, b, ldb, n, factor, columns):
+    """C becomes base plus factor times the rows of B weighted by `weights` (n)."""
+    for j in range(0, columns, WIDTH):
+        total, k = spread(0.0), b + j
         for i in range(n):
-            f = load(A, a + i * lda)
-            r0 += f * load4(B, k)
-            r1 += f * load4(B, k + WIDTH)
-            r2 += f * load4(B, k + 2 * WIDTH)
-            r3 += f * load4(B, k + 3 * WIDTH)
+            total += load(weights, i) * load4(B, k)
             k += ldb
-        _put(C, c + j, r0, factor, True)
-        _put(C, c + j + WIDTH, r1, factor, True)
-        _put(C, c + j + 2 * WIDTH, r2, factor, True)
-        _put(C, c + j + 3 * WIDTH, r3, factor, True)
-        j += 4 * WIDTH
-    while j < columns:
-        r0, k = z, b + j
-        for i in range(n):
-            r0 += load(A, a + i * lda) * load4(B, k)
-            k += ldb
-        _put(C, c + j, r0, factor, True)
-        j += WIDTH
+        store4(C, j, load4(base, j) + factor * total)
 
 
 @inline

@@ -22,6 +22,7 @@ from planner.kernels.model import (
     HOME,
     HOME_SIZE,
     INERTIA,
+    INERTIA_SIZE,
     KIND,
     NV,
     PARENT,
@@ -109,25 +110,18 @@ def place(parent, kind, first, q_address, home, i, q, ws):
 @inline
 def moved_inertia(inertia, i, R, P):
     """First moment and second moment of link i about the origin."""
-    m = load(inertia, 10 * i)
-    a = 10 * i
-    rh = rotated(R, (load(inertia, a + 1), load(inertia, a + 2), load(inertia, a + 3)))
-    J = (
-        load(inertia, a + 4), load(inertia, a + 5), load(inertia, a + 6), load(inertia, a + 7),
-        load(inertia, a + 8), load(inertia, a + 9),
+    o = INERTIA_SIZE * i
+    m, largest = load(inertia, o), load(inertia, o + 4)
+    c = add(P, rotated(R, (load(inertia, o + 1), load(inertia, o + 2), load(inertia, o + 3))))
+    a = rotated(R, (load(inertia, o + 5), load(inertia, o + 6), load(inertia, o + 7)))
+    b = rotated(R, (load(inertia, o + 8), load(inertia, o + 9), load(inertia, o + 10)))
+    h = scaled(m, c)
+    t = dot(h, c) + largest
+    return h, (
+        t - h[0] * c[0] - a[0] * a[0] - b[0] * b[0], spread(0.0) - h[0] * c[1] - a[0] * a[1] - b[0] * b[1],
+        spread(0.0) - h[0] * c[2] - a[0] * a[2] - b[0] * b[2], t - h[1] * c[1] - a[1] * a[1] - b[1] * b[1],
+        spread(0.0) - h[1] * c[2] - a[1] * a[2] - b[1] * b[2], t - h[2] * c[2] - a[2] * a[2] - b[2] * b[2],
     )  # fmt: skip
-    a0, a1, a2 = symmetric(J, (R[0], R[1], R[2])), symmetric(J, (R[3], R[4], R[5])), symmetric(J, (R[6], R[7], R[8]))
-    # R J R' + 2 (P.b) 1 - P b' - b P' + m (P.P 1 - P P') with b = R h: the last two terms together, by g = b + m P / 2
-    g = axpy(rh, 0.5 * m, P)
-    t = 2.0 * dot(P, g)
-    return axpy(rh, m, P), (
-        R[0] * a0[0] + R[1] * a0[1] + R[2] * a0[2] + t - 2.0 * P[0] * g[0],
-        R[0] * a1[0] + R[1] * a1[1] + R[2] * a1[2] - P[0] * g[1] - P[1] * g[0],
-        R[0] * a2[0] + R[1] * a2[1] + R[2] * a2[2] - P[0] * g[2] - P[2] * g[0],
-        R[3] * a1[0] + R[4] * a1[1] + R[5] * a1[2] + t - 2.0 * P[1] * g[1],
-        R[3] * a2[0] + R[4] * a2[1] + R[5] * a2[2] - P[1] * g[2] - P[2] * g[1],
-        R[6] * a2[0] + R[7] * a2[1] + R[8] * a2[2] + t - 2.0 * P[2] * g[2],
-    )
 
 
 @jit
@@ -169,7 +163,7 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
             w, u = add(w, load3(ws, p * RECORD + TWIST)), add(u, load3(ws, p * RECORD + TWIST + 3))
         store3(ws, b + TWIST, w)
         store3(ws, b + TWIST + 3, u)
-        mass = load(inertia, 10 * i)
+        mass = load(inertia, INERTIA_SIZE * i)
         if mass > 0.0:
             h, J = moved_inertia(inertia, i, R, P)
             f = axpy(cross(w, h), mass, u)
@@ -278,7 +272,7 @@ def inverse_dynamics(m, q, v, a, tau, ws):
         store3(ws, b + TWIST + 3, u)
         store3(ws, b + ACCELERATION, aw)
         store3(ws, b + ACCELERATION + 3, av)
-        mass = load(inertia, 10 * i)
+        mass = load(inertia, INERTIA_SIZE * i)
         h, J = moved_inertia(inertia, i, R, P)
         f = axpy(cross(w, h), mass, u)
         moment = add(symmetric(J, w), cross(h, u))

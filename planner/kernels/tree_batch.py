@@ -15,6 +15,7 @@ from planner.kernels.tree_step import gather, scatter
 @jit
 def forward(m, r, q, v, inputs, a, tau):
     """Accelerations a and forces tau (K, nv) from inputs (K, nv): forces or, where prescribed, accelerations."""
+    m, r = pointer(m), pointer(r)
     nq, nv, K = m[NQ], m[NV], q.shape[0]
     x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
     rate = at(x, nq)
@@ -38,6 +39,7 @@ def forward(m, r, q, v, inputs, a, tau):
 @jit
 def inverse(m, r, q, v, a, tau):
     """Applied forces tau (K, nv) for accelerations a (K, nv)."""
+    m, r = pointer(m), pointer(r)
     nq, nv, K = m[NQ], m[NV], q.shape[0]
     x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
     rate = at(x, nq)
@@ -57,6 +59,7 @@ def inverse(m, r, q, v, a, tau):
 @jit
 def derivatives(m, r, q, v, a, M, Dq, Dv):
     """M = dtau/da, dtau/dq and dtau/dv (K, nv, nv) of inverse dynamics."""
+    m, r = pointer(m), pointer(r)
     nq, nv, K, ld = m[NQ], m[NV], q.shape[0], r[LD]
     x, acceleration = lanes(r, X_LANES), lanes(r, A_LANES)
     rate = at(x, nq)
@@ -84,6 +87,7 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
 @jit
 def places(m, r, q, poses):
     """Per link (K, nv, 18): rotation (9), position (3) and screw (6), about the tree's origin."""
+    m, r = pointer(m), pointer(r)
     nq, K = m[NQ], q.shape[0]
     x, ws = lanes(r, X_LANES), lanes(r, LINKS)
     for first in range(0, K, WIDTH):

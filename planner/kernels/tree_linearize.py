@@ -429,5 +429,15 @@ def linearize_arrays(m, r, dt, xs, us, F):
     """The dense F (K, ndx, width) of K stages from xs (K, nx) with us (K, nu), accelerations computed here."""
     flat = pointer(F.reshape(-1))
     linearize(
-        m, r, dt, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0], False, flat, F.shape[2], False, flat
+        pointer(m),
+        pointer(r),
+        dt,
+        pointer(xs.reshape(-1)),
+        pointer(us.reshape(-1)),
+        us.shape[0],
+        False,
+        flat,
+        F.shape[2],
+        False,
+        flat,
     )

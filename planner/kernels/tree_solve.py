@@ -103,7 +103,7 @@ def rollout(w, m, r, search, dt, feedback):
     X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
     xs = floats(w, W.XS)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
-    alpha, length = load(pointer(search), W.ALPHA), spread(dt)
+    alpha, length = load(search, W.ALPHA), spread(dt)
     for i in range(nx):
         store(X_, i, spread(load(xs, i)))
     J = spread(0.0)
@@ -116,7 +116,7 @@ def rollout(w, m, r, search, dt, feedback):
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
-    store(pointer(search), W.COSTS, J)
+    store(search, W.COSTS, J)
 
 
 @jit
@@ -129,11 +129,12 @@ def take(w, m, r, lane):
 @jit
 def start(w, m, r, search, dt):
     """Roll out the controls in US from the first state in XS; returns the cost."""
+    w, m, r = pointer(w), pointer(m), pointer(r)
     for i in range(search.shape[1]):
         search[W.ALPHA, i] = 0.0
     for i in range(w[W.N] * w[W.NU]):
         store(floats(w, W.DIRECTION), i, 0.0)
-    rollout(w, m, r, search, dt, False)
+    rollout(w, m, r, pointer(search), dt, False)
     take(w, m, r, 0)
     return search[W.COSTS, 0]
 
@@ -154,6 +155,7 @@ def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_toler
 
     Fills row OUT of `search` with (gradient norm, slope, step, cost after).
     """
+    w, m, r = pointer(w), pointer(m), pointer(r)
     if fresh:
         linearize_nominal(w, m, r, dt)
     norm, slope, definite = riccati(w, mu, dt)
@@ -168,7 +170,7 @@ def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_toler
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, search, dt, feedback)
+        rollout(w, m, r, pointer(search), dt, feedback)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             take(w, m, r, lane)

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from planner.kernels.forces import activation_rates, applied_forces
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import WIDTH, as_floats, at, integers, lanes, load, pointer, store
+from planner.kernels.lane_math import transpose
+from planner.kernels.lanes import WIDTH, as_floats, at, integers, lanes, load, load4, pointer, store
 from planner.kernels.model import BALL, BALL_NEXT, BALL_Q, BALL_V, KIND, NA, NBALLS, NQ, NU, NV, Q_ADDRESS
 from planner.kernels.rotations import turned
 from planner.kernels.spatial import cross, load3, store3
@@ -149,10 +150,18 @@ def stage(m, r, x, u, a, dt, x_next):
 @inline
 def gather(source, first, count, width, destination):
     """Rows first, ..., first + 3 (the last one repeated) of a float matrix onto lanes."""
-    flat = as_floats(destination)
+    flat, last, whole = as_floats(destination), count - 1, width // WIDTH * WIDTH
+    r0, r1 = first * width, min(first + 1, last) * width
+    r2, r3 = min(first + 2, last) * width, min(first + 3, last) * width
+    for k in range(0, whole, WIDTH):
+        e = transpose((load4(source, r0 + k), load4(source, r1 + k), load4(source, r2 + k), load4(source, r3 + k)))
+        store(destination, k, e[0])
+        store(destination, k + 1, e[1])
+        store(destination, k + 2, e[2])
+        store(destination, k + 3, e[3])
     for lane in range(WIDTH):
-        row = min(first + lane, count - 1) * width
-        for k in range(width):
+        row = min(first + lane, last) * width
+        for k in range(whole, width):
             store(flat, k * WIDTH + lane, load(source, row + k))
 
 
@@ -169,6 +178,7 @@ def scatter(source, first, count, width, destination):
 @jit
 def steps(m, r, dt, xs, us, xs_next):
     """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu)."""
+    m, r = pointer(m), pointer(r)
     nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
     scratch = lanes(r, SCRATCH)
     for first in range(0, K, WIDTH):
@@ -183,6 +193,7 @@ def steps(m, r, dt, xs, us, xs_next):
 @jit
 def rates(m, r, xs, us, out):
     """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
+    m, r = pointer(m), pointer(r)
     nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
     x, u, a, rate = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), lanes(r, LINKS)
     for first in range(0, K, WIDTH):

@@ -50,8 +50,18 @@ class Workspace:
         structured: F holds accelerations only, (N, nv, width), for semi-implicit Euler: x+ = E (x + [0; dt F z]),
             where E adds dt times the velocity to the position. Else F = (B | A), (N, ndx, width).
 
-    Attributes of interest outside: xs (N+1, nx), us (N, nu), K (N, nu, width) with the gains in the columns of x,
-    search (5, 4), table.
+    Attributes:
+        table: What kernels take.
+        search: (5, 4) the line search's arrays and what an iteration reports, by rows.
+        xs: (N+1, nx).
+        us: (N, nu).
+        K: (N, nu, width) with the gains in the columns of x, from `first` on.
+        k: (N, nu).
+        dus: (N, nu) the LQ problem's own controls.
+        gradient: (N, nu) of Eq. 19.
+        F: (N, rows, width).
+        l: (N+1, width) gradients of the stage costs.
+        first: The first column of x.
     """
 
     def __init__(self, cost: Any, space: Any, structured: bool) -> None:
@@ -70,8 +80,10 @@ class Workspace:
         states = ndx // 2 if structured else ndx
         self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
         self.search = lane_array(SEARCH_ROWS, WIDTH)
-        self.F = lane_array(N * states * width + WIDTH)
         slack = WIDTH  # rows are read four at a time, past their ends
+        F, l = lane_array(N * states * width + slack), lane_array((N + 1) * width + slack)
+        self.F, self.l = F[:-slack].reshape(N, states, width), l[:-slack].reshape(N + 1, width)
+        self.k, self.dus, self.gradient = (np.zeros((N, nu)) for _ in range(3))
         self._arrays: dict[str, np.ndarray] = {
             "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
             "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
@@ -80,11 +92,11 @@ class Workspace:
             "final_row": final[0], "final_column": final[1], "final_value": final[2],
             "control_row": control[0], "control_column": control[1], "control_value": control[2],
             "error": np.zeros(max(nu, ndx)), "turn": np.zeros(((N + 1), len(quaternions), 9)),
-            "l": lane_array((N + 1) * width + slack), "F": self.F,
-            "transport": np.zeros((N, len(quaternions), 18)), "K": self.K, "k": np.zeros((N, nu)),
-            "dus": np.zeros((N, nu)), "gradient": np.zeros((N, nu)), "H": lane_array(width * width + slack),
+            "l": l, "F": F,
+            "transport": np.zeros((N, len(quaternions), 18)), "K": self.K, "k": self.k,
+            "dus": self.dus, "gradient": self.gradient, "H": lane_array(width * width + slack),
             "G": lane_array(padded(ndx) * width + slack),
-            "S": lane_array((padded(ndx) + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
+            "S": lane_array((width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
             "h": lane_array(3 * width + slack),
             "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
             "trial_x": lane_array((N + 1) * nx, WIDTH),

@@ -1,0 +1,250 @@
+"""problem.toml: a machine of one's own (an MJCF file), a start, a goal and weights, as a Problem.
+
+    model = "crane.xml"                 # relative to this file
+    start = "start"                     # a keyframe, numbers, or a table of joints
+    goal = { trolley = 2.0 }            # joints that a table does not name end where they started
+    duration = 4.0                      # s
+    dt = 0.02                           # s
+
+    [weights]                           # numbers, or tables by joint (effort: by actuator)
+    effort = 0.01
+    final_position = { trolley = 1000.0, swing = 1000.0 }
+
+A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from planner.arguments import array, choice, count, number
+from planner.cost import TrackingCost, states
+from planner.default_stage import default_stage
+from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner.errors import FileError, ModelError, PlannerError
+from planner.figures import Figure, Section
+from planner.guess import hold
+from planner.mechanism import BALL, Mechanism
+from planner.problem import Problem, Requirements
+from planner.twin import Twin
+
+if TYPE_CHECKING:
+    from planner.replay import Replay
+
+CASE = "problem-file"
+
+KEYS = {
+    "model": "MJCF file, relative to this file",
+    "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
+    "goal": "the same; joints that a table does not name end where they started",
+    "duration": "s, a whole number of stages",
+    "dt": "length of a stage, s",
+    "integrator": f"one of {', '.join(INTEGRATORS)}",
+    "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
+    "contacts": "on, or off to take them out of a model whose shapes may collide",
+    "ignore": "list of what to take out of the model, e.g. frictionloss",
+    "starts": "number of first guesses to try",
+    "seed": "of the first guesses after the first",
+    "tolerance": "how far from the goal passes: rad, m, rad/s, m/s, where final weights are above 0",
+    "title": "shown in pictures",
+    "weights": "table, below",
+}
+WEIGHTS = {
+    "effort": "on |u|^2 / 2, per second",
+    "final_position": "on the squared distance from the goal / 2 at the end",
+    "final_velocity": "on the squared velocity error / 2 at the end",
+    "position": "on the squared distance from the goal / 2 on the way, per second",
+    "velocity": "on the squared velocity error / 2 on the way, per second",
+}
+REQUIRED = ("model", "start", "goal", "duration")
+DEFAULTS: dict[str, Any] = {
+    "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "ignore": [], "starts": 1, "seed": 0,
+    "tolerance": 0.1, "title": "",
+}  # fmt: skip
+DEFAULT_WEIGHTS: dict[str, Any] = {
+    "effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0,
+}  # fmt: skip
+MOST_STAGES = 100_000
+
+
+class ProblemFile(NamedTuple):
+    """What a problem.toml says."""
+
+    problem: Problem
+    starts: int
+    seed: int
+
+
+def load(path: str | Path, *, starts: int | None = None, seed: int | None = None) -> ProblemFile:
+    """The problem in a file.
+
+    Args:
+        path: The problem.toml.
+        starts: In place of the file's.
+        seed: In place of the file's.
+
+    Raises:
+        PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
+    """
+    path = Path(path)
+    table = _checked(_read(path), str(path))
+    table |= {name: value for name, value in (("starts", starts), ("seed", seed)) if value is not None}
+    if not isinstance(table["model"], str) or not table["model"]:
+        raise PlannerError(f"model is {table['model']!r}, expected the name of an MJCF file.")
+    mechanism = _mechanism(path.parent / table["model"], table, None)
+    problem = _problem(table, mechanism, str(path))
+    return ProblemFile(problem, problem.parameters["starts"], problem.parameters["seed"])
+
+
+def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
+    """The problem of a stored plan, from its table and the model beside it.
+
+    Raises:
+        PlannerError: The table or the model is missing or wrong.
+    """
+    if twin is None:
+        raise PlannerError("its model is missing.")
+    table = _checked(table, "the plan")
+    return _problem(table, _mechanism(twin.mjcf, table, twin.assets), "the plan")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path} is not TOML: {str(error).removesuffix('.')}.") from None
+    except (OSError, ValueError) as error:  # ValueError: bytes that are no text
+        reason = getattr(error, "strerror", None) or "it is not text"
+        raise FileError(f"cannot read the problem file {path}: {reason}.") from None
+    except RecursionError:
+        raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
+
+
+def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """The table with its defaults, when all of its keys exist."""
+    _known(table, KEYS, where)
+    weights = table.get("weights", {})
+    if not isinstance(weights, dict):
+        raise PlannerError(f"weights is {weights!r}, expected a table [weights] with some of: {', '.join(WEIGHTS)}.")
+    _known(weights, WEIGHTS, f"[weights] of {where}")
+    if "model" not in table:
+        raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
+    return {**DEFAULTS, **table, "weights": {**DEFAULT_WEIGHTS, **weights}}
+
+
+def _known(table: dict[str, Any], keys: Collection[str], where: str) -> None:
+    for key in table:
+        if key not in keys:
+            near = difflib.get_close_matches(key, list(keys), n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise PlannerError(f"{where} has the key {key!r}, expected some of: {', '.join(keys)}.{hint}")
+
+
+def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
+    from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
+
+    ignore = table["ignore"]
+    if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
+        raise PlannerError(f'ignore is {ignore!r}, expected a list of names such as ["frictionloss"].')
+    choice("contacts", table["contacts"], ("on", "off"))
+    mechanism = read(model, ignore=tuple(ignore), contacts=table["contacts"], assets=assets)
+    if mechanism.nu == 0:
+        name = "the model" if assets is not None else f"the model {model}"
+        raise ModelError(f"{name} has no actuators, expected at least one: nothing else is planned.")
+    return mechanism
+
+
+def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
+    for key in REQUIRED:
+        if key not in table:
+            wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
+            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}.")
+    x0 = _state("start", table["start"], mechanism, mechanism.home)
+    at_rest = x0.copy()
+    at_rest[mechanism.nq :] = 0.0
+    goal = _state("goal", table["goal"], mechanism, at_rest)
+    dt, N = _stages(table["duration"], table["dt"])
+    table = table | {
+        "duration": float(table["duration"]), "dt": dt, "starts": count("starts", table["starts"]),
+        "seed": count("seed", table["seed"], least=0),
+        "tolerance": number("tolerance", table["tolerance"], above=0.0),
+        "guess": choice("guess", table["guess"], ("hold", "zero")),
+    }  # fmt: skip
+    if not isinstance(table["title"], str):
+        raise PlannerError(f"title is {table['title']!r}, expected a text.")
+    dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"])
+    cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
+    stage = default_stage(mechanism)
+    return Problem(
+        dynamics, cost, x0, twin=Twin.of(mechanism), case=CASE, parameters=table,
+        us=np.tile(hold(mechanism, x0), (N, 1)) if table["guess"] == "hold" else None,
+        stage=replace(stage, title=table["title"] or stage.title),
+        requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
+    )  # fmt: skip
+
+
+def _stages(duration: Any, dt: Any) -> tuple[float, int]:
+    duration, dt = number("duration", duration, above=0.0), number("dt", dt, above=0.0)
+    if not duration / dt < MOST_STAGES + 0.5:
+        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MOST_STAGES} stages.")
+    N = round(duration / dt)
+    if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
+        near = max(N, 1) * dt
+        raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
+    return dt, N
+
+
+def _states_of(mechanism: Mechanism) -> str:
+    """What a start or a goal may be, in words."""
+    nq, nv = mechanism.nq, mechanism.nv
+    keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
+    joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
+    return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
+
+
+def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
+    """The state (nx,) of a keyframe, of positions, of positions and velocities, or of `base` with joints changed."""
+    nq, nv = mechanism.nq, mechanism.nv
+    x = base.copy()
+    if isinstance(value, str):
+        if value not in mechanism.keyframes:
+            near = difflib.get_close_matches(value, list(mechanism.keyframes), n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise PlannerError(f"{name} is {value!r}, expected {_states_of(mechanism)}.{hint}")
+        x = mechanism.keyframe(value)
+    elif isinstance(value, list):
+        if len(value) not in (nq, nq + nv, len(x)):
+            raise PlannerError(f"{name} has {len(value)} numbers, expected {_states_of(mechanism)}.")
+        x[nq:] = 0.0
+        x[: len(value)] = array(name, value, ("n",))
+    elif isinstance(value, dict):
+        for joint, position in value.items():
+            links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
+            place = int(mechanism.q_address[links.start])
+            size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
+            given = position if size > 1 else [position]
+            x[place : place + size] = array(f"{name} of {joint}", given, (size,))
+    else:
+        raise PlannerError(f"{name} is {value!r}, expected {_states_of(mechanism)}.")
+    return states(name, x, mechanism.space, ())
+
+
+def judge_arrival(replay: Replay, cost: TrackingCost, tolerance: float) -> Section:
+    """Whether the plan, and MuJoCo with it, end at the goal, in what the final weights act on."""
+    wanted = np.abs(cost.Q[-1]).max(axis=0) > 0.0
+    if not np.any(wanted):
+        return Section("goal", not_applicable="no final weight is above 0")
+    note = "largest component with a final weight: rad, m, rad/s, m/s; weights that are small beside the effort miss"
+    ends = {"planned_goal_error": replay.plan.xs[-1], "replayed_goal_error": replay.xs[-1]}
+    figures = tuple(
+        Figure(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[wanted].max()), "", tolerance, note)
+        for name, x in ends.items()
+    )
+    return Section("goal", figures)

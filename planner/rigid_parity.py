@@ -1,0 +1,207 @@
+"""Parity of a mechanism: its inertia, forces and accelerations and MuJoCo's, term by term, at random states.
+
+    mass matrix     M(q), armature included
+    bias force      Coriolis + gravity + damping + springs: MuJoCo's qfrc_bias - qfrc_passive
+    actuator force  M qacc + bias by ours, MuJoCo's qfrc_actuator
+    acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth
+    activation      d act / dt
+
+Each is measured at each state, relative to the largest of its kind there: forces to the largest force, among which
+counts the inertia times the velocity squared; accelerations likewise. A term that differs is traced to its joint.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner import rigid_body
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.errors import ModelError
+from planner.figures import Figure, Section
+from planner.gl import load_mujoco
+from planner.mechanism import SCREW, Mechanism
+from planner.space import unit
+
+SPEED = 3.0  # rad/s and m/s, the spread of random velocities
+
+
+class _Terms(NamedTuple):
+    """What is compared, for K states."""
+
+    mass: np.ndarray  # (K, nv, nv)
+    rest: np.ndarray  # (K, nv) bias force without motion: gravity and springs
+    bias: np.ndarray  # (K, nv)
+    back: np.ndarray  # (K, nv) bias force with the velocity reversed
+    actuator: np.ndarray  # (K, nv)
+    acceleration: np.ndarray  # (K, nv)
+    activation: np.ndarray  # (K, na)
+
+
+def rigid_parity(
+    mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, states: int, bound: float, seed: int
+) -> Section:
+    """Compare a mechanism with a MuJoCo model.
+
+    Args:
+        mechanism: Ours.
+        model: MuJoCo's.
+        dynamics: Whose accelerations are compared, with nothing prescribed; by default the mechanism's.
+        states: How many random states.
+        bound: What passes, relative.
+        seed: Of the random states.
+
+    Raises:
+        ModelError: The model has other joints or actuators.
+    """
+    _check_sizes(mechanism, model)
+    rng = np.random.default_rng(seed)
+    xs = random_states(mechanism, rng, states)
+    us = rng.normal(size=(states, mechanism.nu))
+    ours = _ours(mechanism, dynamics, xs, us)
+    theirs = _theirs(mechanism, model, xs, us)
+    speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
+    mass = _largest(theirs.mass)
+    force = np.max([_largest(theirs.bias), _largest(theirs.actuator), mass * speed2], axis=0)
+    acceleration = np.maximum(_largest(theirs.acceleration), speed2)
+    scales = {"mass": mass, "bias": force, "actuator": force, "acceleration": acceleration}
+    if mechanism.na:
+        scales["activation"] = np.maximum(_largest(theirs.activation), 1.0)
+    names = {"mass": "mass_matrix_error", "bias": "bias_force_error", "actuator": "actuator_force_error"}
+    figures = []
+    for term, scale in scales.items():
+        difference = np.abs(getattr(theirs, term) - getattr(ours, term))
+        relative = difference / scale.reshape(-1, *[1] * (difference.ndim - 1))
+        value = float(relative.max())
+        note = f"at {states} random states (seed {seed}), relative to the largest at each"
+        if not value <= bound:
+            note = f"{_cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
+        figures.append(Figure(names.get(term, f"{term}_error"), value, "", bound, note))
+    return Section("parity", tuple(figures))
+
+
+def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:
+    """K states (K, nx) all over the space: angles and orientations uniform, lengths and velocities moderate."""
+    xs = rng.normal(size=(K, mechanism.space.nx))
+    screws = mechanism.kind == SCREW
+    reach = np.where(turns(mechanism), np.pi, 1.0)[screws]
+    xs[:, mechanism.q_address[screws]] = mechanism.q_home[screws] + rng.uniform(-reach, reach, (K, len(reach)))
+    for address, _ in mechanism.quaternions:
+        xs[:, address : address + 4] = unit(xs[:, address : address + 4])
+    xs[:, mechanism.nq : mechanism.nq + mechanism.nv] *= SPEED
+    return xs
+
+
+def turns(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) whether a degree of freedom is an angle."""
+    return np.any(mechanism.S[:, :3] != 0.0, axis=1)
+
+
+def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarray, us: np.ndarray) -> _Terms:
+    q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    mass = rigid_body.mass_matrix(mechanism, q)
+    rest, bias, back = (rigid_body.bias(mechanism, q, v) for v in (np.zeros_like(qd), qd, -qd))
+    if mechanism.nu:
+        dynamics = dynamics or RigidBodyDynamics(mechanism, 0.01)
+        _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
+    else:  # nothing drives it, so there is nothing to plan
+        acceleration = rigid_body.forward_dynamics(mechanism, q, qd, np.zeros_like(qd))
+        activation = np.zeros((len(xs), 0))
+    actuator = np.einsum("kij,kj->ki", mass, acceleration) + bias
+    return _Terms(mass, rest, bias, back, actuator, acceleration, activation)
+
+
+def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) -> _Terms:
+    mujoco = load_mujoco()
+    nv, K = mechanism.nv, len(xs)
+    # Ranges are no part of a mechanism's dynamics: a replay says where they were reached.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.actuator_forcelimited[:] = 0
+    model.jnt_actfrclimited[:] = 0
+    data = mujoco.MjData(model)
+    shapes = ((nv, nv), (nv,), (nv,), (nv,), (nv,), (nv,), (mechanism.na,))
+    terms = _Terms._make(np.empty((K, *shape)) for shape in shapes)
+    for k, (x, u) in enumerate(zip(xs, us, strict=True)):
+        data.qpos[:], velocity, data.act[:] = np.split(x, [model.nq, model.nq + nv])
+        data.ctrl[:] = u
+        for speed, biases in ((-1.0, terms.back), (0.0, terms.rest), (1.0, terms.bias)):
+            data.qvel[:] = speed * velocity
+            mujoco.mj_forward(model, data)
+            biases[k] = data.qfrc_bias - data.qfrc_passive
+        for i, axis in enumerate(np.eye(nv)):
+            mujoco.mj_mulM(model, data, terms.mass[k, i], axis)
+        terms.actuator[k], terms.acceleration[k] = data.qfrc_actuator, data.qacc_smooth
+        terms.activation[k] = data.act_dot
+    return terms
+
+
+def _cause(
+    term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relative: np.ndarray, bound: float
+) -> str:  # fmt: skip
+    """The joint, and what of it, in which two models differ."""
+    if not np.isfinite(relative).all():
+        return "not a finite number"
+    if term == "mass":
+        return _mass_cause(mechanism, theirs.mass - ours.mass, relative > bound)
+    if term == "bias":
+        moving = (
+            [0.5 * (t.bias - t.back) for t in (theirs, ours)],
+            [0.5 * (t.bias + t.back) - t.rest for t in (theirs, ours)],
+        )
+        parts = {"gravity or spring": theirs.rest - ours.rest}
+        parts |= {name: a - b for name, (a, b) in zip(("damping", "Coriolis force"), moving, strict=True)}
+        name, difference = max(parts.items(), key=lambda part: float(np.abs(part[1]).max()))
+        return f"{name} at {joint_of(mechanism, int(np.abs(difference).max(axis=0).argmax()))}"
+    worst = int(relative.max(axis=0).argmax())
+    if term == "activation":
+        actuator = int(np.flatnonzero(mechanism.actuators.activation == worst)[0])
+        return f"activation of {_actuator(mechanism, actuator)}"
+    if term == "actuator":
+        acting = np.flatnonzero(mechanism.actuators.moment[:, worst])
+        which = " and ".join(_actuator(mechanism, int(a)) for a in acting) or "no actuator of ours"
+        return f"gear, gain or bias of {which} at {joint_of(mechanism, worst)}"
+    return f"at {joint_of(mechanism, worst)}"
+
+
+def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray) -> str:
+    """A mass that differs is felt by every joint that carries it: the outermost one names it."""
+    entries = np.any(wrong, axis=0)
+    joints = np.flatnonzero(np.diag(entries))
+    if not len(joints):
+        i, j = np.argwhere(entries)[0]
+        return f"coupling of {joint_of(mechanism, int(i))} and {joint_of(mechanism, int(j))}"
+    outermost = int(joints[-1])
+    own = difference[:, outermost, outermost]
+    alone = entries.sum() == 1 and np.ptp(own) <= 1e-3 * np.abs(own).max()
+    what = "armature" if alone else "mass, inertia or place of what moves"
+    return f"{what} at {joint_of(mechanism, outermost)}"
+
+
+def joint_of(mechanism: Mechanism, dof: int) -> str:
+    """A degree of freedom in words, e.g. joint 'elbow'."""
+    for number, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
+        if links.start <= dof < links.stop:
+            words = f"joint {name!r}" if name else f"joint number {number}"
+            return words if links.stop - links.start == 1 else f"{words} (axis {dof - links.start + 1})"
+    raise AssertionError(f"no joint has the degree of freedom {dof}")
+
+
+def _actuator(mechanism: Mechanism, index: int) -> str:
+    name = mechanism.actuators.names[index]
+    return f"actuator {name!r}" if name else f"actuator number {index}"
+
+
+def _largest(values: np.ndarray) -> np.ndarray:
+    """The largest magnitude of each state (K,)."""
+    return np.abs(values).reshape(len(values), -1).max(axis=1)
+
+
+def _check_sizes(mechanism: Mechanism, model: Any) -> None:
+    have = (model.njnt, model.nv, model.nu, model.na)
+    expected = (len(mechanism.joint_names), mechanism.nv, mechanism.nu, mechanism.na)
+    if have != expected or model.nq != mechanism.nq:
+        words = "{} joints with {} degrees of freedom, {} actuators and {} activations"
+        raise ModelError(
+            f"the model has {words.format(*have)}, expected {words.format(*expected)}: it is another machine."
+        )

@@ -1,0 +1,130 @@
+"""Step 2 of a proof: MuJoCo with the plan's own integrator and step. Proves the transcription, nothing else.
+
+MuJoCo has the semi-implicit Euler method, and Runge-Kutta's where no orientation is a quaternion: on rotations its
+method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo does not have the plan's integrator, that
+integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from planner.figures import Figure, Section
+from planner.gl import load_mujoco
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.replay import matching_model
+from planner.space import StateSpace
+from planner.twin import Twin
+
+PATH_BOUND = 1e-8  # of the largest state
+STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
+_ROUNDING = 10.0 * np.finfo(float).eps  # of one stage, relative to the largest state
+
+Stage = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
+    """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's.
+
+    Raises:
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    """
+    if problem.requirements is not None and problem.requirements.no_same_step:
+        return Section("same step", not_applicable=problem.requirements.no_same_step)
+    space = plan.space
+    model = matching_model(twin, problem.dynamics.nu)
+    found = _stage(getattr(problem.dynamics, "integrator", ""), problem.dynamics.dt, model, twin, space)
+    if found is None:
+        return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
+    how, stage = found
+    path = np.empty_like(plan.xs)
+    path[0] = problem.x0
+    for n, u in enumerate(plan.us):
+        path[n + 1] = stage(path[n], u)
+    ends = np.array([stage(x, u) for x, u in zip(plan.xs[:-1], plan.us, strict=True)])
+    largest = max(1.0, float(np.abs(plan.xs).max()))
+    errors = [float(np.abs(space.difference(xs, plan.xs[-len(xs) :])).max()) / largest for xs in (path, ends)]
+    amplification = rounding_amplification(problem.dynamics.linearize(plan.xs, plan.us)[0])
+    bound = max(PATH_BOUND, _ROUNDING * amplification)
+    note = f"{how} at the plan's step, largest component over the path, relative to the largest state"
+    if bound > PATH_BOUND:
+        note += f"; the bound is what rounding becomes, since this path amplifies it {amplification:.1e} times"
+    return Section(
+        "same step",
+        (
+            Figure("state_error", errors[0], "", bound, note),
+            Figure("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot"),
+        ),
+    )
+
+
+def rounding_amplification(A: np.ndarray) -> float:
+    """How large independent errors of size 1 in every state after each stage become, where A (N, ndx, ndx) leads."""
+    covariance, largest = np.zeros(A.shape[1:]), 1.0
+    for step in A:
+        covariance = step @ covariance @ step.T + np.eye(len(step))
+        largest = max(largest, float(np.sqrt(covariance.diagonal().max())))
+    return largest
+
+
+def _stage(integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace) -> tuple[str, Stage] | None:
+    """One stage in MuJoCo: what does it, in words, and the function (x, u) -> x at its end."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(model)
+    model.opt.timestep = dt
+    # A plan's Euler takes damping at the stage's start like every other force.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+
+    def set_state(x: np.ndarray, u: np.ndarray) -> None:
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(twin.sim_of(x), [model.nq, model.nq + model.nv])
+        data.ctrl[:] = u
+
+    def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        set_state(x, u)
+        mujoco.mj_step(model, data)
+        return twin.x_of(np.concatenate([data.qpos, data.qvel, data.act]))
+
+    def rates(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        set_state(x, u)
+        mujoco.mj_forward(model, data)
+        w = np.concatenate([data.qvel, data.qacc, data.act_dot])
+        return w if space.quaternions else twin.to_x @ w
+
+    own = {"euler": explicit_euler, "rk4": munthe_kaas}
+    named = {"semi-implicit-euler": "EULER"} if space.quaternions else {"semi-implicit-euler": "EULER", "rk4": "RK4"}
+    if integrator in named:
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
+        return f"MuJoCo's {named[integrator]}", step
+    if integrator in own:
+        return "MuJoCo's accelerations", lambda x, u: own[integrator](rates, space, x, u, dt)
+    return None
+
+
+def explicit_euler(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
+    """One stage of the paper's integrator."""
+    return space.integrate(x, dt * rates(x, u))
+
+
+def munthe_kaas(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
+    """One stage of the classic Runge-Kutta method, in Munthe-Kaas's form where states hold quaternions.
+
+    Rotation vectors do not add: the increments of a quaternion are corrected by the products a x b of the body's
+    own turns, so that the method is of fourth order on rotations too.
+    """
+
+    def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        result = np.zeros_like(a)
+        for _, j in space.quaternions:
+            result[j : j + 3] = np.cross(a[j : j + 3], b[j : j + 3])
+        return result
+
+    k1 = dt * rates(x, u)
+    k2 = dt * rates(space.integrate(x, 0.5 * k1), u)
+    k3 = dt * rates(space.integrate(x, 0.5 * k2 + product(k1, k2) / 8.0), u)
+    k4 = dt * rates(space.integrate(x, k3), u)
+    return space.integrate(x, (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0 + product(k1, k4) / 12.0)

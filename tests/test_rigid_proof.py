@@ -1,0 +1,403 @@
+"""The proof of any mechanism: the general rules, ranges, orientation in quaternions, and pictures of trees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_mechanism_parity import TREE
+
+import planner
+from planner.default_stage import default_stage
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.film import Film
+from planner.mechanism import Mechanism
+from planner.mjcf import edited, model_path
+from planner.plan import Plan, Status
+from planner.problem import Problem, Requirements
+from planner.replay import compile_model, may_touch
+from planner.same_step import munthe_kaas, rounding_amplification, same_step
+from planner.scene import Scene
+from planner.space import exp_quaternion
+from planner.stage import Stage
+
+LIMITED = """
+<mujoco model="limited">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001"><flag contact="disable"/></option>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 -1 0" damping="0.1" range="-1 1"/>
+      <inertial pos="1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <geom type="capsule" fromto="0 0 0 1 0 0" size="0.05" contype="0" conaffinity="0"/>
+      <site name="tip" pos="1 0 0"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+</mujoco>
+"""
+
+
+def acrobot():
+    return Mechanism.from_mjcf(model_path("acrobot") / "scene.xml")
+
+
+def problem_of(mechanism, dt, N, *, integrator="rk4", x0=None, us=None, **rest):
+    dynamics = RigidBodyDynamics(mechanism, dt, integrator)
+    cost = planner.TrackingCost.reach(
+        mechanism.home, N, final=1.0, effort=np.ones(mechanism.nu), dt=dt, nu=mechanism.nu, space=mechanism.space
+    )
+    start = mechanism.home if x0 is None else x0
+    return Problem(dynamics, cost, start, us=us, horizon=N, twin=planner.Twin.of(mechanism), **rest)
+
+
+def rolled_out(problem):
+    """A plan that nobody optimized: the rollout of the problem's first controls, without gains."""
+    xs = np.empty((problem.N + 1, problem.dynamics.nx))
+    xs[0] = problem.x0
+    for n, u in enumerate(problem.first_guess):
+        xs[n + 1] = problem.dynamics.step(xs[n : n + 1], u[None])[0]
+    us, dynamics = problem.first_guess, problem.dynamics
+    K = np.zeros((problem.N, us.shape[1], dynamics.ndx))
+    t = dynamics.dt * np.arange(problem.N + 1)
+    return Plan(
+        t=t, xs=xs, us=us, K=K, cost=problem.cost.value(xs, us), gradient_norm=0.0, status=Status.CONVERGED, history=(),
+        problem=problem, twin=problem.twin,
+    )  # fmt: skip
+
+
+def tree_plan(integrator, dt=0.005, N=80):
+    """The tree of the parity test thrown through the air, all joints moving."""
+    tree = Mechanism.from_mjcf(TREE)
+    rng = np.random.default_rng(3)
+    x0 = tree.space.integrate(tree.home, rng.normal(scale=0.5, size=tree.space.ndx))
+    return rolled_out(problem_of(tree, dt, N, integrator=integrator, x0=x0, us=rng.normal(size=(N, tree.nu))))
+
+
+def swing_up(integrator, dt):
+    mechanism = acrobot()
+    N = round(4.0 / dt)
+    dynamics = RigidBodyDynamics(mechanism, dt, integrator)
+    cost = planner.TrackingCost.reach(mechanism.keyframe("goal"), N, final=1000.0, effort=1.0, dt=dt)
+    twin, start = planner.Twin.of(mechanism), mechanism.keyframe("start")
+    return planner.solve(Problem(dynamics, cost, start, horizon=N, twin=twin))
+
+
+def values(section):
+    return {figure.name: figure.value for figure in section.figures}
+
+
+# The general rules.
+
+
+@pytest.fixture(scope="module")
+def acrobot_plan():
+    return swing_up("rk4", 0.01)
+
+
+def test_a_runge_kutta_plan_of_the_acrobot_passes_with_feedback(acrobot_plan):
+    proof = planner.prove(acrobot_plan)
+    assert (proof.verdict, proof.mode) == ("PASS", "feedback"), proof.reason
+    assert proof.parity.passed
+    assert not proof.parity.not_applicable
+    assert values(proof.same_step)["state_error"] <= 1e-10
+    open_loop, feedback = values(proof.refined_open_loop), values(proof.refined_feedback)
+    assert open_loop["end_state_error"] > 1e-2 > feedback["end_state_error"]
+    assert feedback["end_state_error"] < 0.01 * open_loop["end_state_error"]
+    assert feedback["largest_angle_error"] < open_loop["largest_angle_error"]
+    assert open_loop["largest_angle_error"] <= open_loop["largest_angular_velocity_error"] * 4.0
+    assert 0.5 < open_loop["error_growth_rate"] < 6.0  # a rod of 2 m upright: 2.7 / s
+    assert "error_growth_rate" not in feedback
+    assert values(proof.goal)["replayed_goal_error"] == pytest.approx(
+        values(proof.goal)["planned_goal_error"], abs=1e-2
+    )
+
+
+def test_a_plan_of_coarse_semi_implicit_steps_fails():
+    proof = planner.prove(swing_up("semi-implicit-euler", 0.02))
+    assert (proof.verdict, proof.mode) == ("FAIL", None)
+    assert proof.plan.passed
+    assert proof.parity.passed
+    assert values(proof.same_step)["state_error"] <= 1e-8  # the transcription is right, the integrator is not
+    assert values(proof.refined_feedback)["end_state_error"] > 0.1
+
+
+def test_the_growth_rate_is_the_pendulums_own():
+    """Upright, l qdd = g q: an error grows by the matrix of cosh and sinh."""
+
+    def falling(x, u):
+        return np.stack([x[..., 1], 9.81 * x[..., 0] + u[..., 0]], axis=-1)
+
+    text = edited(LIMITED.replace('range="-1 1"', ""), {"option": {"gravity": "0 0 0"}})
+    twin = planner.Twin(text, np.eye(2), np.zeros(2), np.eye(2)[None], np.zeros((1, 2)))
+    dynamics, T, w = planner.FunctionDynamics(falling, 2, 1, 0.01), 3.0, np.sqrt(9.81)
+    cost = planner.TrackingCost.reach([0.0, 0.0], 300, final=1.0, effort=1.0, dt=0.01)
+    proof = planner.prove(planner.solve(Problem(dynamics, cost, [0.0, 0.0], twin=twin)))
+    phi = np.array([[np.cosh(w * T), np.sinh(w * T) / w], [w * np.sinh(w * T), np.cosh(w * T)]])
+    assert values(proof.refined_open_loop)["error_growth_rate"] == pytest.approx(
+        np.log(np.linalg.norm(phi, 2)) / T, rel=1e-4
+    )
+
+
+def test_a_case_can_give_a_goal_alone(acrobot_plan):
+    """Requirements are optional one by one; the others stay the general rules."""
+
+    def unreachable(run):
+        return planner.figures.Section("goal", (planner.figures.Figure("distance", 1.0, "m", 0.5),))
+
+    problem = replace(acrobot_plan.problem, requirements=Requirements(goal=unreachable))
+    proof = planner.prove(replace(acrobot_plan, problem=problem))
+    assert (proof.verdict, proof.goal.failures[0].name) == ("FAIL", "distance")
+    assert proof.parity.passed
+    assert "end_state_error" in values(proof.refined_feedback)
+
+
+def test_a_model_that_differs_fails_by_the_name_of_its_joint(acrobot_plan):
+    text = edited(acrobot_plan.twin.mjcf, {".//joint[@name='elbow']": {"damping": "0.001"}})
+    proof = planner.prove(acrobot_plan, mjcf=text)
+    assert proof.verdict == "FAIL"
+    assert proof.reason.startswith("parity: bias force error")
+    assert "damping at joint 'elbow'" in proof.reason
+
+
+def test_feedback_is_in_the_difference_of_the_space():
+    """A body that spins through more than a turn: q and -q are one orientation, and gains must see it so."""
+    plan = tree_plan("rk4")
+    K = np.zeros_like(plan.K)
+    K[:, 0, 3:6] = 100.0
+    flipped = plan.xs.copy()
+    for address, _ in plan.problem.dynamics.space.quaternions:
+        flipped[:, address : address + 4] *= -1.0
+    run = planner.replay(replace(plan, K=K, xs=flipped), feedback=True)
+    assert np.abs(run.error).max() < 1e-2
+    assert np.abs(run.ctrl - np.repeat(plan.us, run.substeps, axis=0)).max() < 1.0
+    assert run.error.shape == (len(run.t), plan.problem.dynamics.ndx)
+
+
+# The plan's own step.
+
+
+def test_the_method_is_of_fourth_order_on_rotations():
+    """A free body tumbling without moments: against itself at fine steps, the error falls 16 times a halving."""
+    inertia, tree = np.array([1.0, 2.0, 3.5]), Mechanism.from_mjcf(TREE).space
+    space = type(tree)(7, 6, ((0, 0),))
+
+    def rates(x, u):
+        w = x[4:]
+        return np.concatenate([w, np.cross(inertia * w, w) / inertia])
+
+    def end(steps):
+        x = np.concatenate([exp_quaternion(np.array([0.3, -0.5, 0.2])), [2.0, 0.3, -1.5]])
+        for _ in range(steps):
+            x = munthe_kaas(rates, space, x, np.zeros(0), 1.0 / steps)
+        return x
+
+    fine = end(640)
+    errors = [np.abs(space.difference(end(steps), fine)).max() for steps in (10, 20, 40)]
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.25)
+    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.15)
+
+
+@pytest.mark.parametrize("integrator", ["euler", "semi-implicit-euler", "rk4"])
+def test_mujoco_repeats_a_tree_at_the_plans_own_step(integrator):
+    plan = tree_plan(integrator)
+    section = same_step(plan, plan.problem, plan.twin)
+    assert section.passed, section
+    assert values(section)["state_error"] < 1e-9
+    other = replace(plan.problem, dynamics=RigidBodyDynamics(plan.problem.dynamics.mechanism, 0.005, "euler"))
+    if integrator != "euler":
+        assert not same_step(plan, other, plan.twin).passed
+
+
+def test_damping_of_euler_is_explicit_in_both():
+    mechanism = Mechanism.from_mjcf(LIMITED.replace('range="-1 1"', "").replace('damping="0.1"', 'damping="3"'))
+    x0 = np.array([0.3, 2.0])
+    plan = rolled_out(problem_of(mechanism, 0.02, 50, integrator="semi-implicit-euler", x0=x0))
+    assert values(same_step(plan, plan.problem, plan.twin))["stage_error"] < 1e-13
+
+
+def test_amplified_rounding():
+    """x+ = a x + 1 in the mean square: the sum of a geometric series."""
+    a, N = 1.5, 40
+    total = np.sqrt(sum(a ** (2 * k) for k in range(N)))
+    assert rounding_amplification(np.full((N, 1, 1), a)) == pytest.approx(total)
+    assert rounding_amplification(np.zeros((5, 3, 3))) == 1.0
+
+
+# Ranges.
+
+
+def held(text, torque, *, N=100):
+    """A plan of the model without ranges, replayed in the one with them."""
+    plain = LIMITED.replace('range="-1 1"', "")
+    plan = rolled_out(problem_of(Mechanism.from_mjcf(plain), 0.01, N, us=np.full((N, 1), torque)))
+    return planner.replay(plan, twin=replace(plan.twin, mjcf=text))
+
+
+def test_a_replay_says_which_range_it_reached():
+    free = held(LIMITED.replace('range="-1 1"', ""), 0.0)
+    assert free.reached == ()
+    limited = held(LIMITED, 0.0)
+    first = free.t[np.argmax(np.abs(free.qpos[:, 0]) > 1.0)]
+    (sentence,) = limited.reached
+    assert sentence.startswith(f"joint 'hinge' is outside its range from t = {first:.4g} s, by up to ")
+    assert sentence.endswith(" rad.")
+    most = float(sentence.split("by up to ")[1].split()[0])
+    assert most == pytest.approx(np.abs(limited.qpos[:, 0]).max() - 1.0, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("where", "attribute", "words"),
+    [
+        ("motor", "ctrlrange", "actuator 'motor' is asked for more than its ctrlrange from t = 0 s, by up to 2."),
+        ("motor", "forcerange", "actuator 'motor' is asked for more than its forcerange from t = 0 s, by up to 2."),
+        (
+            "joint",
+            "actuatorfrcrange",
+            "joint 'hinge' is asked for more than its actuatorfrcrange from t = 0 s, by up to 2.",
+        ),
+    ],
+)
+def test_clamps_are_said_with_how_much_they_took(where, attribute, words):
+    text = edited(LIMITED.replace('range="-1 1"', ""), {f".//{where}": {attribute: "-7 7"}})
+    assert held(text, 9.0, N=20).reached == (words,)
+    assert held(text, 6.0, N=20).reached == ()
+
+
+def test_ranges_stand_in_the_proof():
+    plan = rolled_out(problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 100))
+    proof = planner.prove(plan)
+    assert proof.verdict == "FAIL"
+    figure = next(f for f in proof.refined_open_loop.figures if f.name == "ranges_reached")
+    assert (figure.value, figure.bound) == (1.0, None)
+    assert "joint 'hinge'" in figure.note
+
+
+def test_only_models_that_can_touch_are_probed():
+    geoms = '<body><freejoint/><geom size="1"/></body><body pos="0 0 3"><freejoint/><geom size="1" {}/></body>'
+    scene = f"<mujoco><option>{{}}</option><worldbody>{geoms}</worldbody></mujoco>"
+
+    def touching(flag, bits):
+        return may_touch(compile_model(scene.format(flag, bits)))
+
+    assert touching("", "")
+    assert touching("", 'contype="0"')  # the other's type still meets its affinity
+    assert not touching("", 'contype="0" conaffinity="0"')
+    assert not touching('<flag contact="disable"/>', "")
+    assert not may_touch(compile_model(acrobot().mjcf))
+
+
+# Files.
+
+
+def test_meshes_travel_with_the_plan(tmp_path):
+    cube = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    cube += (
+        "\nf 1 2 4\nf 1 4 3\nf 5 7 8\nf 5 8 6\nf 1 5 6\nf 1 6 2\nf 3 4 8\nf 3 8 7\nf 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\n"
+    )
+    geom = '<geom type="capsule" fromto="0 0 0 1 0 0" size="0.05"'
+    text = edited(LIMITED.replace(geom, '<geom type="mesh" mesh="cube"'), {})
+    text = text.replace("<worldbody>", '<asset><mesh name="cube" file="cube.obj"/></asset><worldbody>')
+    plan = rolled_out(problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 10))
+    plan = replace(plan, twin=replace(plan.twin, mjcf=text, assets={"cube.obj": cube.encode()}))
+    again = Plan.load(plan.save(tmp_path / "plan.npz"))
+    assert again.twin.assets == plan.twin.assets
+    assert compile_model(again.twin.mjcf, again.twin.assets).nmesh == 1
+    with pytest.raises(planner.ModelError, match="MuJoCo refuses"):
+        compile_model(again.twin.mjcf)
+    film = Film.of(planner.replay(plan), np.array([0.0]))
+    film.save(tmp_path / "film.npz")
+    assert Film.load(tmp_path / "film.npz")[0].assets == plan.twin.assets
+
+
+# Pictures.
+
+
+def changed(a, b):
+    return int(np.sum(np.abs(a.astype(int) - b.astype(int)).max(axis=-1) > 8))
+
+
+def test_a_stage_nobody_wrote_names_joints_and_looks_across_the_plane():
+    stage = default_stage(acrobot())
+    assert (stage.title, stage.azimuth) == ("acrobot scene", 90.0)
+    assert [panel.title for panel in stage.plots] == ["Joint angles", "Angular velocities", "Controls"]
+    assert stage.plots[0].states == ((0, "shoulder"), (1, "elbow"))
+    assert stage.plots[1].states == ((2, "shoulder"), (3, "elbow"))
+    tree = Mechanism.from_mjcf(TREE)
+    stage = default_stage(tree)
+    assert stage.azimuth not in (0.0, 90.0, 180.0)
+    assert stage.plots[1].states[:3] == ((0, "root x"), (1, "root y"), (2, "root z"))
+    many = TREE.replace('<joint name="knee" axis="0 1 0"/>', '<joint name="knee" axis="0 1 0"/><joint axis="1 0 0"/>')
+    turning = default_stage(Mechanism.from_mjcf(many)).plots[2]  # 3 of the root, 3 of the wrist, hip, knee and one more
+    assert (turning.title, len(turning.states)) == ("Angular velocities, the first 8 of 9", 8)
+    lying = default_stage(Mechanism.from_mjcf(LIMITED.replace("0 -1 0", "0 0 1")))
+    assert lying.elevation < -80.0
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("axis", ["1 0 0", "0 -1 0", "0 0 1"])
+def test_a_model_without_light_or_floor_is_seen_whole(axis):
+    """The camera finds it, whatever the plane of motion: the arm covers a good part and touches no edge."""
+    text = LIMITED.replace("0 -1 0", axis).replace('range="-1 1"', "")
+    text = text.replace('fromto="0 0 0 1 0 0"', 'fromto="0 0 0 0 1 0"') if axis == "1 0 0" else text
+    text = text.replace('pos="1 0 0"', 'pos="0 1 0"') if axis == "1 0 0" else text
+    plan = rolled_out(problem_of(Mechanism.from_mjcf(text), 0.01, 100, us=np.full((100, 1), 2.0)))
+    film = Film.of(planner.replay(plan), np.array([0.0, 0.5, 1.0]))
+    empty_model = edited(text, {".//geom": {"rgba": "0 0 0 0"}})
+    with (
+        Scene(film, 160, 90, ghost=False) as scene,
+        Scene(replace(film, mjcf=empty_model), 160, 90, ghost=False) as none,
+    ):
+        for frame in range(3):
+            picture, background = scene.draw(frame), none.draw(frame)
+            arm = np.abs(picture.astype(int) - background.astype(int)).max(axis=-1) > 8
+            assert arm.sum() > 60
+            assert not arm[[0, -1]].any()
+            assert not arm[:, [0, -1]].any()
+            assert background.mean() > 100  # no black nothing
+
+
+@pytest.mark.render
+def test_a_trail_follows_the_site():
+    stage = Stage(title="", azimuth=90.0, elevation=-5.0)
+    problem = problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 60)
+
+    def pictures(stage):
+        plan = rolled_out(replace(problem, stage=stage))
+        with Scene(Film.of(planner.replay(plan), np.array([0.0, 0.3, 0.6])), 320, 180, ghost=False) as scene:
+            return [scene.draw(frame) for frame in range(3)]
+
+    plain, trailed = pictures(stage), pictures(replace(stage, trail="tip"))
+    drawn = [changed(a, b) for a, b in zip(plain, trailed, strict=True)]
+    assert drawn[0] < 10
+    assert 40 < drawn[1] < drawn[2]
+    with pytest.raises(planner.PlannerError, match=r"trail is 'toe', expected a site of the model: tip\."):
+        pictures(replace(stage, trail="toe"))
+
+
+@pytest.mark.render
+def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
+    """The ghost of a turned plan covers the pixels that the machine itself would cover if it were turned so."""
+    box = '<geom type="box" size="0.3 0.1 0.15" contype="0" conaffinity="0" rgba="{}"/><body name="thigh"'
+    tree, hidden = (TREE.replace('<body name="thigh"', box.format(rgba)) for rgba in ("0.8 0.2 0.2 1", "0 0 0 0"))
+    stage = Stage(title="", distance=2.5, azimuth=90.0, elevation=-10.0)
+    mechanism = Mechanism.from_mjcf(tree)
+    x0 = mechanism.home.copy()
+    x0[0] = 0.8
+    run = planner.replay(
+        rolled_out(problem_of(mechanism, 0.005, 2, x0=x0, us=np.zeros((2, mechanism.nu)), stage=stage))
+    )
+    turned = run.plan_xs.copy()
+    turned[:, 0], turned[:, 3:7] = -0.5, exp_quaternion(np.array([0.0, np.pi / 2, 0.0]))
+
+    def drawn(text, ghost, qpos):
+        film = Film.of(replace(run, plan_xs=turned, qpos=qpos), np.array([0.0]))
+        with Scene(replace(film, mjcf=text), 160, 90, ghost=ghost) as scene:
+            return scene.draw(0).astype(int)
+
+    def where(a, b):
+        return np.abs(a - b).max(axis=-1) > 8
+
+    ghost = where(drawn(tree, True, run.qpos), drawn(tree, False, run.qpos))
+    machine = where(drawn(tree, False, turned[:, : mechanism.nq]), drawn(hidden, False, turned[:, : mechanism.nq]))
+    assert ghost.sum() > 100
+    assert (ghost & machine).sum() > 0.85 * (ghost | machine).sum()
