@@ -41,8 +41,6 @@ _models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()
 
 def _model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> Model:
     """The kernels' model, without actuators, made once."""
-    if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"mechanism is {mechanism!r}, expected a Mechanism.")
     known = _models.setdefault(mechanism, {})
     key = b"" if prescribed is None else prescribed.tobytes()
     if key not in known:
@@ -54,6 +52,8 @@ class _Batch:
     """Arguments as (K, n) arrays, and whether there was only one state."""
 
     def __init__(self, mechanism: Mechanism, **given: Any) -> None:
+        if not isinstance(mechanism, Mechanism):
+            raise PlannerError(f"mechanism is {mechanism!r}, expected a Mechanism.")
         self.mechanism = mechanism
         sizes = {"q": mechanism.nq}
         self.single = all(np.ndim(value) <= 1 for value in given.values())
@@ -131,6 +131,8 @@ def hybrid_dynamics(
 
 
 def _prescribed(mechanism: Mechanism, names: Collection[str]) -> np.ndarray:
+    if not isinstance(names, (str, Collection)):
+        raise PlannerError(f"prescribed is {names!r}, expected names of joints.")
     mask = np.zeros(mechanism.nv, dtype=bool)
     for name in (names,) if isinstance(names, str) else names:
         mask[mechanism.joint(name)] = True
@@ -256,7 +258,7 @@ def _places(b: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _framed(mechanism: Mechanism, frame: str | Frame) -> Frame:
-    return mechanism.frame(frame) if isinstance(frame, str) else frame
+    return frame if isinstance(frame, Frame) else mechanism.frame(frame)
 
 
 def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:

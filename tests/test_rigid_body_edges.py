@@ -25,9 +25,9 @@ def test_dynamics_are_the_same_a_kilometre_away(text, seed):
     for links in roots:
         a = m.q_address[links.start]
         far[:, a : a + 3] += shift
-    assert relative_error(there.rates(far, us), here.rates(xs, us)) < 1e-9
+    assert relative_error(there.rates(far, us), here.rates(xs, us)) < 1e-11
     for one, other in zip(there.linearize(far, us), here.linearize(xs, us), strict=True):
-        assert relative_error(one, other) < 1e-9
+        assert relative_error(one, other) < 1e-11
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)

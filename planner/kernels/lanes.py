@@ -12,7 +12,7 @@ step lengths the last four are hardly ever wanted.
     store4(p, k, v)
     at(p, k)              the pointer to entry k
     t[k]                  entry k of a table: integers that no kernel writes
-    lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k]
+    lanes(t, k), floats(t, k), integers(t, k)      the pointer whose address is t[k], t an array or its pointer
 
 Pointers are taken once, at a kernel's entry: arrays used inside loops are reference counted, which spills every
 vector register around each use. A table of addresses in one int64 array carries all memory of a solve across the
@@ -220,7 +220,10 @@ def _define_entry(result: _PointerType) -> Any:
     @intrinsic
     def entry(typingctx: Any, table: Any, k: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            address = _constant(builder, builder.load(builder.gep(args[0], [args[1]]), align=8))
+            start = args[0]
+            if isinstance(sig.args[0], types.Array):
+                start = context.make_array(sig.args[0])(context, builder, start).data
+            address = _constant(builder, builder.load(builder.gep(start, [args[1]]), align=8))
             return builder.inttoptr(address, context.get_value_type(result))
 
         return result(table, types.intp), lower
