@@ -40,6 +40,8 @@ class RigidBodyDynamics:
             raise PlannerError(f"mechanism is {mechanism!r}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
         self.integrator = choice("integrator", integrator, INTEGRATORS)
+        if not isinstance(prescribed, (str, Collection)):
+            raise PlannerError(f"prescribed is {prescribed!r}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         driven = np.zeros(mechanism.nv, dtype=bool)
         for name in self.prescribed:
