@@ -1,6 +1,6 @@
 """Engine: the memory and the arithmetic of one solve. solve() drives it and decides.
 
-`CompiledEngine` makes one compiled call per iteration. `NumpyEngine` does the same steps over the protocols of
+`CompiledEngine` makes a few compiled calls per iteration. `NumpyEngine` does the same steps over the protocols of
 dynamics and cost, for a user's own Python. Both use the line search of kernels.search.
 """
 
@@ -19,7 +19,10 @@ from planner.errors import PlannerError
 from planner.kernels import search
 from planner.kernels.jit import announce
 from planner.kernels.lanes import WIDTH
-from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, OUT, Workspace
+from planner.kernels.precompile import compile_together
+from planner.kernels.quadratic import gradients
+from planner.kernels.riccati import direction, riccati_dense, riccati_structured
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
 from planner.problem import Problem
 from planner.space import space_of
 
@@ -69,7 +72,7 @@ class Engine(Protocol):
 
 
 class CompiledEngine:
-    """Dynamics and a tracking cost whose iteration is one compiled call."""
+    """Dynamics and a tracking cost that are compiled."""
 
     def __init__(self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
         self._problem, self._dynamics = problem, dynamics
@@ -81,9 +84,12 @@ class CompiledEngine:
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
         """Roll out the first guess; its cost."""
         self._numpy = None
+        sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
+        compile_together((sweep, *self._dynamics.kernels))
         self._w.xs[0] = x0
         self._w.us[:] = us
-        return self._dynamics.start(self._w, self._memory)
+        self._w.dus[:] = 0.0
+        return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
@@ -96,12 +102,22 @@ class CompiledEngine:
             self._numpy.start(xs[0], us)
         if self._numpy is not None:
             return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
-        kind = self._dynamics.iterate(
-            self._w, self._memory, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
-        )
-        norm, slope, step, after = self._w.search[OUT].tolist()
-        promised = -slope * step * (1.0 - 0.5 * step) if kind == ACCEPTED else -0.5 * slope
-        return Outcome(kind, norm, slope, step, promised, after)
+        w, dynamics = self._w, self._dynamics
+        if fresh:
+            dynamics.linearize_nominal(w, self._memory)  # Eq. 35
+            gradients(w.table)
+        riccati = riccati_structured if dynamics.structured else riccati_dense
+        norm, slope, definite = riccati(w.table, mu, dynamics.dt)
+        if not definite:
+            return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
+        if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
+            return Outcome(CONVERGED, norm, slope, 0.0, -0.5 * slope, cost)
+        if not feedback:
+            direction(w.table, dynamics.dt)
+        step, after = dynamics.search(w, self._memory, rule, feedback, cost, slope)  # Eq. 36
+        if step == 0.0:
+            return Outcome(NO_STEP, norm, slope, 0.0, -0.5 * slope, cost)
+        return Outcome(ACCEPTED, norm, slope, step, -slope * step * (1.0 - 0.5 * step), after)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""

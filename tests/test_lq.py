@@ -258,7 +258,7 @@ def test_compiled_sweep_is_its_twin(nx, nu, seed, N, mu):
     A, B, m = random_problem(seed, N, nx, nu)
     twin = lq.riccati(A, B, m, mu)
     w = filled(A, B, m)
-    norm, slope, definite = kernels.riccati(w.table, mu, 0.0)
+    norm, slope, definite = kernels.riccati_dense(w.table, mu, 0.0)
     assert definite
     gradient = lq.gradient(A, B, m)
     assert_close(w.gradient, gradient, 11)
@@ -286,13 +286,13 @@ def test_compiled_gradients_are_the_costs(nx, nu, seed, N):
     np.testing.assert_allclose(w.l[:N, :nu], model.r, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(w.l[:, x], model.q, rtol=1e-12, atol=1e-12)
     assert not w.l[N, :nu].any()  # there is no control at the end
-    kernels.riccati(w.table, 0.0, 0.0)
+    kernels.riccati_dense(w.table, 0.0, 0.0)
     assert_close(w.gradient, lq.gradient(A, B, model), 11)
 
 
 def swept(w, mu=0.0):
     """The compiled sweep; the workspace is a name here, so that its memory lives as long as the call."""
-    return kernels.riccati(w.table, mu, 0.0)
+    return kernels.riccati_dense(w.table, mu, 0.0)
 
 
 def test_compiled_sweep_forgets_the_last_one():

@@ -10,8 +10,8 @@ import time
 from planner import cases, problem_file
 from planner.commands.parser import PROBLEM_FILE, documented_arguments, summary
 from planner.console import Console
-from planner.kernels import hopper, tree_solve
 from planner.kernels.jit import is_warm
+from planner.kernels.precompile import KERNELS, compile_together
 from planner.parity import parity
 from planner.plan import installed_versions
 from planner.slq import solve
@@ -43,8 +43,9 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
 
 def warmup(arguments: argparse.Namespace, console: Console) -> int:
     """Compile the numerical core, once; says so only if there is something to compile."""
-    cold = not (is_warm(hopper.iterate) and is_warm(tree_solve.iterate))
+    cold = not all(is_warm(kernel) for kernel, _ in KERNELS.values())
     began = time.perf_counter()
+    compile_together(KERNELS)
     for problem in (cases.hopper(horizon=8, duration=0.04), cases.acrobot(horizon=8, duration=0.04)):
         plan = solve(problem, max_iterations=2)
         problem.dynamics.step(plan.xs[:1], plan.us[:1])

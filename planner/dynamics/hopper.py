@@ -6,8 +6,7 @@ import numpy as np
 
 from planner.arguments import array, choice, number
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels import hopper as kernels
-from planner.kernels.jit import announce
+from planner.kernels import hopper as kernel
 from planner.kernels.lanes import WIDTH, lane_array
 from planner.kernels.workspace import Workspace
 
@@ -30,6 +29,7 @@ class HopperDynamics:
     nu = 1
     structured = False
     has_slopes = True
+    kernels = ("hopper search", "hopper linearize")
 
     def __init__(
         self, dt: float, integrator: str = "rk4", *, stiffness: float = 100.0, smoothing: float = 0.1,
@@ -49,7 +49,7 @@ class HopperDynamics:
         us = array("us", us, (len(xs), 1), any_value=True)
         dt = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         ends = np.empty_like(xs)
-        kernels.steps(self._code, self._parameters, xs, us, dt, ends)
+        kernel.steps(self._code, self._parameters, xs, us, dt, ends)
         return ends
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ class HopperDynamics:
         xs = array("xs", xs, ("K", 3), any_value=True)
         us = array("us", us, (len(xs), 1), any_value=True)
         rates = np.empty_like(xs)
-        kernels.rates(self._parameters, xs, us, rates)
+        kernel.rates(self._parameters, xs, us, rates)
         return rates
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -65,23 +65,18 @@ class HopperDynamics:
         us = array("us", us, ("N", 1), any_value=True)
         xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
         F = np.empty((len(us), 3, WIDTH))
-        kernels.linearize_arrays(self._code, self.dt, self._parameters, xs, us, F, lane_array(7, WIDTH))
+        kernel.linearize_arrays(self._code, self.dt, self._parameters, xs, us, F, lane_array(7, WIDTH))
         return F[:, :, 1:4].copy(), F[:, :, :1].copy()
 
     def memory(self, N: int) -> None:
         """Scratch of one solve of N stages: none."""
 
-    def start(self, w: Workspace, memory: None) -> float:
-        """Roll out w.us from w.xs[0]; the cost."""
-        announce(kernels.iterate)
-        return kernels.start(self._code, self.dt, self._parameters, w.table, w.search)
+    def linearize_nominal(self, w: Workspace, memory: None) -> None:
+        """Fill w.F along w.xs, w.us."""
+        kernel.linearize_nominal(self._code, self.dt, self._parameters, w.table)
 
-    def iterate(
-        self, w: Workspace, memory: None, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
-    ) -> int:  # fmt: skip
-        """One SLQ iteration; the outcome, with w.out filled."""
-        return kernels.iterate(
-            self._code, self.dt, self._parameters, w.table, w.search, rule, feedback, mu, fresh, cost,
-            gradient_tolerance, decrease_tolerance,
-        )  # fmt: skip
+    def search(
+        self, w: Workspace, memory: None, rule: int, feedback: bool, cost: float, slope: float
+    ) -> tuple[float, float]:
+        """Line search from w.xs, w.us; see CompiledDynamics.search."""
+        return kernel.search_step(self._code, self.dt, self._parameters, w.table, w.search, rule, feedback, cost, slope)

@@ -52,29 +52,33 @@ class Dynamics(Protocol):
 
 @runtime_checkable
 class CompiledDynamics(Protocol):
-    """Dynamics whose whole iteration is one compiled call on a Workspace (see kernels).
+    """Dynamics that work on a Workspace (see kernels).
 
     Attributes:
         structured: Whether F holds accelerations only (see Workspace).
         has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
+        kernels: What it is compiled of, names of kernels.precompile.
     """
 
     @property
     def structured(self) -> bool: ...  # noqa: D102
     @property
     def has_slopes(self) -> bool: ...  # noqa: D102
+    @property
+    def kernels(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def dt(self) -> float: ...  # noqa: D102
 
     def memory(self, N: int) -> Any:
-        """Scratch of one solve of N stages, for start and iterate."""
+        """Scratch of one solve of N stages, for linearize_nominal and search."""
         ...
 
-    def start(self, w: Workspace, memory: Any) -> float:
-        """Roll out w.us from w.xs[0]; the cost."""
+    def linearize_nominal(self, w: Workspace, memory: Any) -> None:
+        """Fill w.F along w.xs, w.us."""
         ...
 
-    def iterate(
-        self, w: Workspace, memory: Any, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
-    ) -> int:  # fmt: skip
-        """One SLQ iteration; the outcome, with w.out filled."""
+    def search(
+        self, w: Workspace, memory: Any, rule: int, feedback: bool, cost: float, slope: float
+    ) -> tuple[float, float]:
+        """Line search (see kernels.search) from w.xs, w.us; takes the step there; (step or 0, cost after)."""
         ...

@@ -55,6 +55,7 @@ class RigidBodyDynamics:
         self._code = INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
+        self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         us = array("us", us, ("K", self.nu), any_value=True)
@@ -67,7 +68,7 @@ class RigidBodyDynamics:
         announce(tree_step.steps)
         ends = np.empty_like(xs)
         memory = TreeMemory(self._model, self._code, 0, linearizing=False)
-        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends)
+        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False)
         return ends
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -82,28 +83,56 @@ class RigidBodyDynamics:
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu), exact (Eq. 35)."""
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
-        announce(tree_linearize.linearize_arrays)
-        first = padded(self.nu)
-        F = np.empty((len(us), self.ndx, first + padded(self.ndx)))
-        memory = TreeMemory(self._model, self._code, 0)
-        tree_linearize.linearize_arrays(self._model.table, memory.table, self.dt, xs, us, F)
+        announce(tree_step.steps)
+        N, first, rows = len(us), padded(self.nu), self.mechanism.nv if self.structured else self.ndx
+        F, m, memory = np.empty((N, rows, first + padded(self.ndx))), self._model.table, self.memory(N)
+        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True)
+        if self.structured:
+            transport = np.zeros((N, len(self.space.quaternions), 18))
+            tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport)
+            by_u, by_x = F[:, :, : self.nu], F[:, :, first : first + self.ndx]
+            return self._semi_implicit(by_x, transport), self._semi_implicit_inputs(by_u, transport)
+        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F)
         return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
+
+    def _turns(self, transport: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """T and J (N, nv, nv) of dq+ = T dq + dt J dv+: the identity but for rotations."""
+        nv = self.mechanism.nv
+        T, J = (np.tile(np.eye(nv), (len(transport), 1, 1)) for _ in range(2))
+        for b, (_, i) in enumerate(self.space.quaternions):
+            T[:, i : i + 3, i : i + 3] = transport[:, b, :9].reshape(-1, 3, 3)
+            J[:, i : i + 3, i : i + 3] = transport[:, b, 9:].reshape(-1, 3, 3)
+        return T, J
+
+    def _semi_implicit(self, by_x: np.ndarray, transport: np.ndarray) -> np.ndarray:
+        nv = self.mechanism.nv
+        T, J = self._turns(transport)
+        rate = self.dt * by_x
+        rate[:, :, nv:] += np.eye(nv)
+        place = self.dt * (J @ rate)
+        place[:, :, :nv] += T
+        return np.concatenate([place, rate], axis=1)
+
+    def _semi_implicit_inputs(self, by_u: np.ndarray, transport: np.ndarray) -> np.ndarray:
+        rate = self.dt * by_u
+        return np.concatenate([self.dt * (self._turns(transport)[1] @ rate), rate], axis=1)
 
     def memory(self, N: int) -> TreeMemory:
         """Scratch of one solve of N stages."""
         return TreeMemory(self._model, self._code, N)
 
-    def start(self, w: Workspace, memory: TreeMemory) -> float:
-        """Roll out w.us from w.xs[0]; the cost."""
-        announce(tree_solve.iterate)
-        return tree_solve.start(w.table, self._model.table, memory.table, w.search, self.dt)
+    def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+        """Fill w.F along w.xs, w.us."""
+        m, r = self._model.table, memory.table
+        if self.structured:
+            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport)
+        else:
+            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F)
 
-    def iterate(
-        self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, mu: float, fresh: bool, cost: float,
-        gradient_tolerance: float, decrease_tolerance: float,
-    ) -> int:  # fmt: skip
-        """One SLQ iteration; the outcome, with row OUT of w.search filled."""
-        return tree_solve.iterate(
-            w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, mu, fresh, cost,
-            gradient_tolerance, decrease_tolerance,
-        )  # fmt: skip
+    def search(
+        self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
+    ) -> tuple[float, float]:
+        """Line search from w.xs, w.us; see CompiledDynamics.search."""
+        return tree_solve.search_step(
+            w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope
+        )

@@ -25,15 +25,11 @@ from planner.kernels.lanes import (
     spread,
     store,
 )
-from planner.kernels.quadratic import gradients
-from planner.kernels.riccati import direction, riccati
 from planner.kernels.search import WOLFE, batches, choose, ladder, refine
 from planner.kernels.workspace import (
-    ACCEPTED,
     ALPHA,
     BRACKET,
     CONTROL_VALUE,
-    CONVERGED,
     COSTS,
     DEVIATIONS,
     DIRECTION,
@@ -44,10 +40,7 @@ from planner.kernels.workspace import (
     FINAL_VALUE,
     FIRST_X,
     GAINS,
-    INDEFINITE,
     LINEAR,
-    NO_STEP,
-    OUT,
     SLOPES,
     STAGE_COLUMN,
     STAGE_ROW,
@@ -262,42 +255,22 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
 
 
 @jit
-def start(integrator, dt, parameters, w, search):
-    """Roll out the controls in US from the first state in XS; returns the cost."""
+def linearize_nominal(integrator, dt, parameters, w):
+    """A and B along the nominal trajectory."""
     w = pointer(w)
-    for i in range(WIDTH):
-        search[ALPHA, i] = 0.0
-    for n in range(w[N]):
-        store(floats(w, DIRECTION), n, 0.0)
-    rollout(integrator, dt, parameters, w, search, False, False)
-    accept(w, 0)
-    return search[COSTS, 0]
+    linearize(
+        integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[WIDTH_Z],
+        w[FIRST_X], lanes(w, DEVIATIONS),
+    )  # fmt: skip
 
 
 @jit
-def iterate(
-    integrator, dt, parameters, w, search, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance
-):
-    """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
+def search_step(integrator, dt, parameters, w, search, rule, feedback, cost, slope):
+    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
 
-    Fills row OUT of `search` with (gradient norm, slope, step, cost after).
+    The step is 0 when there is none.
     """
     w = pointer(w)
-    if fresh:
-        linearize(
-            integrator, dt, parameters, floats(w, XS), floats(w, US), w[N], floats(w, LINEAR), w[WIDTH_Z],
-            w[FIRST_X], lanes(w, DEVIATIONS),
-        )  # fmt: skip
-        gradients(w)
-    norm, slope, definite = riccati(w, mu, dt)
-    out = search[OUT]
-    out[0], out[1], out[2], out[3] = norm, slope, 0.0, cost
-    if not definite:
-        return INDEFINITE
-    if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
-        return CONVERGED
-    if not feedback:
-        direction(w, dt)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
@@ -305,8 +278,6 @@ def iterate(
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             accept(w, lane)
-            step = alpha[lane]
-            out[2], out[3] = step, costs[lane]
-            return ACCEPTED
+            return alpha[lane], costs[lane]
         refine(rule, alpha, bracket)
-    return NO_STEP
+    return 0.0, cost

@@ -24,6 +24,7 @@ from numba.core import config as numba_config
 
 config: Any = numba_config
 
+_TEMPORARY = "slq-planner-"
 FASTMATH = frozenset({"contract", "nsz", "arcp"})
 
 
@@ -42,9 +43,14 @@ def cache_directory() -> Path:
         with tempfile.TemporaryFile(dir=directory):
             pass
     except OSError:  # a read-only home: compile for this process only, but do run
-        directory = Path(tempfile.mkdtemp(prefix="slq-planner-"))
+        directory = Path(tempfile.mkdtemp(prefix=_TEMPORARY))
         atexit.register(shutil.rmtree, directory, ignore_errors=True)
     return directory
+
+
+def cache_is_shared() -> bool:
+    """Whether other processes find what this one compiles."""
+    return not cache_directory().name.startswith(_TEMPORARY)
 
 
 def is_warm(kernel: Callable[..., Any]) -> bool:
@@ -75,14 +81,12 @@ def inline(function: Callable[..., Any]) -> Any:
 
 
 _log = logging.getLogger("planner")
-_announced: set[str] = set()
+_announced = False
 
 
 def announce(kernel: Callable[..., Any]) -> None:
-    """Say once that a kernel is about to be compiled, if it is: the first run takes its time."""
-    name: str = kernel.__name__
-    if name in _announced:
-        return
-    _announced.add(name)
-    if not is_warm(kernel):
-        _log.warning("compiling the numerical core (first run only, some 10 s)")
+    """Say once that something is about to be compiled, if `kernel` is: the first run takes its time."""
+    global _announced
+    if not _announced and not is_warm(kernel):
+        _announced = True
+        _log.warning("compiling the numerical core (first run only, up to a minute)")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import at, floats, integers, load, store
+from planner.kernels.lanes import at, floats, integers, load, pointer, store
 from planner.kernels.rotations import difference_floats, inverse_right_jacobian_floats
 
 
@@ -60,6 +60,7 @@ def control_terms(w, n):
 @jit
 def gradients(w):
     """L = (R (u - u_ref) | J' Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
+    w = pointer(w)
     nx, nu, width, first = w[W.NX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
     us, u_ref = floats(w, W.US), floats(w, W.U_REF)
     e, turn, balls = floats(w, W.ERROR), floats(w, W.TURN), w[W.QUATERNIONS]

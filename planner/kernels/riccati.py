@@ -11,7 +11,7 @@ import math
 
 from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, spread, store, store4
+from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, pointer, spread, store, store4
 from planner.kernels.quadratic import add_weights
 from planner.kernels.stage_hessian import dense_stage, structured_stage
 from planner.kernels.tiles import four_rows, mirror, weighted_rows
@@ -162,44 +162,74 @@ def _gains(w, n):
                 store4(K, c + 3 * width, r3)
 
 
-@jit
-def riccati(w, mu, dt):
-    """Sweep backward. Fills the gains, the gradient and the value function.
-
-    Returns:
-        (gradient norm, slope, ok): the norm of Eq. 19; the slope of J along the direction, which by Eq. 42 is
-        minus twice the decrease that the LQ model promises; False when R + B'PB + mu I is not positive definite.
-    """
-    nu, width = w[W.NU], w[W.WIDTH_Z]
-    M, s, c = floats(w, W.H), floats(w, W.h), floats(w, W.COSTATE)
-    l, gradient = floats(w, W.STAGE_GRADIENT), floats(w, W.GRADIENT)
+@inline
+def _begin(w):
+    """P(N) = Q(N), s(N) = Q(N) (x - x_ref) (Eq. 29), and the costate (Eq. 17)."""
+    width = w[W.WIDTH_Z]
+    M, s, c, l = floats(w, W.H), floats(w, W.h), floats(w, W.COSTATE), floats(w, W.STAGE_GRADIENT)
     zero = spread(0.0)
-    for i in range(0, width * width, WIDTH):  # Eq. 29: P(N) = Q(N), s(N) = Q(N) (x - x_ref)
+    for i in range(0, width * width, WIDTH):
         store4(M, i, zero)
     add_weights(w, M, w[W.N])
     for i in range(w[W.FIRST_X], width, WIDTH):
         mirror(M, 0, width, i, width)
     for j in range(0, width, WIDTH):
         store4(s, j, load4(l, w[W.N] * width + j))
-        store4(c, j, load4(l, w[W.N] * width + j))  # Eq. 17
-    norm2, slope = 0.0, 0.0
-    for n in range(w[W.N] - 1, -1, -1):
-        if w[W.STRUCTURED]:
-            structured_stage(w, n, dt)
-        else:
-            dense_stage(w, n, dt)
-        add_weights(w, M, n)
-        for a in range(nu):  # Eq. 18
-            g = load(c, a)
-            store(gradient, n * nu + a, g)
-            norm2 += g * g
-        part, definite = _factorize(w, mu)
-        if not definite:
-            return math.sqrt(norm2), 0.0, False
-        slope += part
+        store4(c, j, load4(l, w[W.N] * width + j))
+
+
+@inline
+def _finish(w, mu, n):
+    """Weights, gradient (Eq. 18), gains and value of stage n; the gradient's square, the slope's part, definite."""
+    nu, c, gradient = w[W.NU], floats(w, W.COSTATE), floats(w, W.GRADIENT)
+    add_weights(w, floats(w, W.H), n)
+    norm2 = 0.0
+    for a in range(nu):
+        g = load(c, a)
+        store(gradient, n * nu + a, g)
+        norm2 += g * g
+    part, definite = _factorize(w, mu)
+    if definite:
         _next_value(w)
         _gains(w, n)
-    return math.sqrt(norm2), slope, True
+    return norm2, part, definite
+
+
+@jit
+def riccati_dense(w, mu, dt):
+    """Sweep backward with F = (B | A). Fills the gains, the gradient and the value function.
+
+    Returns:
+        (gradient norm, slope, ok): the norm of Eq. 19; the slope of J along the direction, which by Eq. 42 is
+        minus twice the decrease that the LQ model promises; False when R + B'PB + mu I is not positive definite.
+    """
+    w = pointer(w)
+    _begin(w)
+    total, slope = 0.0, 0.0
+    for n in range(w[W.N] - 1, -1, -1):
+        dense_stage(w, n, dt)
+        norm2, part, definite = _finish(w, mu, n)
+        total += norm2
+        if not definite:
+            return math.sqrt(total), 0.0, False
+        slope += part
+    return math.sqrt(total), slope, True
+
+
+@jit
+def riccati_structured(w, mu, dt):
+    """The same for semi-implicit Euler, whose F holds accelerations only."""
+    w = pointer(w)
+    _begin(w)
+    total, slope = 0.0, 0.0
+    for n in range(w[W.N] - 1, -1, -1):
+        structured_stage(w, n, dt)
+        norm2, part, definite = _finish(w, mu, n)
+        total += norm2
+        if not definite:
+            return math.sqrt(total), 0.0, False
+        slope += part
+    return math.sqrt(total), slope, True
 
 
 @inline
@@ -235,6 +265,7 @@ def _advance(w, n, dt, du, dx, dx_next):
 @jit
 def direction(w, dt):
     """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du, dx(0) = 0."""
+    w = pointer(w)
     ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
     K, k = floats(w, W.GAINS), floats(w, W.FEEDFORWARD)
     dus, dx = floats(w, W.DIRECTION), floats(w, W.DX)

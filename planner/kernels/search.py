@@ -17,6 +17,7 @@ import numpy as np
 from planner.kernels.jit import jit
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
+START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
@@ -29,7 +30,9 @@ def ladder(rule, alpha, bracket):
     """The first candidates; bracket (3,) = (longest step known too short, shortest known too long, best)."""
     bracket[0], bracket[1], bracket[2] = 0.0, np.inf, 0.0
     for i in range(alpha.shape[0]):
-        if rule == ARMIJO:
+        if rule == START:
+            alpha[i] = 0.0
+        elif rule == ARMIJO:
             alpha[i] = 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
@@ -82,6 +85,8 @@ def _choose_exact(alpha, J, J0, bracket):
 @jit
 def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
+    if rule == START:
+        return 0
     if rule == EXACT:
         return _choose_exact(alpha, J, J0, bracket)
     for i in range(alpha.shape[0]):

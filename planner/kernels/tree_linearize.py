@@ -65,7 +65,7 @@ from planner.kernels.tree_memory import (
     XQ,
     XV,
 )  # fmt: skip
-from planner.kernels.tree_step import end_rotation, gather, stage, stage_state
+from planner.kernels.tree_step import end_rotation, gather, stage_state
 
 
 @inline
@@ -380,64 +380,57 @@ def _transport(m, r, x, a, dt, transport, first, count):
                     store(transport, o + 6, load(flat, 2 * WIDTH + lane))
 
 
-@jit
-def linearize(m, r, dt, xs, us, count, known, F, width, structured, transport):
-    """F (count, rows, width) of the stages from xs (count, nx) with us (count, nu), all float pointers.
+@inline
+def _gathered(m, r, xs, us, first, count):
+    """States, controls and the rollout's accelerations of four stages onto lanes."""
+    gather(pointer(xs.reshape(-1)), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
+    gather(pointer(us.reshape(-1)), first, count, m[NU], lanes(r, U_LANES))
+    gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * m[NV], lanes(r, A_LANES))
 
-    Rows are accelerations (structured) or (dq+, dv+, dact+). With `known`, the accelerations that a rollout left in
-    ACCELERATIONS are taken instead of being computed again.
+
+@jit
+def linearize_structured(m, r, dt, xs, us, F, transport):
+    """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
+
+    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
     """
-    nq, nv, nu, na, columns, kept = m[NQ], m[NV], m[NU], m[NA], r[COLUMNS], r[STAGES] * m[NV]
-    rows = nv if structured else 2 * nv + na
-    x, u, a = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES)
+    m, r = pointer(m), pointer(r)
+    nv, columns, count, width = m[NV], r[COLUMNS], us.shape[0], F.shape[2]
+    x, a, dA = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, CHAINED)
+    flat, blocks, stride = pointer(F.reshape(-1)), pointer(transport.reshape(-1)), nv * width
+    for first in range(0, count, WIDTH):
+        present = min(WIDTH, count - first)
+        _gathered(m, r, xs, us, first, count)
+        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA)
+        for i in range(nv):
+            _scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
+        _transport(m, r, x, a, dt, blocks, first, present)
+
+
+@jit
+def linearize_dense(m, r, dt, xs, us, F):
+    """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
+    m, r = pointer(m), pointer(r)
+    nv, na, columns, count, width = m[NV], m[NA], r[COLUMNS], us.shape[0], F.shape[2]
+    x, a, row, Xa = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, ROW), lanes(r, XA)
+    flat, stride = pointer(F.reshape(-1)), (2 * nv + na) * width
     index, zero = integers(m, ACTIVATION_INPUT), spread(0.0)
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
-        gather(xs, first, count, nq + nv + na, x)
-        gather(us, first, count, nu, u)
-        if known:
-            gather(floats(r, ACCELERATIONS), first, count, kept, a)
-        else:
-            stage(m, r, x, u, a, spread(dt), lanes(r, LINKS))  # its end is of no interest
-        o, stride = first * rows * width, rows * width
-        if structured:
-            acceleration_derivatives(m, r, x, at(x, nq), a, lanes(r, CHAINED))
-            for i in range(nv):
-                _scatter_row(lanes(r, CHAINED), i * columns, F, o + i * width, present, stride, width)
-            _transport(m, r, x, a, dt, transport, first, present)
-            continue
+        _gathered(m, r, xs, us, first, count)
         if r[INTEGRATOR] == RK4:
             _runge_kutta(m, r, x, a, dt)
             Xq, Xv = lanes(r, XQ), lanes(r, XV)
         else:
             _euler(m, r, x, a, dt)
             Xq, Xv = lanes(r, SUM_Q), lanes(r, SUM_V)
+        o = first * stride
         for i in range(nv):
-            _scatter_row(Xq, i * columns, F, o + i * width, present, stride, width)
-            _scatter_row(Xv, i * columns, F, o + (nv + i) * width, present, stride, width)
-        row = lanes(r, ROW)
+            _scatter_row(Xq, i * columns, flat, o + i * width, present, stride, width)
+            _scatter_row(Xv, i * columns, flat, o + (nv + i) * width, present, stride, width)
         for k in range(na):
             for j in range(columns):
                 store(row, j, zero)
-            store(row, r[FIRST_X] + 2 * nv + k, load(lanes(r, XA), 2 * k))
-            store(row, load(index, k), load(lanes(r, XA), 2 * k + 1))
-            _scatter_row(row, 0, F, o + (2 * nv + k) * width, present, stride, width)
-
-
-@jit
-def linearize_arrays(m, r, dt, xs, us, F):
-    """The dense F (K, ndx, width) of K stages from xs (K, nx) with us (K, nu), accelerations computed here."""
-    flat = pointer(F.reshape(-1))
-    linearize(
-        pointer(m),
-        pointer(r),
-        dt,
-        pointer(xs.reshape(-1)),
-        pointer(us.reshape(-1)),
-        us.shape[0],
-        False,
-        flat,
-        F.shape[2],
-        False,
-        flat,
-    )
+            store(row, r[FIRST_X] + 2 * nv + k, load(Xa, 2 * k))
+            store(row, load(index, k), load(Xa, 2 * k + 1))
+            _scatter_row(row, 0, flat, o + (2 * nv + k) * width, present, stride, width)

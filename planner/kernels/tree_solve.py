@@ -1,4 +1,4 @@
-"""SLQ on a tree: four rollouts at once, and one iteration as one compiled call."""
+"""The line search on a tree: four rollouts at once."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import at, floats, integers, lanes, load, pointer, spread, store
 from planner.kernels.model import NV
-from planner.kernels.quadratic import control_terms, gradients, state_terms
-from planner.kernels.riccati import direction, riccati
+from planner.kernels.quadratic import control_terms, state_terms
 from planner.kernels.rotations import difference
 from planner.kernels.search import batches, choose, ladder, refine
-from planner.kernels.tree_linearize import linearize
 from planner.kernels.tree_memory import ACCELERATIONS, STAGES, TRIAL_A
 from planner.kernels.tree_step import stage
-from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, accept, take_lane
+from planner.kernels.workspace import accept, take_lane
 
 
 @inline
@@ -119,63 +117,27 @@ def rollout(w, m, r, search, dt, feedback):
     store(search, W.COSTS, J)
 
 
-@jit
-def take(w, m, r, lane):
+@inline
+def _take(w, m, r, lane):
     """Make candidate `lane` the nominal trajectory, its accelerations with it."""
     accept(w, lane)
     take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
 
 
 @jit
-def start(w, m, r, search, dt):
-    """Roll out the controls in US from the first state in XS; returns the cost."""
-    w, m, r = pointer(w), pointer(m), pointer(r)
-    for i in range(search.shape[1]):
-        search[W.ALPHA, i] = 0.0
-    for i in range(w[W.N] * w[W.NU]):
-        store(floats(w, W.DIRECTION), i, 0.0)
-    rollout(w, m, r, pointer(search), dt, False)
-    take(w, m, r, 0)
-    return search[W.COSTS, 0]
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
+    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
 
-
-@jit
-def linearize_nominal(w, m, r, dt):
-    """A, B and the cost's gradients along the nominal trajectory."""
-    linearize(
-        m, r, dt, floats(w, W.XS), floats(w, W.US), w[W.N], True, floats(w, W.LINEAR), w[W.WIDTH_Z], w[W.STRUCTURED],
-        floats(w, W.TRANSPORT),
-    )  # fmt: skip
-    gradients(w)
-
-
-@jit
-def iterate(w, m, r, search, dt, rule, feedback, mu, fresh, cost, gradient_tolerance, decrease_tolerance):
-    """One SLQ iteration: linearise (if `fresh`), sweep, search, accept. Returns an outcome (see kernels.workspace).
-
-    Fills row OUT of `search` with (gradient norm, slope, step, cost after).
+    The step is 0 when there is none.
     """
     w, m, r = pointer(w), pointer(m), pointer(r)
-    if fresh:
-        linearize_nominal(w, m, r, dt)
-    norm, slope, definite = riccati(w, mu, dt)
-    out = search[W.OUT]
-    out[0], out[1], out[2], out[3] = norm, slope, 0.0, cost
-    if not definite:
-        return INDEFINITE
-    if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
-        return CONVERGED
-    if not feedback:
-        direction(w, dt)
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(w, m, r, pointer(search), dt, feedback)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
-            take(w, m, r, lane)
-            step = alpha[lane]
-            out[2], out[3] = step, costs[lane]
-            return ACCEPTED
+            _take(w, m, r, lane)
+            return alpha[lane], costs[lane]
         refine(rule, alpha, bracket)
-    return NO_STEP
+    return 0.0, cost

@@ -12,13 +12,14 @@ from __future__ import annotations
 from planner.kernels.forces import activation_rates, applied_forces
 from planner.kernels.jit import inline, jit
 from planner.kernels.lane_math import transpose
-from planner.kernels.lanes import WIDTH, as_floats, at, integers, lanes, load, load4, pointer, store
+from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, load4, pointer, store
 from planner.kernels.model import BALL, BALL_NEXT, BALL_Q, BALL_V, KIND, NA, NBALLS, NQ, NU, NV, Q_ADDRESS
 from planner.kernels.rotations import turned
 from planner.kernels.spatial import cross, load3, store3
 from planner.kernels.tree import forward_dynamics
 from planner.kernels.tree_memory import (
     A_LANES,
+    ACCELERATIONS,
     ACT_RATES,
     ACT_STAGE,
     INTEGRATOR,
@@ -27,6 +28,7 @@ from planner.kernels.tree_memory import (
     RK4,
     SCRATCH,
     SEMI_IMPLICIT_EULER,
+    STAGES,
     TAU,
     THETA,
     U_LANES,
@@ -176,18 +178,23 @@ def scatter(source, first, count, width, destination):
 
 
 @jit
-def steps(m, r, dt, xs, us, xs_next):
-    """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu)."""
+def steps(m, r, dt, xs, us, xs_next, keep):
+    """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
+
+    With `keep` the stages' accelerations are left in ACCELERATIONS.
+    """
     m, r = pointer(m), pointer(r)
     nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
-    scratch = lanes(r, SCRATCH)
+    x, a, scratch = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, SCRATCH)
     for first in range(0, K, WIDTH):
-        gather(pointer(xs.reshape(-1)), first, K, nx, lanes(r, X_LANES))
+        gather(pointer(xs.reshape(-1)), first, K, nx, x)
         gather(pointer(us.reshape(-1)), first, K, nu, lanes(r, U_LANES))
         gather(pointer(dt), first, K, 1, scratch)
         length = load(scratch, 0)
-        stage(m, r, lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), length, lanes(r, X_LANES))
-        scatter(lanes(r, X_LANES), first, K, nx, pointer(xs_next.reshape(-1)))
+        stage(m, r, x, lanes(r, U_LANES), a, length, x)
+        scatter(x, first, K, nx, pointer(xs_next.reshape(-1)))
+        if keep:
+            scatter(a, first, K, r[STAGES] * m[NV], floats(r, ACCELERATIONS))
 
 
 @jit

@@ -37,8 +37,8 @@ _ARRAYS = (
     STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
     TRIAL_U, DEVIATIONS,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
-SEARCH_ROWS = 5  # of the search's array: step lengths, costs, slopes, the bracket, what an iteration reports
-ALPHA, COSTS, SLOPES, BRACKET, OUT = range(SEARCH_ROWS)
+SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
+ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
 
 
 class Workspace:
@@ -52,7 +52,7 @@ class Workspace:
 
     Attributes:
         table: What kernels take.
-        search: (5, 4) the line search's arrays and what an iteration reports, by rows.
+        search: (4, 4) the line search's arrays, by rows.
         xs: (N+1, nx).
         us: (N, nu).
         K: (N, nu, width) with the gains in the columns of x, from `first` on.
@@ -60,6 +60,7 @@ class Workspace:
         dus: (N, nu) the LQ problem's own controls.
         gradient: (N, nu) of Eq. 19.
         F: (N, rows, width).
+        transport: (N, quaternions, 18) T and J of E for each quaternion.
         l: (N+1, width) gradients of the stage costs.
         first: The first column of x.
     """
@@ -84,6 +85,7 @@ class Workspace:
         F, l = lane_array(N * states * width + slack), lane_array((N + 1) * width + slack)
         self.F, self.l = F[:-slack].reshape(N, states, width), l[:-slack].reshape(N + 1, width)
         self.k, self.dus, self.gradient = (np.zeros((N, nu)) for _ in range(3))
+        self.transport = np.zeros((N, len(quaternions), 18))
         self._arrays: dict[str, np.ndarray] = {
             "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
             "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
@@ -93,7 +95,7 @@ class Workspace:
             "control_row": control[0], "control_column": control[1], "control_value": control[2],
             "error": np.zeros(max(nu, ndx)), "turn": np.zeros(((N + 1), len(quaternions), 9)),
             "l": l, "F": F,
-            "transport": np.zeros((N, len(quaternions), 18)), "K": self.K, "k": self.k,
+            "transport": self.transport, "K": self.K, "k": self.k,
             "dus": self.dus, "gradient": self.gradient, "H": lane_array(width * width + slack),
             "G": lane_array(padded(ndx) * width + slack),
             "S": lane_array((width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),

@@ -1,0 +1,76 @@
+"""Compiling several kernels at once on a cold start, each in a process of its own.
+
+Numba compiles one function at a time in a process; the cache on disk is shared. So what a problem needs is compiled by
+as many processes as there are kernels, and this one then finds it in the cache.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from numba.core.sigutils import normalize_signature
+
+from planner.kernels import hopper, riccati, tree_batch, tree_linearize, tree_solve, tree_step
+from planner.kernels.jit import announce, cache_is_shared, is_warm
+
+_TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
+_HOPPER = ("int64", "float64", "float64[::1]")
+_SEARCH = (_ROWS, "float64", "int64", "boolean", "float64", "float64")
+
+# Every kernel that takes seconds, by name, with the types that it is called with.
+KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "riccati dense": (riccati.riccati_dense, (_TABLE, "float64", "float64")),
+    "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
+    "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
+    "tree structured": (
+        tree_linearize.linearize_structured,
+        (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS, _BLOCKS),
+    ),
+    "tree dense": (tree_linearize.linearize_dense, (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS)),
+    "tree steps": (tree_step.steps, (_TABLE, _TABLE, "float64[::1]", _ROWS, _ROWS, _ROWS, "boolean")),
+    "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
+    "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
+    "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
+    "hopper search": (
+        hopper.search_step,
+        (*_HOPPER, _TABLE, _ROWS, "int64", "boolean", "float64", "float64"),
+    ),
+    "hopper linearize": (hopper.linearize_nominal, (*_HOPPER, _TABLE)),
+}
+
+
+def compile_one(name: str) -> None:
+    """Compile a kernel of KERNELS into the cache."""
+    kernel, types = KERNELS[name]
+    arguments, _ = normalize_signature(
+        f"({', '.join(types)})"
+    )  # the cache knows a call by its types, not by their text
+    kernel.compile(arguments)
+
+
+def compile_together(names: Iterable[str]) -> None:
+    """Have kernels compiled, all at once where the machine has the processors and the cache is on disk."""
+    cold = [name for name in names if not is_warm(KERNELS[name][0])]
+    if not cold:
+        return
+    announce(KERNELS[cold[0]][0])
+    if len(cold) == 1 or (os.cpu_count() or 1) == 1 or not cache_is_shared():
+        return  # compiled one after the other, when they are called
+    package = str(Path(__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([package, os.environ.get("PYTHONPATH", "")])}
+    children: list[subprocess.Popen[bytes]] = []
+    try:
+        for name in cold[1:]:
+            code = f"from planner.kernels.precompile import compile_one; compile_one({name!r})"
+            children.append(subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL))
+        compile_one(cold[0])
+        for child in children:
+            child.wait()  # what a child could not do is compiled here, when it is called
+    finally:
+        for child in children:
+            child.kill()
