@@ -26,11 +26,13 @@ lint: ## check style and types
 	$(PYTHON) -m pyright
 
 gallery: setup ## make the committed pictures and videos again
-	$(PLANNER) run hopper --out renders/hopper
 	@mkdir -p $(GALLERY)
-	cp renders/hopper/video.mp4 $(GALLERY)/hopper.mp4
-	cp renders/hopper/strip.png $(GALLERY)/hopper.strip.png
-	cp renders/hopper/plots.png $(GALLERY)/hopper.plots.png
+	@for case in hopper two-link acrobot; do \
+	    $(PLANNER) run $$case --out renders/$$case && \
+	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
+	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \
+	    cp renders/$$case/plots.png $(GALLERY)/$$case.plots.png || exit 1; \
+	done
 	$(PLANNER) paper hopper --out $(GALLERY)/paper
 
 clean: ## remove .venv and caches; results in renders/ stay

@@ -171,12 +171,11 @@ def started(peer_python: list[str]) -> tuple[list[Worker], list[str]]:
 
 
 def main() -> None:
-    """Run the comparison, or the profile."""
+    """Run the comparison."""
     parser = argparse.ArgumentParser(description="Warm whole solves of the paper's hopper, ours beside its peers.")
     parser.add_argument("--json", action="store_true", help="one JSON object per problem and solver, no table")
     parser.add_argument("--repeats", type=int, default=200, help="solves per problem and solver (200)")
     parser.add_argument("--seconds", type=float, default=5.0, help="longest time per problem and solver (5)")
-    parser.add_argument("--profile", action="store_true", help="our time per iteration, phase by phase; no peers")
     parser.add_argument(
         "--peer-python", action="append", default=[], metavar="NAME=PATH",
         help=f"interpreter that has a peer installed; NAME is one of {', '.join(SOLVERS)}; repeatable",
@@ -184,9 +183,6 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.repeats < 1:
         parser.error("--repeats must be at least 1")
-    if arguments.profile:
-        command = [sys.executable, str(Path(__file__).with_name("phases.py")), *["--json"] * arguments.json]
-        sys.exit(subprocess.run(command, env={**os.environ, **SINGLE_THREAD}).returncode)
 
     workers, absent = started(arguments.peer_python)
     ours = []
