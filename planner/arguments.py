@@ -18,8 +18,8 @@ def number(
 ) -> float:
     """A finite float, greater than `above`, at least `least` and at most `most` where given."""
     try:
-        result = float(value)
-    except (TypeError, ValueError):
+        result = math.nan if isinstance(value, (bool, str)) else float(value)
+    except (TypeError, ValueError, OverflowError):
         result = math.nan
     too_small = (above is not None and result <= above) or (least is not None and result < least)
     too_large = most is not None and result > most
@@ -62,7 +62,7 @@ def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: boo
     wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     try:
         result = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise PlannerError(f"{name} is not an array of numbers, expected shape {wanted}.") from None
     fits = result.ndim == len(shape) and all(
         isinstance(want, str) or have == want for have, want in zip(result.shape, shape, strict=True)

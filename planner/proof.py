@@ -250,7 +250,7 @@ def _reason(mode: str | None, steps: tuple[Section, ...], run: Replay) -> str:
         broken = next(section for section in steps if section.failures)
         if broken.title == "parity":  # the first term that differs makes the later ones differ
             return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}."
-        reached = f" {' '.join(run.reached)}" if broken in steps[-2:] and run.reached else ""
+        reached = f" {' '.join(run.reached)}" if run.reached else ""
         return f"{broken.title}: {'; '.join(map(str, broken.failures))}.{reached}"
     judged = [figure for section in steps[-2:] for figure in section.figures if figure.bound]
     worst = max(judged, key=lambda figure: figure.value / (figure.bound or 1.0))

@@ -8,6 +8,7 @@ integration error.
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from planner.arguments import count, number
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
-from planner.mjcf import model_text
+from planner.mjcf import model_tree
 from planner.plan import Plan
 from planner.ranges import ranges_reached
 from planner.twin import Twin
@@ -126,8 +127,9 @@ def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
     """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
     if mjcf is None:
         return twin
-    text = mjcf if isinstance(mjcf, str) and mjcf.lstrip().startswith("<") else model_text(mjcf)
-    return replace(twin, mjcf=text)
+    is_text = isinstance(mjcf, str) and mjcf.lstrip().startswith("<")
+    root, files = model_tree(mjcf, twin.assets if is_text else None)  # a path brings its own meshes
+    return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
 
 
 def replay(

@@ -58,5 +58,5 @@ def numbers(name: str, value: Any) -> np.ndarray:
     """Any array of floats."""
     try:
         return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise PlannerError(f"{name} is {value!r}, expected numbers.") from None

@@ -24,7 +24,6 @@ from planner.commands.results import (
 from planner.console import Console
 from planner.errors import PlannerError
 from planner.files import staged_folder, write_atomically
-from planner.mjcf import model_text
 from planner.parity import parity
 from planner.plan import Plan
 from planner.problem_file import ProblemFile, load
@@ -133,7 +132,7 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = Plan.load(arguments.plan)
-    mjcf = None if arguments.mjcf is None else model_text(arguments.mjcf)
+    mjcf = None if arguments.mjcf is None else Path(arguments.mjcf)
     if arguments.out is None:
         proof = prove(plan, mjcf=mjcf)
     elif Path(arguments.out).suffix != ".json":
