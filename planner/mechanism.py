@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.arguments import choice
-from planner.errors import PlannerError
+from planner.errors import ModelError, PlannerError
 from planner.space import StateSpace
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
@@ -155,6 +155,19 @@ class Mechanism:
     ignored: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for name in ("armature", "damping", "stiffness"):
+            values = getattr(self, name)
+            wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+            if len(wrong):
+                i = int(wrong[0])
+                joint = next(j for j, links in enumerate(self.joint_links) if links.start <= i < links.stop)
+                where = f"joint {self.joint_names[joint]!r} has {name} {values[i]:g}"
+                raise ModelError(f"{where}, expected a finite number of at least 0.")
+        for name in ("moment", "gain", "bias"):
+            wrong = np.argwhere(~np.isfinite(getattr(self.actuators, name)))
+            if len(wrong):
+                actuator = self.actuators.names[int(wrong[0][0])]
+                raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
         frames = (*self.bodies, *self.sites.values())
         parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
         for value in (*parts, *self.keyframes.values()):
