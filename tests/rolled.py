@@ -1,0 +1,72 @@
+"""Plans of trees for the tests of proof and pictures: rolled out, or of the acrobot."""
+
+import numpy as np
+from test_mechanism_parity import TREE
+
+import planner
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.mechanism import Mechanism
+from planner.mjcf import model_path
+from planner.plan import Plan, Status
+from planner.problem import Problem
+
+LIMITED = """
+<mujoco model="limited">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001"><flag contact="disable"/></option>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 -1 0" damping="0.1" range="-1 1"/>
+      <inertial pos="1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <geom type="capsule" fromto="0 0 0 1 0 0" size="0.05" contype="0" conaffinity="0"/>
+      <site name="tip" pos="1 0 0"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+</mujoco>
+"""
+
+
+def acrobot():
+    return Mechanism.from_mjcf(model_path("acrobot") / "scene.xml")
+
+
+def problem_of(mechanism, dt, N, *, integrator="rk4", x0=None, us=None, **rest):
+    dynamics = RigidBodyDynamics(mechanism, dt, integrator)
+    cost = planner.TrackingCost.reach(
+        mechanism.home, N, final=1.0, effort=np.ones(mechanism.nu), dt=dt, nu=mechanism.nu, space=mechanism.space
+    )
+    start = mechanism.home if x0 is None else x0
+    return Problem(dynamics, cost, start, us=us, horizon=N, twin=planner.Twin.of(mechanism), **rest)
+
+
+def rolled_out(problem):
+    """A plan that nobody optimized: the rollout of the problem's first controls, without gains."""
+    xs = np.empty((problem.N + 1, problem.dynamics.nx))
+    xs[0] = problem.x0
+    for n, u in enumerate(problem.first_guess):
+        xs[n + 1] = problem.dynamics.step(xs[n : n + 1], u[None])[0]
+    us, dynamics = problem.first_guess, problem.dynamics
+    K = np.zeros((problem.N, us.shape[1], dynamics.ndx))
+    t = dynamics.dt * np.arange(problem.N + 1)
+    return Plan(
+        t=t, xs=xs, us=us, K=K, cost=problem.cost.value(xs, us), gradient_norm=0.0, status=Status.CONVERGED, history=(),
+        problem=problem, twin=problem.twin,
+    )  # fmt: skip
+
+
+def tree_plan(integrator, dt=0.005, N=80):
+    """The tree of the parity test thrown through the air, all joints moving."""
+    tree = Mechanism.from_mjcf(TREE)
+    rng = np.random.default_rng(3)
+    x0 = tree.space.integrate(tree.home, rng.normal(scale=0.5, size=tree.space.ndx))
+    return rolled_out(problem_of(tree, dt, N, integrator=integrator, x0=x0, us=rng.normal(size=(N, tree.nu))))
+
+
+def swing_up(integrator, dt):
+    mechanism = acrobot()
+    N = round(4.0 / dt)
+    dynamics = RigidBodyDynamics(mechanism, dt, integrator)
+    cost = planner.TrackingCost.reach(mechanism.keyframe("goal"), N, final=1000.0, effort=1.0, dt=dt)
+    twin, start = planner.Twin.of(mechanism), mechanism.keyframe("start")
+    return planner.solve(Problem(dynamics, cost, start, horizon=N, twin=twin))
