@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planner.kernels.forces import add_passive, add_passive_derivatives
-from planner.kernels.jit import jit
+from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import WIDTH, as_floats, at, lanes, load, pointer, spread, store
 from planner.kernels.model import NQ, NV
 from planner.kernels.sensitivity import inverse_dynamics_derivatives
@@ -12,22 +12,37 @@ from planner.kernels.tree_memory import A_LANES, DQ, DV, LD, LINKS, M_LANES, SCR
 from planner.kernels.tree_step import gather, scatter
 
 
+@inline
+def _gathered(m, r, q, v, third, first, destination):
+    """Four states onto X_LANES, and four rows (nv) of a third array onto lanes of their own."""
+    K = q.shape[0]
+    gather(pointer(q.reshape(-1)), first, K, m[NQ], lanes(r, X_LANES))
+    gather(pointer(v.reshape(-1)), first, K, m[NV], at(lanes(r, X_LANES), m[NQ]))
+    gather(pointer(third.reshape(-1)), first, K, m[NV], destination)
+
+
+@inline
+def _passive(m, r, x, v):
+    """Springs and dampers, on THETA."""
+    passive = lanes(r, THETA)
+    for i in range(m[NV]):
+        store(passive, i, spread(0.0))
+    add_passive(m, x, v, passive, lanes(r, SCRATCH))
+    return passive
+
+
 @jit
 def forward(m, r, q, v, inputs, a, tau):
     """Accelerations a and forces tau (K, nv) from inputs (K, nv): forces or, where prescribed, accelerations."""
     m, r = pointer(m), pointer(r)
     nq, nv, K = m[NQ], m[NV], q.shape[0]
-    x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
+    x, total, acceleration = lanes(r, X_LANES), lanes(r, TAU), lanes(r, A_LANES)
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
-        gather(pointer(q.reshape(-1)), first, K, nq, x)
-        gather(pointer(v.reshape(-1)), first, K, nv, rate)
-        gather(pointer(inputs.reshape(-1)), first, K, nv, total)
+        _gathered(m, r, q, v, inputs, first, total)
+        passive = _passive(m, r, x, rate)
         for i in range(nv):
-            store(passive, i, spread(0.0))
             store(acceleration, i, load(total, i))
-        add_passive(m, x, rate, passive, lanes(r, SCRATCH))
-        for i in range(nv):
             store(total, i, load(total, i) + load(passive, i))
         forward_dynamics(m, x, rate, total, acceleration, lanes(r, LINKS), True)
         for i in range(nv):
@@ -41,15 +56,11 @@ def inverse(m, r, q, v, a, tau):
     """Applied forces tau (K, nv) for accelerations a (K, nv)."""
     m, r = pointer(m), pointer(r)
     nq, nv, K = m[NQ], m[NV], q.shape[0]
-    x, passive, total, acceleration = lanes(r, X_LANES), lanes(r, THETA), lanes(r, TAU), lanes(r, A_LANES)
+    x, total, acceleration = lanes(r, X_LANES), lanes(r, TAU), lanes(r, A_LANES)
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
-        gather(pointer(q.reshape(-1)), first, K, nq, x)
-        gather(pointer(v.reshape(-1)), first, K, nv, rate)
-        gather(pointer(a.reshape(-1)), first, K, nv, acceleration)
-        for i in range(nv):
-            store(passive, i, spread(0.0))
-        add_passive(m, x, rate, passive, lanes(r, SCRATCH))
+        _gathered(m, r, q, v, a, first, acceleration)
+        passive = _passive(m, r, x, rate)
         inverse_dynamics(m, x, rate, acceleration, total, lanes(r, LINKS))
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
@@ -65,9 +76,7 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
     rate = at(x, nq)
     blocks = (lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV))
     for first in range(0, K, WIDTH):
-        gather(pointer(q.reshape(-1)), first, K, nq, x)
-        gather(pointer(v.reshape(-1)), first, K, nv, rate)
-        gather(pointer(a.reshape(-1)), first, K, nv, acceleration)
+        _gathered(m, r, q, v, a, first, acceleration)
         for block in blocks:
             for k in range(nv * ld):
                 store(block, k, spread(0.0))
