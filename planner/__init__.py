@@ -11,15 +11,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from planner import cases
+from planner.check import Checked, check
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
+from planner.hold import hold_gain
 from planner.mechanism import Mechanism
-from planner.parity import parity
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
+from planner.proof.cost import proven_cost
+from planner.proof.parity import parity
+from planner.proof.perturbation import Perturbation
+from planner.refine import Refined, Refinement, refine
 from planner.replay import Replay, replay
 from planner.rigid_body import (
     bias,
@@ -60,6 +65,7 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
+    "Checked",
     "Cost",
     "Dynamics",
     "FileError",
@@ -69,11 +75,14 @@ __all__ = [
     "Iteration",
     "Mechanism",
     "ModelError",
+    "Perturbation",
     "Plan",
     "PlannerError",
     "Problem",
     "Proof",
     "Quadratic",
+    "Refined",
+    "Refinement",
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
@@ -86,11 +95,13 @@ __all__ = [
     "bias",
     "bias_derivatives",
     "cases",
+    "check",
     "forward_dynamics",
     "forward_dynamics_derivatives",
     "forward_kinematics",
     "forward_kinematics_derivatives",
     "frame_pose",
+    "hold_gain",
     "hybrid_dynamics",
     "hybrid_dynamics_derivatives",
     "jacobian",
@@ -99,6 +110,8 @@ __all__ = [
     "mass_matrix_derivatives",
     "parity",
     "prove",
+    "proven_cost",
+    "refine",
     "render_frame",
     "render_strip",
     "render_video",

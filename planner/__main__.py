@@ -10,13 +10,14 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from planner.commands import about, paper, parser, plans
+from planner.commands import about, check, paper, parser, plans, run
 from planner.console import Console
 from planner.errors import PlannerError
 
 _COMMANDS = {
-    "list": about.list_cases, "warmup": about.warmup, "run": plans.run, "solve": plans.solve_case,
-    "prove": plans.prove_plan, "render": plans.render_plan, "report": plans.report_plan, "paper": paper.paper,
+    "list": about.list_cases, "warmup": about.warmup, "run": run.run, "solve": plans.solve_case,
+    "prove": plans.prove_plan, "render": plans.render_plan, "report": plans.report_plan, "check": check.check_plans,
+    "paper": paper.paper,
 }  # fmt: skip
 
 

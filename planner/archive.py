@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -10,21 +13,32 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import FileError
-from planner.files import write_atomically
+from planner.digests import changed, digests
+from planner.errors import FileError, ModelError
+from planner.files import printable, write_atomically
 from planner.jsonable import finite
+from planner.mjcf_bounds import check_stored
 from planner.space import StateSpace
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 ARRAYS = ("t", "xs", "us", "K", "history")
 ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, as uint8
+PART = "problem:"  # and a name: an array of the problem, where it is no case
 
 _NUMBER = (int, float, type(None))
 _META = {
     "case": (str, type(None)), "parameters": (dict,), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER,
     "iterations": (int,), "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)),
-    "space": (dict,), "starts": (list,),
+    "space": (dict,), "starts": (list,), "options": (dict,), "problem": (dict, type(None)), "digests": (dict,),
 }  # fmt: skip
+_START = (int,), (str,), _NUMBER, (int,), _NUMBER
+
+# What reading a file that is no plan may raise. RuntimeError: an unknown compression, or JSON nested too deeply;
+# SyntaxError and TokenError: the header of an array, which NumPy reads as Python.
+_BROKEN = (
+    ValueError, KeyError, EOFError, TypeError, OverflowError, RuntimeError, MemoryError, SyntaxError,
+    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 def plan_name(path: str | Path) -> Path:
@@ -33,7 +47,7 @@ def plan_name(path: str | Path) -> Path:
     Raises:
         FileError: It does not end in .npz.
     """
-    if Path(path).suffix != ".npz":
+    if not isinstance(path, (str, os.PathLike)) or Path(path).suffix != ".npz":
         raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
     return Path(path)
 
@@ -44,10 +58,11 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any
     Raises:
         FileError: The file cannot be written.
     """
-    text = json.dumps(finite({"format_version": FORMAT_VERSION, **meta}), allow_nan=False)
+    meta = finite(meta)
+    meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
     with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
-        contents: dict[str, Any] = {name: arrays[name] for name in arrays if name in ARRAYS or name.startswith(ASSET)}
-        np.savez(file, **contents, meta=np.array(text))
+        contents: dict[str, Any] = dict(arrays)  # for the type checker: savez has flags of its own
+        np.savez(file, **contents, meta=np.array(json.dumps(meta, allow_nan=False)))
 
 
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -60,43 +75,73 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     Raises:
         FileError: No such file, not a plan, damaged, or written by a newer version.
     """
-    if not path.is_file():
-        raise FileError(f"{path} is not a file, expected a plan.npz.")
-    foreign = FileError(f"{path} is not a plan: expected an .npz with {', '.join(ARRAYS)} and meta.")
+    if not os.path.isfile(path):  # but a folder, a pipe or a device, say
+        raise FileError(f"{printable(path)} is not a file, expected a plan.npz.")
+    named = printable(path)
+    foreign = FileError(f"{named} is not a plan: expected an .npz with {', '.join(ARRAYS)} and meta.")
     try:
         # Our own handle: np.load leaks its file when the archive is broken.
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             assets = [name for name in file.files if name.startswith(ASSET)]
-            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets)}
+            parts = [name for name in file.files if name.startswith(PART)]
+            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets, *parts)}
             meta = json.loads(str(file["meta"]))
         version = meta["format_version"]
     except OSError as error:
         if error.errno is not None:
-            raise FileError(f"cannot read {path}: {error.strerror}.") from None
+            raise FileError(f"cannot read {named}: {error.strerror}.") from None
         raise foreign from None
-    except (ValueError, KeyError, EOFError, TypeError, RuntimeError, MemoryError) as error:
-        raise foreign from error  # a RuntimeError: an unknown compression, or JSON nested too deeply
-    except (zipfile.BadZipFile, zlib.error) as error:
+    except _BROKEN as error:
         raise foreign from error
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise foreign
     if version > FORMAT_VERSION:
         versions = meta.get("versions")
-        made = versions.get("planner", "a newer version") if isinstance(versions, dict) else "a newer version"
+        made = versions.get("planner") if isinstance(versions, dict) else None
+        made = printable(made) if isinstance(made, str) else "a newer version"
         raise FileError(
-            f"{path} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
+            f"{named} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
         )
     if version == 1:  # plain vectors, one start
         meta |= {"space": {"ndx": arrays["xs"].shape[-1] if arrays["xs"].ndim else 0, "quaternions": []}, "starts": []}
-    for name, kinds in _META.items():
-        value = meta.get(name)
-        if name not in meta or not isinstance(value, kinds) or isinstance(value, bool):
-            raise FileError(f"{path} is damaged: its meta has no usable {name!r}.")
-    meta["space"] = _check_arrays(path, arrays, columns, meta["space"])
+    if version < 3:  # no digests, and problems of cases alone
+        starts = meta.get("starts")
+        starts = [row + row[2:3] for row in starts if isinstance(row, list)] if isinstance(starts, list) else starts
+        meta |= {"options": {}, "problem": None, "digests": {}, "starts": starts}  # ranked by cost
+    _check_meta(named, meta)
+    written = meta.pop("digests")
+    content = {name: part for name, part in meta.items() if name != "format_version"}
+    meta["changed"] = changed(arrays, content, written) if written else ()
+    meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
+    if meta["mjcf"] is not None:
+        try:
+            check_stored(meta["mjcf"], {name.removeprefix(ASSET): arrays[name].tobytes() for name in assets})
+        except ModelError as error:
+            raise FileError(f"{named} is damaged: {error}") from None
     return arrays, meta
 
 
-def _space(path: Path, nx: int, given: dict[str, Any]) -> StateSpace:
+def _check_meta(named: str, meta: dict[str, Any]) -> None:
+    for name, kinds in _META.items():
+        value: Any = meta.get(name)
+        usable = name in meta and _is(value, kinds)
+        if usable and name == "versions":
+            usable = all(isinstance(version, str) for version in value.values())
+        if usable and name == "starts":
+            rows = (row if isinstance(row, list) else [] for row in value)
+            usable = all(len(row) == len(_START) and all(map(_is, row, _START)) for row in rows)
+        if not usable:
+            raise FileError(f"{named} is damaged: its meta has no usable {name!r}.")
+
+
+def _is(value: Any, kinds: tuple[type, ...]) -> bool:
+    """Whether a JSON value is of one of some kinds, and a number finite."""
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        return False
+    return not isinstance(value, (int, float)) or abs(value) <= sys.float_info.max
+
+
+def _space(named: str, nx: int, given: dict[str, Any]) -> StateSpace:
     """The space of states of nx numbers: quaternions lie in order, none in another."""
     ndx, pairs = given.get("ndx"), given.get("quaternions")
     try:
@@ -110,27 +155,30 @@ def _space(path: Path, nx: int, given: dict[str, Any]) -> StateSpace:
         if not isinstance(ndx, int) or ndx != space.ndx or end > nx:
             raise ValueError(f"{ndx} numbers for {nx}")
     except (TypeError, ValueError, OverflowError) as error:
-        raise FileError(f"{path} is damaged: its meta has no usable 'space' ({error}).") from None
+        reason = " ".join(str(error).split())
+        raise FileError(f"{named} is damaged: its meta has no usable 'space' ({reason}).") from None
     return space
 
 
-def _check_arrays(path: Path, arrays: dict[str, np.ndarray], columns: int, space: dict[str, Any]) -> StateSpace:
+def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space: dict[str, Any]) -> StateSpace:
     if arrays["us"].ndim != 2 or arrays["xs"].ndim != 2 or len(arrays["us"]) == 0:
-        raise FileError(f"{path} is damaged: xs and us are not tables, expected (N+1, nx) and (N, nu).")
+        raise FileError(f"{named} is damaged: xs and us are not tables, expected (N+1, nx) and (N, nu).")
     (N, nu), nx = arrays["us"].shape, arrays["xs"].shape[1]
-    states = _space(path, nx, space)
+    states = _space(named, nx, space)
     rows = arrays["history"].shape[0] if arrays["history"].ndim else 0
     shapes = {"t": (N + 1,), "xs": (N + 1, nx), "us": (N, nu), "K": (N, nu, states.ndx), "history": (rows, columns)}
     for name, shape in shapes.items():
         have = arrays[name]
         if have.shape != shape or have.dtype != np.float64:
-            raise FileError(f"{path} is damaged: {name} is {have.dtype} {have.shape}, expected float64 {shape}.")
+            raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected float64 {shape}.")
     for name, have in arrays.items():
+        if name.startswith(PART) and have.dtype != np.float64:
+            raise FileError(f"{named} is damaged: {name} is {have.dtype}, expected float64.")
         if name.startswith(ASSET) and (have.ndim != 1 or have.dtype != np.uint8):
-            raise FileError(f"{path} is damaged: {name} is {have.dtype} {have.shape}, expected uint8 (bytes,).")
+            raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected uint8 (bytes,).")
     t = arrays["t"]
     if not (np.isfinite(t).all() and t[0] == 0.0 and np.all(np.diff(t) > 0.0)):
-        raise FileError(f"{path} is damaged: t does not rise from 0.")
+        raise FileError(f"{named} is damaged: t does not rise from 0.")
     if not np.isfinite(arrays["history"][:, 0]).all():
-        raise FileError(f"{path} is damaged: its history does not count its iterations.")
+        raise FileError(f"{named} is damaged: its history does not count its iterations.")
     return states

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.film import Film
 from planner.gl import load_mujoco
+from planner.stage import Stage
 
 _MARGIN = 1.12  # the picture's half sizes over the motion's
+_ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
 
 class Box(NamedTuple):
@@ -20,6 +24,35 @@ class Box(NamedTuple):
     def beside(self, offset: np.ndarray) -> Box:
         """The box of this one and of the same, displaced."""
         return Box(np.minimum(self.low, self.low + offset), np.maximum(self.high, self.high + offset))
+
+    def joined(self, other: Box, most: float) -> Box:
+        """The box of this one and of another, at most so much larger on every side."""
+        low = np.maximum(np.minimum(self.low, other.low), self.low - most)
+        return Box(low, np.minimum(np.maximum(self.high, other.high), self.high + most))
+
+
+def whole_motion(
+    films: Sequence[Film], model: Any, stage: Stage, aspect: float, ghost: bool, room: float = 1.0
+) -> tuple[np.ndarray, float]:
+    """Where to look, and from how far, to see all of some films of one plan; of a replay that runs away, its start.
+
+    Args:
+        films: What to see.
+        model: Their MuJoCo model.
+        stage: From where.
+        aspect: Width of the picture over its height.
+        ghost: Whether the plan is drawn too.
+        room: The part of the picture's height that words leave free.
+    """
+    plan = box = swept_box(model, films[0].path_ghost_qpos)
+    for film in films:
+        box = box.joined(
+            plan.joined(swept_box(model, film.path_qpos), _ASTRAY * float(np.max(plan.high - plan.low))), np.inf
+        )
+    if ghost:
+        box = box.beside(np.asarray(stage.ghost_offset))
+    distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect, room)
+    return 0.5 * (box.low + box.high), distance
 
 
 def swept_box(model: Any, path: np.ndarray) -> Box:
@@ -43,7 +76,9 @@ def swept_box(model: Any, path: np.ndarray) -> Box:
     return Box(low - least, high + least)
 
 
-def standing_back(box: Box, azimuth: float, elevation: float, fovy: float, aspect: float) -> float:
+def standing_back(
+    box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0
+) -> float:  # fmt: skip
     """The distance from the box's centre at which a camera sees all of it.
 
     Args:
@@ -52,6 +87,7 @@ def standing_back(box: Box, azimuth: float, elevation: float, fovy: float, aspec
         elevation: Of the camera, degrees.
         fovy: Vertical field of view, degrees.
         aspect: Width of the picture over its height.
+        room: The part of the picture's height to be used.
     """
     a, e = np.radians([azimuth, elevation])
     ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
@@ -60,5 +96,5 @@ def standing_back(box: Box, azimuth: float, elevation: float, fovy: float, aspec
     half = 0.5 * (box.high - box.low)
     corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     tangent = np.tan(0.5 * np.radians(fovy))
-    needed = np.maximum(np.abs(corners @ up) / tangent, np.abs(corners @ right) / (tangent * aspect))
+    needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
     return float(np.max(_MARGIN * needed - corners @ ahead))

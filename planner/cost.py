@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from planner.arguments import array, count, number
+from planner.arguments import LONGEST_HORIZON, array, count, number, numbers, shown
 from planner.errors import PlannerError
 from planner.mechanism import Mechanism
 from planner.space import StateSpace, euclidean
-from planner.weights import diagonal, matrices, numbers
+from planner.weights import diagonal, matrices, places
 
 
 class Quadratic(NamedTuple):
@@ -37,6 +37,12 @@ class Cost(Protocol):
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Gradients and positive semidefinite Hessians (R positive definite) along a trajectory."""
         ...
+
+
+def check_cost(name: str, value: Any) -> None:
+    """That a value has the two methods of a cost; a PlannerError where it has not."""
+    if not (callable(getattr(value, "value", None)) and callable(getattr(value, "quadratize", None))):
+        raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
 
 
 class Term:
@@ -62,8 +68,7 @@ class SumCost(Term):
     def __init__(self, *costs: Any) -> None:
         self.costs: tuple[Cost, ...] = ()
         for cost in costs:
-            if not (callable(getattr(cost, "value", None)) and callable(getattr(cost, "quadratize", None))):
-                raise PlannerError(f"a term of a cost is {cost!r}, expected a cost with value() and quadratize().")
+            check_cost("a term of a cost", cost)
             self.costs += cost.costs if isinstance(cost, SumCost) else (cost,)
         if not self.costs:
             raise PlannerError("the sum has no costs, expected at least one.")
@@ -117,7 +122,7 @@ class TrackingCost(Term):
     def __init__(self, Q: Any, R: Any, x_ref: Any = 0.0, u_ref: Any = 0.0, space: StateSpace | None = None) -> None:
         self.Q, self.R = array("Q", Q, ("N+1", "ndx", "ndx")), array("R", R, ("N", "nu", "nu"))
         self.N, self.nu = count("N, the number of stages in R", len(self.R)), self.R.shape[1]
-        self.space = euclidean(self.Q.shape[1]) if space is None else space
+        self.space = euclidean(self.Q.shape[1]) if space is None else _space(space)
         self.nx, self.ndx = self.space.nx, self.space.ndx
         array("Q", self.Q, (self.N + 1, self.ndx, self.ndx))
         array("R", self.R, (self.N, self.nu, self.nu))
@@ -152,11 +157,11 @@ class TrackingCost(Term):
             nu: Size of the control; needed when effort is a number and nu is not 1.
             space: Of the states; plain vectors by default.
         """
-        N = count("horizon", horizon)
-        x_ref = array("goal", goal, ("nx",) if space is None else (space.nx,))
+        N = count("horizon", horizon, most=LONGEST_HORIZON)
+        x_ref = array("goal", goal, ("nx",) if space is None else (_space(space).nx,))
         number("dt", dt, above=0.0)
         ndx = len(x_ref) if space is None else space.ndx
-        size = nu if nu is not None else (np.asarray(effort).shape[0] if np.ndim(effort) else 1)
+        size = (numbers("effort", effort).shape or (1,))[0] if nu is None else count("nu", nu)
         Q = dt * matrices("running", running, N + 1, ndx)
         Q[N] = matrices("final", final, 1, ndx)[0]
         return cls(Q, dt * matrices("effort", effort, N, size), x_ref, 0.0, space)
@@ -192,7 +197,7 @@ class TrackingCost(Term):
             PlannerError: A name that the machine does not have, a wrong shape, or a weight out of range.
         """
         mechanism, dt = mechanism_of(machine, dt)
-        N, nu = count("horizon", horizon), int(machine.nu)
+        N, nu = count("horizon", horizon, most=LONGEST_HORIZON), int(machine.nu)
         if goal is None and reference is None:
             raise PlannerError("goal is None and there is no reference, expected one of the two.")
         space = mechanism.space
@@ -203,7 +208,7 @@ class TrackingCost(Term):
         else:
             x_ref = states("reference", reference, space, (N + 1,))
             x_ref[N] = x_ref[N] if goal is None else states("goal", goal, space, ())
-        joints, inputs, activations = _places(mechanism, getattr(machine, "prescribed", ()))
+        joints, inputs, activations = places(mechanism, getattr(machine, "prescribed", ()))
 
         def weights(prefix: str, p: Any, v: Any, a: Any) -> np.ndarray:
             return np.concatenate(
@@ -263,27 +268,17 @@ def mechanism_of(machine: Any, dt: float | None) -> tuple[Mechanism, float]:
     """The mechanism and the length of a stage of RigidBodyDynamics, or of a Mechanism with dt."""
     mechanism = getattr(machine, "mechanism", machine)
     if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"the machine is {machine!r}, expected RigidBodyDynamics or a Mechanism.")
+        raise PlannerError(f"the machine is {shown(machine)}, expected RigidBodyDynamics or a Mechanism.")
     dt = getattr(machine, "dt", None) if dt is None else dt
     if dt is None:
         raise PlannerError("dt is None, expected the length of a stage in s, since a Mechanism has none.")
     return mechanism, number("dt", dt, above=0.0)
 
 
-def _places(
-    mechanism: Mechanism, prescribed: tuple[str, ...]
-) -> tuple[dict[str, slice], dict[str, slice], dict[str, slice]]:
-    """Where weights by name go: joints in (nv,), actuators and prescribed joints in (nu,), actuators in (na,)."""
-    joints = {name: s for name, s in zip(mechanism.joint_names, mechanism.joint_links, strict=True) if name}
-    names = mechanism.actuators.names
-    inputs = {name: slice(i, i + 1) for i, name in enumerate(names) if name}
-    at = len(names)
-    for name in sorted(prescribed, key=lambda name: joints[name].start):  # in the order of qvel
-        inputs[name] = slice(at, at + joints[name].stop - joints[name].start)
-        at = inputs[name].stop
-    indices = mechanism.actuators.activation.tolist()
-    activations = {name: slice(i, i + 1) for name, i in zip(names, indices, strict=True) if name and i >= 0}
-    return joints, inputs, activations
+def _space(value: Any) -> StateSpace:
+    if not isinstance(value, StateSpace):
+        raise PlannerError(f"space is {shown(value)}, expected a StateSpace, e.g. dynamics.space.")
+    return value
 
 
 def _references(name: str, value: Any, stages: int, size: int) -> np.ndarray:

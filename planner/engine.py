@@ -85,7 +85,7 @@ class CompiledEngine:
         """Roll out the first guess; its cost."""
         self._numpy = None
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
-        compile_together((sweep, *self._dynamics.kernels))
+        compile_together((sweep, "gradients", *self._dynamics.kernels))
         self._w.xs[0] = x0
         self._w.us[:] = us
         self._w.dus[:] = 0.0

@@ -1,8 +1,8 @@
-"""Writing without half-written files: a result is there whole, or the older one is there untouched.
+"""Files: inputs are read within bounds, and a result is there whole or the older one is there untouched.
 
-A file is written beside its place under a hidden name and moved there by os.replace, which is atomic within a
-file system. Files that belong together are written into a hidden folder first and published at the end.
-Whatever the operating system complains of becomes a FileError, one sentence that names the path.
+A pipe or device in place of an input would be read forever, so an input is an ordinary file of a size that fits. An
+output is written beside its place under a hidden name and moved there by os.replace, which is atomic in a file system.
+Files that belong together are written into a hidden folder and published at the end. Every error names its path.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from planner.errors import FileError
+from planner.errors import FileError, PlannerError
 
 PathLike = str | os.PathLike[str]
+
+TEXT_LIMIT = 64 * 2**20  # bytes of an XML or TOML file
+ASSET_LIMIT = 512 * 2**20  # bytes of a mesh, a texture or a height field
 
 _HIDDEN = ".planner-"  # how the names of unfinished files and folders begin
 
@@ -43,6 +46,44 @@ _SENTENCES = {
 }
 
 
+def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:
+    """The content of an ordinary file.
+
+    Args:
+        path: The file.
+        what: What it is, for the message: "the model".
+        most: Its size in bytes.
+        raises: The kind of error for what cannot be read, is no ordinary file or is too large.
+    """
+    try:
+        with open(path, "rb", opener=_without_waiting) as file:
+            state = os.fstat(file.fileno())
+            if not stat.S_ISREG(state.st_mode):
+                reason = "it is a device or pipe, expected an ordinary file"
+            elif state.st_size > most:
+                reason = f"it is larger than {most / 2**20:g} MB, expected less"
+            else:
+                return file.read()
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except ValueError:  # a null character, or others that no name can hold
+        reason = "no file can have this name"
+    raise raises(f"cannot read {what} {printable(path)}: {reason}.") from None
+
+
+def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileError) -> str:
+    """The text of an ordinary file in UTF-8, of at most TEXT_LIMIT bytes; see read_input."""
+    try:
+        return read_input(path, what, most=TEXT_LIMIT, raises=raises).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise raises(f"cannot read {what} {printable(path)}: it is not text.") from None
+
+
+def printable(path: PathLike) -> str:
+    """A path for a message of one line: as it is, or quoted with its unprintable characters escaped."""
+    return str(path) if str(path).isprintable() else repr(str(path))
+
+
 @contextmanager
 def write_atomically(path: PathLike) -> Iterator[Path]:
     """Yields a hidden path beside `path` to write to; on success that file takes the place of `path`.
@@ -61,7 +102,7 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
     try:
         # Through a link, the file it points at is the one to replace, not the link.
         place = Path(os.path.realpath(target))
-        _refuse_other_than_file(target)
+        refuse_other_than_file(target)
         hidden = _new_file(place.parent, place.suffix)
     except FileError:
         raise
@@ -112,13 +153,13 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Stage
     outputs = tuple(outputs)
     created: list[Path] = []
     try:
-        created = _missing(folder)
+        created = missing_folders(folder)
         folder.mkdir(parents=True, exist_ok=True)
         for name in outputs:
-            _refuse_other_than_file(folder / name)
+            refuse_other_than_file(folder / name)
         staging = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=folder))
     except BaseException as error:
-        _remove_empty(created)
+        remove_empty(created)
         if isinstance(error, FileError) or not isinstance(error, (OSError, ValueError)):
             raise
         raise file_error(error, folder, expected="folder") from error
@@ -130,7 +171,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Stage
         if isinstance(error, OSError) and _concerns(error, staging, folder):
             complaint = file_error(error, folder, expected="folder")  # before space is freed
         shutil.rmtree(staging, ignore_errors=True)
-        _remove_empty(created)
+        remove_empty(created)
         if complaint is None:
             raise
         raise complaint from error
@@ -149,6 +190,11 @@ def file_error(error: BaseException, path: PathLike, verb: str = "write", expect
     return FileError(f"Cannot {verb} {_shown(path)}: {_reason(error, Path(path), verb, expected)}.")
 
 
+def _without_waiting(path: str, flags: int) -> int:
+    """An opener that does not wait until someone opens the other end of a pipe."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
 def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
     if "\0" in str(path):
         return "its name holds a null character; choose another name"
@@ -162,7 +208,7 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
     if number == errno.EISDIR:
         return "it is a folder, expected the name of a file"
     if number == errno.ENOENT:
-        missing = _missing(path.parent)
+        missing = missing_folders(path.parent)
         if missing:
             return f"the folder {_shown(missing[-1])} does not exist; create it or choose another"
         if verb == "read":
@@ -191,7 +237,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
     files = sorted(file for file in staging.rglob("*") if file.is_file())
     names = [file.relative_to(staging) for file in files]
     for file, name in zip(files, names, strict=True):
-        _refuse_other_than_file(folder / name)
+        refuse_other_than_file(folder / name)
         _flush_to_device(file)
     # Old files go first: an interruption here leaves an old plan without its video, never a new plan with it.
     for name in {Path(output) for output in outputs} - set(names):
@@ -201,7 +247,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
         os.replace(file, folder / name)
 
 
-def _refuse_other_than_file(path: Path) -> None:
+def refuse_other_than_file(path: Path) -> None:
     """Raise FileError when something lies at `path` that os.replace must not replace, e.g. /dev/null."""
     try:
         mode = os.stat(path).st_mode
@@ -229,12 +275,13 @@ def _flush_to_device(path: Path) -> None:
         os.close(handle)
 
 
-def _missing(folder: Path) -> list[Path]:
+def missing_folders(folder: Path) -> list[Path]:
     """`folder` and its parents as far as they do not exist, innermost first."""
     return [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
 
 
-def _remove_empty(folders: Iterable[Path]) -> None:
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders, innermost first, as far as nothing is in them."""
     with suppress(OSError, ValueError):  # someone else may have put a file there meanwhile
         for folder in folders:
             folder.rmdir()

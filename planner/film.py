@@ -1,14 +1,16 @@
 """Film: everything a renderer needs to know about a replay, as plain arrays, one row per frame.
 
-Made here from a Replay, drawn elsewhere, perhaps in another process: a film goes into an .npz without pickle.
+Made here from a Replay, drawn elsewhere, perhaps in another process: a film goes into an .npz without pickle. A replay
+that ran away stays in the last pose that it had.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +35,20 @@ _ARRAYS = (
 )  # fmt: skip
 
 
+class Caption(NamedTuple):
+    """What is written under a film that is shown beside another.
+
+    Attributes:
+        mode: Which of the two it is.
+        verdict: "PASS", "FAIL" or "".
+        detail: How it ended.
+    """
+
+    mode: str
+    verdict: str
+    detail: str
+
+
 @dataclass(frozen=True, eq=False)
 class Film:
     """Frames of a replay, not yet drawn.
@@ -51,6 +67,8 @@ class Film:
         path_t: (P,) s, times along the whole replay, whatever the frames are.
         path_qpos: (P, nq) of the simulated machine.
         path_ghost_qpos: (P, nq) of the plan.
+        unstable: s, when the simulation ran away; infinite when it did not.
+        caption: What is written under it, or None.
         assets: Files that the model's text names.
     """
 
@@ -67,10 +85,12 @@ class Film:
     path_t: np.ndarray
     path_qpos: np.ndarray
     path_ghost_qpos: np.ndarray
+    unstable: float = math.inf
+    caption: Caption | None = None
     assets: dict[str, bytes] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, replay: Replay, t: np.ndarray) -> Film:
+    def of(cls, replay: Replay, t: np.ndarray, caption: Caption | None = None) -> Film:
         """The frames of a replay at the times t.
 
         Positions are interpolated linearly between the simulator's steps, which are far shorter than a frame.
@@ -78,16 +98,19 @@ class Film:
         Args:
             replay: What to show.
             t: (F,) s, within the replay.
+            caption: What is written under it.
 
         Raises:
-            PlannerError: The replay holds infinite or undefined numbers.
+            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers.
         """
-        for name in ("qpos", "xs", "plan_xs"):
-            if not np.all(np.isfinite(getattr(replay, name))):
-                raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
+        known = _known(replay)
+        if known == 0 or not np.all(np.isfinite(replay.plan_xs)):
+            name = "plan_xs" if known else "its first state"
+            raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
         stage = stage_of(replay.plan.problem)
         shown = stage or Stage(title="")
-        xs = _interpolate(t, replay.t, replay.xs)
+        sampled = replay.t[:known]  # beyond, the last pose stays
+        xs = _interpolate(t, sampled, replay.xs[:known])
         plan_xs = _interpolate(t, replay.t, replay.plan_xs)
         indices = [readout.index for readout in shown.readouts]
         index, fraction = shown.follow or (0, 0.0)
@@ -97,16 +120,18 @@ class Film:
             mjcf=replay.twin.mjcf,
             stage=stage,
             t=t,
-            qpos=_interpolate(t, replay.t, replay.qpos),
+            qpos=_interpolate(t, sampled, replay.qpos[:known]),
             ghost_qpos=replay.twin.sim_of(plan_xs)[:, :nq],
             force=_exposed(t, replay.t, replay.contact_force),
             point=_last_known(t, replay.t, replay.contact_point),
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
-            largest=np.abs(np.concatenate([replay.xs, replay.plan_xs])[:, indices]).max(axis=0),
+            largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
             rise=fraction * xs[:, index],
             path_t=path,
-            path_qpos=_interpolate(path, replay.t, replay.qpos),
+            path_qpos=_interpolate(path, sampled, replay.qpos[:known]),
             path_ghost_qpos=replay.twin.sim_of(_interpolate(path, replay.t, replay.plan_xs))[:, :nq],
+            unstable=float(replay.t[known]) if known < len(replay.t) else math.inf,
+            caption=caption,
             assets=replay.twin.assets,
         )
 
@@ -116,7 +141,10 @@ class Film:
     def save(self, path: Path, **extra: Any) -> None:
         """Write the film, and JSON values beside it, to an .npz file."""
         stage = None if self.stage is None else asdict(replace(self.stage, plots=()))
-        meta = json.dumps({"mjcf": self.mjcf, "stage": stage, "extra": extra})
+        unstable = self.unstable if math.isfinite(self.unstable) else None
+        meta = json.dumps(
+            {"mjcf": self.mjcf, "stage": stage, "unstable": unstable, "caption": self.caption, "extra": extra}
+        )
         contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
         np.savez(path, meta=np.array(meta), **contents)
@@ -133,7 +161,16 @@ class Film:
         if stage is not None:
             stage["readouts"] = tuple(Readout(**readout) for readout in stage["readouts"])
             stage = Stage(**stage)
-        return cls(mjcf=meta["mjcf"], stage=stage, **arrays, assets=assets), meta["extra"]
+        unstable = math.inf if meta["unstable"] is None else meta["unstable"]
+        caption = None if meta["caption"] is None else Caption(*meta["caption"])
+        film = cls(mjcf=meta["mjcf"], stage=stage, **arrays, unstable=unstable, caption=caption, assets=assets)
+        return film, meta["extra"]
+
+
+def _known(replay: Replay) -> int:
+    """How many samples there are before the first that is not finite."""
+    finite = np.isfinite(replay.qpos).all(axis=1) & np.isfinite(replay.xs).all(axis=1)
+    return finite.size if finite.all() else int(np.argmin(finite))
 
 
 def _interpolate(t: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import array
+from planner.arguments import array, numbers, shown
 from planner.cost import Quadratic, Term, mechanism_of
 from planner.errors import PlannerError
 from planner.mechanism import Frame
 from planner.rigid_body import frame_pose, jacobian
 from planner.space import conjugate, log_jacobian, log_quaternion, product
-from planner.weights import numbers
 
 
 class FrameCost(Term):
@@ -43,6 +42,8 @@ class FrameCost(Term):
         final_orientation_weight: Any = None, dt: float | None = None,
     ) -> None:  # fmt: skip
         self.mechanism, dt = mechanism_of(machine, dt)
+        if not isinstance(frame, (str, Frame)):
+            raise PlannerError(f"frame is {shown(frame)}, expected a Frame or the name of a site or body.")
         self.frame = self.mechanism.frame(frame) if isinstance(frame, str) else frame
         self.space = self.mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
@@ -71,7 +72,8 @@ class FrameCost(Term):
     def _target(self, name: str, value: Any, size: int) -> np.ndarray:
         if value is None:
             return np.eye(1, size)
-        given = array(name, value, ("N+1", size) if np.ndim(value) == 2 else (size,))
+        given = numbers(name, value)
+        given = array(name, given, ("N+1", size) if given.ndim == 2 else (size,))
         self._per_stage(name, given)
         return np.atleast_2d(given)
 

@@ -62,6 +62,12 @@ def load_mujoco() -> Any:
     return mujoco
 
 
+def load_rollout() -> Any:
+    """The module mujoco.rollout, which simulates many models at once on threads of its own."""
+    load_mujoco()
+    return importlib.import_module("mujoco.rollout")
+
+
 def can_render_here() -> bool:
     """Whether this process can draw. False if mujoco came in before us without a library to draw with."""
     chosen = backend()

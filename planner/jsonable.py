@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -15,3 +16,8 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """A JSON document as files hold it."""
+    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"

@@ -23,6 +23,7 @@ generalized forces, where u is the control or, with a state of its own, the acti
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -175,7 +176,7 @@ class Mechanism:
                 value.flags.writeable = False
 
     @classmethod
-    def from_mjcf(cls, model: str | Path, *, ignore: tuple[str, ...] = (), contacts: str = "on") -> Mechanism:
+    def from_mjcf(cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str = "on") -> Mechanism:
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
         Args:
@@ -240,7 +241,7 @@ class Mechanism:
         Raises:
             PlannerError: There is neither a site nor a body of that name.
         """
-        if name in self.sites:
+        if isinstance(name, str) and name in self.sites:
             return self.sites[name]
         named = [body for body in self.body_names if body]
         return self.bodies[self.body_names.index(choice("frame", name, [*self.sites, *named]))]

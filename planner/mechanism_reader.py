@@ -8,6 +8,7 @@ link is part of it.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,8 +16,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner import mechanism_refusals as refusals
-from planner.arguments import choice
-from planner.errors import ModelError
+from planner.arguments import choice, shown
+from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
 from planner.mechanism_edits import take_out
@@ -27,7 +28,7 @@ from planner.space import unit
 def read(
     model: str | Path,
     *,
-    ignore: tuple[str, ...] = (),
+    ignore: Collection[str] | None = (),
     contacts: str = "on",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:
@@ -42,7 +43,9 @@ def read(
     Raises:
         ModelError: See Mechanism.from_mjcf.
     """
-    ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore)
+    if not isinstance(ignore, Collection | None):
+        raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(refusals.KINDS)}.")
+    ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, refusals.KINDS)
     out = {*ignored, *(["contacts"] if choice("contacts", contacts, ("on", "off")) == "off" else [])}
@@ -82,6 +85,15 @@ def _refuse(found: list[refusals.Refusal], name: str) -> None:
         advice = f"; nothing takes a {' or '.join(firm)} out"
     what = ", ".join(refusal.phrase for refusal in found)
     raise ModelError(f"{name} has what changes its motion and is not modelled: {what}{advice}.")
+
+
+def mechanism_of(model: Any) -> Mechanism:
+    """What of a compiled model a mechanism can hold, whatever else acts in it; without its text.
+
+    Raises:
+        ModelError: The model has no joints, or numbers that a mechanism cannot have.
+    """
+    return _mechanism(model, "", {}, (), "the model")
 
 
 def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:

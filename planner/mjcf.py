@@ -8,9 +8,12 @@ from __future__ import annotations
 import os
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from planner.errors import ModelError
+from planner.files import printable, read_input, read_text
+from planner.mjcf_bounds import MOST_PARENTS, Budget, check_copies, check_levels, parsed
 
 # In the wheel mjcf/ lies inside the package, in a checkout beside it.
 _FOLDERS = (Path(__file__).parent / "mjcf", Path(__file__).parent.parent / "mjcf")
@@ -25,13 +28,18 @@ def model_path(name: str) -> Path:
     raise ModelError(f"there is no model {name!r}, expected one of: {', '.join(known)}.")
 
 
+def is_text(model: object) -> bool:
+    """Whether a model is given as its XML text rather than as the path of a file."""
+    return isinstance(model, str) and "<" in model
+
+
 def model_text(path: str | Path) -> str:
     """The XML text of an MJCF file with its includes resolved.
 
     Raises:
-        ModelError: A file that is missing, is not XML, or includes itself.
+        ModelError: A file that is missing, is not XML, includes itself, or comes to too much.
     """
-    return ElementTree.tostring(_read(Path(path))[0], encoding="unicode")
+    return ElementTree.tostring(_read(Path(path), Budget(), ())[0], encoding="unicode")
 
 
 def model_tree(
@@ -46,83 +54,92 @@ def model_tree(
         assets: Files by the name that the text uses, sought first.
 
     Raises:
-        ModelError: Text or a file that is missing, is not MJCF, or includes itself.
+        ModelError: Text or a file that is missing, is not MJCF, includes itself, or comes to too much.
     """
     if isinstance(model, str) and not model.strip():
         raise ModelError("the model is an empty text, expected MJCF or the path of a file.")
     if not isinstance(model, (str, os.PathLike)):
         raise ModelError(f"the model is a {type(model).__name__}, expected MJCF text or the path of a file.")
     files: dict[str, bytes] = {}
-    return _standing_alone(*_read(model), assets or {}, files), files
+    root = _standing_alone(*_read(model, Budget(), ()), assets or {}, files)
+    check_copies(root, files)
+    return root, files
 
 
-# The folder of the file that an element was included from, where it is not the model's own.
-_Origins = dict[ElementTree.Element, Path]
+@dataclass
+class _Reading:
+    """A model being read.
+
+    Attributes:
+        folder: Of its main file.
+        budget: What the files have come to, shared with the models that it attaches.
+        parents: The files of the models that attach it, and its own.
+        origins: The folder of the file that an element was included from.
+    """
+
+    folder: Path
+    budget: Budget
+    parents: tuple[Path, ...]
+    origins: dict[ElementTree.Element, Path] = field(default_factory=dict)
 
 
-def _read(model: str | os.PathLike[str]) -> tuple[ElementTree.Element, Path, _Origins]:
-    """The resolved XML of a text or a path, the model's folder, and where included elements came from."""
-    text = isinstance(model, str) and "<" in model
-    path = Path() if text else Path(model)
-    origins: _Origins = {}
+def _read(
+    model: str | os.PathLike[str], budget: Budget, parents: tuple[Path, ...]
+) -> tuple[ElementTree.Element, _Reading]:
+    """The XML of a text or a path with its includes resolved."""
+    name = "the model" if is_text(model) else f"the model {printable(model)}"
     try:
-        if not text:
-            return _resolved(path, path.parent, (), origins), path.parent, origins
-        root = _parsed(str(model), "the model")
-        _resolve_below(root, Path("the model"), Path(), (), origins)
-        return root, Path(), origins
-    except RecursionError:
-        name = "the model" if text else f"the model {path}"
+        if is_text(model):
+            reading = _Reading(Path(), budget, parents)
+            root = parsed(str(model), name, budget)
+            _resolve_below(root, Path(name), parents, reading)
+        else:
+            path = Path(model)
+            reading = _Reading(path.parent, budget, (*parents, _place(path)))
+            root = _resolved(path, parents, reading)
+        check_levels(root, name)
+    except RecursionError:  # files in files, each of many levels
         raise ModelError(f"{name} is nested too deeply, expected MJCF of some tens of levels.") from None
+    return root, reading
 
 
-def _resolved(path: Path, folder: Path, parents: tuple[Path, ...], origins: _Origins) -> ElementTree.Element:
-    """A file's root with its includes resolved; `folder` is that of the whole model."""
-    try:
-        if path.resolve() in parents:
-            raise ModelError(f"{path} includes itself.")
-        text = path.read_text(encoding="utf-8-sig")
-    except ModelError:
-        raise
-    except (OSError, ValueError) as error:  # ValueError: bytes that are no text, a NUL in the path
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise ModelError(f"cannot read the model {path}: {reason}.") from None
-    root = _parsed(text, str(path))
-    _resolve_below(root, path, folder, (*parents, path.resolve()), origins)
+def _resolved(path: Path, parents: tuple[Path, ...], reading: _Reading) -> ElementTree.Element:
+    """A file's root with its includes resolved."""
+    place = _place(path)
+    if place in parents:
+        raise ModelError(f"{printable(path)} includes itself.")
+    if len(parents) > MOST_PARENTS:
+        raise ModelError(f"{printable(path)} is nested too deeply, expected at most {MOST_PARENTS} files in files.")
+    root = parsed(read_text(path, "the model", raises=ModelError), printable(path), reading.budget)
+    _resolve_below(root, path, (*parents, place), reading)
     return root
 
 
-def _parsed(text: str, name: str) -> ElementTree.Element:
-    if "<!ENTITY" in text:  # entities can grow without bound; MJCF has no use for them
-        raise ModelError(f"{name} declares XML entities, expected plain MJCF.")
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:  # ValueError: characters that no file can hold
-        raise ModelError(f"{name} is not well-formed XML: {error}.") from None
-    if root.tag not in ("mujoco", "mujocoinclude"):
-        raise ModelError(f"{name} has the root element <{root.tag}>, expected <mujoco>.")
-    return root
-
-
-def _resolve_below(
-    element: ElementTree.Element, path: Path, folder: Path, parents: tuple[Path, ...], origins: _Origins
-) -> None:
+def _resolve_below(element: ElementTree.Element, path: Path, parents: tuple[Path, ...], reading: _Reading) -> None:
     children: list[ElementTree.Element] = []
     for child in element:
         if child.tag == "include":
             file = child.get("file")
             if file is None:
-                raise ModelError(f"{path} has an <include> without a file.")
+                raise ModelError(f"{printable(path)} has an <include> without a file.")
             # From the including file, or as MuJoCo's reference says, from the main one.
-            beside = path.parent / file
-            where = beside if beside.is_file() or not (folder / file).is_file() else folder / file
-            included = _resolved(where, folder, parents, origins)
-            origins.update((one, where.parent) for one in included.iter() if one not in origins)
+            beside, main = path.parent / file, reading.folder / file
+            where = beside if os.path.isfile(beside) or not os.path.isfile(main) else main
+            included = _resolved(where, parents, reading)
+            reading.origins.update((one, where.parent) for one in included.iter() if one not in reading.origins)
             children.extend(included)
         else:
-            _resolve_below(child, path, folder, parents, origins)
+            _resolve_below(child, path, parents, reading)
             children.append(child)
     element[:] = children
+
+
+def _place(path: Path) -> Path:
+    """A file's own path, whatever links lead there."""
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError:  # no name of a file: reading it says so
+        return path
 
 
 _TEXTURES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
@@ -130,7 +147,7 @@ _FOLDER_OF = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "flexco
 
 
 def _standing_alone(
-    root: ElementTree.Element, folder: Path, origins: _Origins, assets: dict[str, bytes], files: dict[str, bytes]
+    root: ElementTree.Element, reading: _Reading, assets: dict[str, bytes], files: dict[str, bytes]
 ) -> ElementTree.Element:
     """The root with its files renamed to names without folders, their content added to `files`."""
     settings: dict[str, str] = {}
@@ -148,28 +165,19 @@ def _standing_alone(
             if settings.get("strippath") == "true":
                 file = re.split(r"[/\\]", file)[-1]
             below = settings.get(_FOLDER_OF.get(element.tag, ""), settings.get("assetdir", ""))
-            sought = [folder / ("" if element.tag == "model" else below) / file]
-            sought += [origins[element] / file] if element in origins else []
-            if element.tag == "model" and file not in assets:  # a model of its own, to be attached
-                where = next((path for path in sought if path.is_file()), sought[0])
-                part = _standing_alone(*_read(where), assets, files)
+            sought = [reading.folder / ("" if element.tag == "model" else below) / file]
+            sought += [reading.origins[element] / file] if element in reading.origins else []
+            where = next((path for path in sought if os.path.isfile(path)), sought[0])
+            content = assets.get(file)
+            if content is None and element.tag == "model":  # a model of its own, to be attached
+                part = _standing_alone(*_read(where, reading.budget, reading.parents), assets, files)
                 content = ElementTree.tostring(part)
-            else:
-                content = assets.get(file)
-                content = _content(file, sought) if content is None else content
+            elif content is None:
+                content = read_input(where, f"{file!r} that the model names at", raises=ModelError)
             if key == "file" and element.tag in ("mesh", "hfield", "texture"):  # MuJoCo would name it after the file
                 element.attrib.setdefault("name", Path(file).stem)
             element.set(key, _stored(Path(file).name, content, files))
     return root
-
-
-def _content(file: str, sought: list[Path]) -> bytes:
-    for path in sought:
-        try:
-            return path.read_bytes()
-        except (OSError, ValueError):
-            continue
-    raise ModelError(f"cannot read {file!r} that the model names: there is no such file at {sought[0]}.")
 
 
 def _stored(name: str, content: bytes, files: dict[str, bytes]) -> str:
@@ -188,7 +196,7 @@ def edited(text: str, edits: dict[str, dict[str, str]]) -> str:
     Raises:
         ModelError: Text that is not MJCF, or a path that finds no element.
     """
-    root = _parsed(text, "the model")
+    root = parsed(text, "the model")
     for path, attributes in edits.items():
         element = root.find(path)
         if element is None:

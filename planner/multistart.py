@@ -6,11 +6,13 @@ Start 0 is the problem's own first guess; start k adds a smooth random change, d
 
 with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
 it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
-Starts run on threads, and which of them wins does not depend on when each ends.
+Starts run on threads, and which of them wins does not depend on when each ends. Plans are ranked one at a time, in
+the caller's thread.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections import deque
 from collections.abc import Callable
@@ -20,9 +22,12 @@ from threading import Event
 
 import numpy as np
 
+from planner.arguments import shown
+from planner.errors import PlannerError
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 
+MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
 _MODES = 6  # cosines: from a constant to two and a half waves over the horizon
 _PILOT = 5  # iterations after which controls have their size
 
@@ -33,9 +38,9 @@ Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan
 
 def best_of(
     problem: Problem, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
-    callback: Callable[[Start], object] | None,
+    callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
 ) -> Plan:  # fmt: skip
-    """The plan of least cost among the converged of several starts, else among all.
+    """The plan of least rank among the converged of several starts, else among all.
 
     Args:
         problem: What to solve.
@@ -45,11 +50,12 @@ def best_of(
         seed: Of the random changes.
         spread: Their size relative to that of the controls.
         callback: Called with each Start, in order, as soon as it and those before it have ended.
+        rank: Of a Plan, the less the better; its cost by default.
     """
     guess = problem.first_guess
     pilot = descend(guess, min(_PILOT, max_iterations), None)
     if pilot.status is Status.INTERRUPTED:
-        return replace(pilot, starts=(_summary(0, pilot),))
+        return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
     scale = spread * _sizes(guess, pilot.us)
 
     stop = Event()
@@ -74,10 +80,11 @@ def best_of(
                         waiting.append((submitted, pool.submit(run, submitted)))
                         submitted += 1
                     number, plan = waiting[0][0], waiting[0][1].result()
+                    summary = _summary(number, plan, _score(rank, plan))
                     waiting.popleft()
-                    ended.append(_summary(number, plan))
-                    if best is None or ended[-1].rank < min(start.rank for start in ended[:-1]):
+                    if best is None or summary.rank < min(start.rank for start in ended):
                         best = plan
+                    ended.append(summary)
                     if callback is not None and not interrupted:
                         callback(ended[-1])
                 except (KeyboardInterrupt, StopIteration):
@@ -88,7 +95,7 @@ def best_of(
             stop.set()
             pool.shutdown(cancel_futures=True)
     if best is None:  # interrupted before any start began
-        best, ended = pilot, [_summary(0, pilot)]
+        best, ended = pilot, [_summary(0, pilot, pilot.cost)]
     return replace(best, starts=tuple(ended), status=Status.INTERRUPTED if interrupted else best.status)
 
 
@@ -108,8 +115,20 @@ def _sizes(guess: np.ndarray, later: np.ndarray) -> np.ndarray:
     return np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
 
 
-def _summary(number: int, plan: Plan) -> Start:
-    return Start(number, plan.status, plan.cost, plan.nit)
+def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
+    """What a plan is ranked by; infinite where it is not finite."""
+    try:
+        value = plan.cost if rank is None else rank(plan)
+    except StopIteration:  # which here would mean an interruption, and be asked again
+        raise PlannerError("rank raised StopIteration, expected a number.") from None
+    try:
+        return float(value) if math.isfinite(value) else math.inf
+    except (TypeError, ValueError):
+        raise PlannerError(f"rank gave {shown(value)}, expected a number.") from None
+
+
+def _summary(number: int, plan: Plan, score: float) -> Start:
+    return Start(number, plan.status, plan.cost, plan.nit, score)
 
 
 def _processors() -> int:

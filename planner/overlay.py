@@ -11,23 +11,30 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from planner.film import Caption
 from planner.scene import FORCE, GHOST
 from planner.stage import Stage
 
 Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
+_Words = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
 
 _INK = (28, 32, 40)
 _QUIET = (92, 99, 112)
 _PAPER = (255, 255, 255)
 _PAPER_ALPHA = 205
 _SOLID = (24, 84, 176)
+_GOOD, _BAD = (20, 113, 58), (179, 38, 30)
 _MINUS = "\N{MINUS SIGN}"
+_LONG = 1e7
 
 
 class Overlay:
     """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
 
-    def __init__(self, stage: Stage, width: int, height: int, *, largest: np.ndarray, speed: float | None) -> None:
+    def __init__(
+        self, stage: Stage, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
+        legend: bool = True, caption: Caption | None = None, unstable: float = math.inf,
+    ) -> None:  # fmt: skip
         """Lay out the panels, once for all frames.
 
         Args:
@@ -35,11 +42,14 @@ class Overlay:
             width: Of the pictures, pixels.
             height: Of the pictures, pixels.
             largest: (R,) largest magnitude of each readout: it decides the decimals.
-            speed: Playback speed, or None for a still.
+            speed: Playback speed; None writes none.
+            legend: Say what is solid and what is a ghost.
+            caption: Written at the bottom, or None.
+            unstable: s, when the simulation ran away: said from then on.
         """
         self._stage = stage
         self._width, self._height = width, height
-        unit = min(height / 720, width / 1280 * 1.2)
+        unit = min(height / 720, width / 900)
         self._unit = unit
         self._text = _font("DejaVuSans.ttf", 18 * unit)
         self._title = _font("DejaVuSans-Bold.ttf", 21 * unit)
@@ -51,7 +61,10 @@ class Overlay:
         self._decimals = [decimals(scales[readout.unit]) for readout in stage.readouts]
         self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
         self._columns = self._lay_out_columns(largest)
-        self._panels = [self._readout_panel(), *self._legend_panels(speed)]
+        self._panels = [self._readout_panel(), *self._legend_panels(speed, legend)]
+        self._unstable, self._warning = unstable, self._warning_panel(unstable, 1.0 if caption is None else 2.3)
+        if caption is not None:
+            self._panels.append(self._caption_panel(caption))
 
     def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
         """The picture (height, width, 3) with everything written on it, a new array.
@@ -65,13 +78,14 @@ class Overlay:
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
         for (x, y), words, anchor in marks:
-            if anchor[0] == "l":  # a label at the edge moves in
-                x = min(x, self._width - self._margin - self._small.getlength(words))
+            inmost = self._width - self._margin - self._small.getlength(words)
+            if anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
+                x, y = inmost, y - 0.6 * self._line
             draw.text(
                 (x, y), words, _INK, self._small, anchor=anchor,
                 stroke_width=max(1, round(2 * self._unit)), stroke_fill=(240, 243, 247),
             )  # fmt: skip
-        for panel, corner in self._panels:
+        for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
         x, y = self._margin + self._padding, self._margin + self._padding
         if self._stage.title:
@@ -117,7 +131,29 @@ class Overlay:
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
         return panel, (round(m), round(m))
 
-    def _legend_panels(self, speed: float | None) -> list[tuple[Image.Image, tuple[int, int]]]:
+    def _caption_panel(self, caption: Caption) -> tuple[Image.Image, tuple[int, int]]:
+        """Which film it is and how it ends, at the bottom in the middle."""
+        parts: list[_Words] = [(f"{caption.mode}  ", self._title, _INK)]
+        if caption.verdict:
+            parts.append((f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
+        return self._bottom_panel([*parts, (caption.detail, self._text, _INK)], 1.0)
+
+    def _warning_panel(self, unstable: float, above: float) -> tuple[Image.Image, tuple[int, int]]:
+        words = f"unstable at t = {unstable:.2f} s"
+        return self._bottom_panel([(words, self._title, _BAD)], above)
+
+    def _bottom_panel(self, parts: Sequence[_Words], above: float) -> tuple[Image.Image, tuple[int, int]]:
+        """Words in a row in the middle, so many lines above the legend."""
+        p, height = self._padding, 40 * self._unit
+        panel, draw = _panel(2 * p + sum(font.getlength(words) for words, font, _ in parts), height, 8 * self._unit)
+        x = p
+        for words, font, ink in parts:
+            draw.text((x, 0.67 * height), words, ink, font, anchor="ls")
+            x += font.getlength(words)
+        y = self._height - self._margin - 34 * self._unit - above * (height + 8 * self._unit)
+        return panel, (round((self._width - panel.width) / 2), round(y))
+
+    def _legend_panels(self, speed: float | None, legend: bool) -> list[tuple[Image.Image, tuple[int, int]]]:
         """What is solid and what is a ghost, bottom left; how fast it plays, bottom right."""
         entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), ("ghost: plan", _bytes(GHOST))]
         if self._stage.force_scale > 0:
@@ -132,7 +168,7 @@ class Overlay:
             draw.text((x + 1.6 * box, height / 2), words, _INK, self._small, anchor="lm")
             x += gap + 1.6 * box
         bottom = round(self._height - self._margin - height)
-        panels = [(panel, (round(self._margin), bottom))]
+        panels = [(panel, (round(self._margin), bottom))] if legend else []
         if speed is not None:
             words = speed_words(speed)
             panel, draw = _panel(2 * p + self._small.getlength(words), height, 8 * self._unit)
@@ -147,7 +183,9 @@ def decimals(largest: float) -> int:
 
 
 def number(value: float, places: int) -> str:
-    """A number with a true minus sign and no negative zero."""
+    """A number with a true minus sign and no negative zero; one that ran away in few digits."""
+    if abs(value) >= _LONG:
+        return f"{value:.0e}".replace("e+", "e").replace("-", _MINUS)
     words = f"{value + 0.0:.{places}f}"
     return words.lstrip("-") if float(words) == 0 else words.replace("-", _MINUS)
 
@@ -162,15 +200,14 @@ def speed_words(speed: float) -> str:
     return f"{speed:.3g}\N{MULTIPLICATION SIGN} speed"
 
 
-def write_time(picture: np.ndarray, t: float, unit: float) -> np.ndarray:
-    """A pose of a strip with its time under it, a new array (height, width, 3)."""
-    image = Image.fromarray(picture)
+def write_time(picture: np.ndarray, t: float, band: int, unit: float, *, unstable: bool = False) -> np.ndarray:
+    """A pose of a strip with its time in a band under it, where it hides nothing: (height + band, width, 3)."""
+    height, width, _ = picture.shape
+    image = Image.new("RGB", (width, height + band), _PAPER)
+    image.paste(Image.fromarray(picture), (0, 0))
+    words, ink = (f"{t:.2f} s, unstable", _BAD) if unstable else (f"{t:.2f} s", _INK)
     font = _font("DejaVuSans.ttf", 18 * unit)
-    words = f"{t:.2f} s"
-    panel, draw = _panel(font.getlength(words) + 20 * unit, 32 * unit, 8 * unit)
-    draw.text((panel.width / 2, panel.height / 2), words, _INK, font, anchor="mm")
-    corner = (round((image.width - panel.width) / 2), round(image.height - panel.height - 14 * unit))
-    image.paste(panel, corner, panel)
+    ImageDraw.Draw(image).text((width / 2, height + band / 2), words, ink, font, anchor="mm")
     return np.asarray(image)
 
 

@@ -7,27 +7,30 @@ Everywhere, files included, the control of a plan is
 where x - xs[n] is the deviation space.difference(x, xs[n]), for plain vectors their difference.
 
 plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, ndx), history (one row
-per iteration, columns as in Iteration) and meta, one JSON string, in which `space` tells where xs has quaternions. No
-pickle.
+per iteration, columns as in Iteration) and meta, one JSON string, in which `space` tells where xs has quaternions and
+`digests` what was changed since it was written. Its model and its problem are in it too, so it is proved from the file
+alone; a problem that is its maker's own Python must be given. No pickle.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-import platform
+import os
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from planner.archive import ASSET, plan_name, read_archive, write_archive
+from planner.archive import ASSET, PART, plan_name, read_archive, write_archive
+from planner.arguments import choice
 from planner.errors import FileError, PlannerError
+from planner.files import printable
 from planner.space import StateSpace, euclidean, space_of
+from planner.stored_problem import rebuilt, stored
 from planner.twin import Twin
+from planner.versions import installed_versions
 
 if TYPE_CHECKING:
     from planner.problem import Problem
@@ -89,17 +92,19 @@ class Start(NamedTuple):
         status: How it ended.
         cost: J of Eq. 9.
         iterations: It took.
+        score: What it is ranked by: the cost, or what solve()'s `rank` made of the plan.
     """
 
     number: int
     status: Status
     cost: float
     iterations: int
+    score: float
 
     @property
     def rank(self) -> tuple[bool, float, int]:
-        """Least for the best: converged before others, then the least cost."""
-        return self.status is not Status.CONVERGED, self.cost if math.isfinite(self.cost) else math.inf, self.number
+        """Least for the best: converged before others, then the least score."""
+        return self.status is not Status.CONVERGED, self.score if math.isfinite(self.score) else math.inf, self.number
 
     def __str__(self) -> str:
         return f"{self.number:5d}  {self.cost:15.8g}  {self.iterations:10d}  {self.status.name}"
@@ -128,6 +133,8 @@ class Plan:
         parameters: Every argument of the case by name.
         twin: The MuJoCo model it is replayed in, or None.
         starts: How each start of a solve with several ended; empty for a single one.
+        options: How it was solved: the arguments of solve(), the seed among them.
+        changed: What of its file was changed after it was written; empty when nothing, or when it comes from no file.
         space: Where the states lie.
         versions: Of the software that made the plan.
     """
@@ -147,6 +154,8 @@ class Plan:
     made_with: dict[str, str] | None = None
     starts: tuple[Start, ...] = ()
     stored_space: StateSpace | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    changed: tuple[str, ...] = ()
 
     @property
     def N(self) -> int:
@@ -202,6 +211,7 @@ class Plan:
         Raises:
             FileError: The file cannot be written.
         """
+        own = stored(self.problem)
         meta = {
             "case": self.case,
             "parameters": self.parameters,
@@ -213,76 +223,94 @@ class Plan:
             "twin": None if self.twin is None else self.twin.to_dict(),
             "mjcf": None if self.twin is None else self.twin.mjcf,
             "space": self.space.to_dict(),
-            "starts": [(s.number, s.status.name, float(s.cost), s.iterations) for s in self.starts],
+            "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
+            "options": self.options,
+            "problem": None if own is None else own[0],
         }
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
         for name, content in ({} if self.twin is None else self.twin.assets).items():
             arrays[ASSET + name] = np.frombuffer(content, np.uint8)
+        for name, part in ({} if own is None else own[1]).items():
+            arrays[PART + name] = part
         write_archive(plan_name(path), arrays, meta)
         return Path(path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Plan:
-        """Read a plan.npz. The problem is rebuilt when it is one of planner.cases.
+    def load(cls, path: str | Path, *, problem: Problem | None = None) -> Plan:
+        """Read a plan.npz and rebuild its problem.
+
+        Args:
+            path: The file.
+            problem: What was solved, for a plan whose dynamics or cost is its maker's own Python.
 
         Raises:
             FileError: No such file, not a plan, damaged, or written by a newer version.
+            PlannerError: The problem given is not of the plan's sizes.
         """
+        if not isinstance(path, (str, os.PathLike)):
+            raise FileError(f"cannot read a plan from a {type(path).__name__}, expected the path of a plan.npz.")
         arrays, meta = read_archive(Path(path), len(Iteration._fields))
         assets = {name.removeprefix(ASSET): arrays[name].tobytes() for name in arrays if name.startswith(ASSET)}
         try:
             plan = cls(
                 *(arrays[name] for name in ("t", "xs", "us", "K")),
-                cost=math.nan if meta["cost"] is None else float(meta["cost"]),
-                gradient_norm=math.nan if meta["gradient_norm"] is None else float(meta["gradient_norm"]),
-                status=Status[meta["status"]],
+                cost=_number(meta["cost"]),
+                gradient_norm=_number(meta["gradient_norm"]),
+                status=_status(meta["status"]),
                 history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
                 case=meta["case"],
                 parameters=meta["parameters"],
                 twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"], assets),
                 made_with=meta["versions"],
                 starts=tuple(
-                    Start(int(number), Status[status], math.nan if cost is None else float(cost), int(iterations))
-                    for number, status, cost, iterations in meta["starts"]
+                    Start(index, _status(status), _number(cost), iterations, _number(score))
+                    for index, status, cost, iterations, score in meta["starts"]
                 ),
                 stored_space=meta["space"],
+                options=meta["options"],
+                changed=meta["changed"],
             )
-            return plan if plan.case is None else replace(plan, problem=_rebuilt(plan, plan.case))
+            if problem is not None:
+                return replace(plan, problem=_fitting(plan, problem))
+            parts = {name.removeprefix(PART): arrays[name] for name in arrays if name.startswith(PART)}
+            return replace(plan, problem=_rebuilt(plan, meta["problem"], parts))
         except PlannerError as error:
-            raise FileError(f"{path} is damaged or of a case that cannot be rebuilt: {error}") from None
-        except (KeyError, ValueError, TypeError, OverflowError) as error:
-            raise FileError(f"{path} is damaged: {type(error).__name__} in its meta, {error}.") from None
+            raise FileError(f"{printable(path)} is damaged or of a case that cannot be rebuilt: {error}") from None
+        except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError) as error:
+            reason = " ".join(f"{type(error).__name__} in its meta, {error}".split()).rstrip(" ,.")
+            raise FileError(f"{printable(path)} is damaged: {reason}.") from None
 
 
-def _rebuilt(plan: Plan, case: str) -> Problem:
-    """The problem of a stored plan."""
+def _number(value: float | None) -> float:
+    """A number of a JSON file, where null stands for what is not finite."""
+    return math.nan if value is None else float(value)
+
+
+def _status(name: str) -> Status:
+    return Status[choice("status", name, Status.__members__)]
+
+
+def _rebuilt(plan: Plan, facts: dict[str, Any] | None, parts: dict[str, np.ndarray]) -> Problem | None:
+    """The problem of a stored plan; None where it is its maker's own Python."""
     from planner import cases, problem_file  # these build on everything above; only a file's name leads back here
 
-    own = case == problem_file.CASE
-    problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(case, **plan.parameters)
+    if facts is not None:
+        return _fitting(plan, rebuilt(facts, parts, plan.twin))
+    if plan.case is None:
+        return None
+    own = plan.case == problem_file.CASE
+    problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(plan.case, **plan.parameters)
     if problem.parameters != plan.parameters:
         missing = sorted(set(problem.parameters) - set(plan.parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
+    return _fitting(plan, problem)
+
+
+def _fitting(plan: Plan, problem: Problem) -> Problem:
+    """The problem, when a plan's arrays and maps are of its sizes."""
     if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
-        raise PlannerError(f"its arrays do not fit its case {case!r}.")
+        raise PlannerError(f"its arrays do not fit its {f'case {plan.case!r}' if plan.case else 'problem'}.")
+    if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
+        raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")
     return problem
-
-
-@functools.cache
-def installed_versions() -> dict[str, str]:
-    """Versions of this package and of what its numbers depend on."""
-    names = {
-        "planner": "slq-planner",
-        "mujoco": "mujoco",
-        "numpy": "numpy",
-        "numba": "numba",
-        "scipy": "scipy",
-    }
-    versions = {"python": platform.python_version()}
-    for name, distribution in names.items():
-        try:
-            versions[name] = metadata.version(distribution)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.arguments import array, count
-from planner.cost import Cost, states
+from planner.arguments import LONGEST_HORIZON, array, count, shown
+from planner.cost import Cost, check_cost, states
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
@@ -33,6 +33,7 @@ class Requirements:
         no_same_step: Why a replay at the plan's own step says nothing here.
         tracking: Replay -> the Section that judges it.
         goal: Replay -> the Section that judges whether the goal was reached.
+        success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
     """
 
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
@@ -41,6 +42,7 @@ class Requirements:
     no_same_step: str = ""
     tracking: Callable[[Replay], Section] | None = None
     goal: Callable[[Replay], Section] | None = None
+    success: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,7 @@ class Problem:
     parameters: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._check_parts()
         nx, nu = self.dynamics.nx, self.dynamics.nu
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
@@ -85,7 +88,7 @@ class Problem:
             N = len(us)
         if N is None:
             raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
-        N = count("horizon", N)
+        N = count("horizon", N, most=LONGEST_HORIZON)
         us = np.zeros((N, nu)) if us is None else array("us", us, (N, nu))
         object.__setattr__(self, "horizon", N)
         object.__setattr__(self, "us", us)
@@ -105,6 +108,18 @@ class Problem:
             object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
+
+    def _check_parts(self) -> None:
+        """That each part is of its kind, before it is asked for sizes."""
+        missing = [name for name in ("nx", "nu", "dt", "step", "linearize") if not hasattr(self.dynamics, name)]
+        if missing:
+            what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
+            raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
+        check_cost("cost", self.cost)
+        for name, kind in (("twin", Twin), ("stage", Stage), ("requirements", Requirements)):
+            part = getattr(self, name)
+            if part is not None and not isinstance(part, kind):
+                raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")
 
     @property
     def N(self) -> int:

@@ -24,14 +24,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from planner.arguments import array, choice, count, number
+from planner.arguments import array, choice, count, number, shown
 from planner.cost import TrackingCost, states
 from planner.default_stage import default_stage
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError
 from planner.figures import Figure, Section
+from planner.files import read_text
 from planner.guess import hold
 from planner.mechanism import BALL, Mechanism
+from planner.mechanism_refusals import KINDS
+from planner.multistart import MOST_STARTS
 from planner.problem import Problem, Requirements
 from planner.twin import Twin
 
@@ -97,7 +100,7 @@ def load(path: str | Path, *, starts: int | None = None, seed: int | None = None
     table = _checked(_read(path), str(path))
     table |= {name: value for name, value in (("starts", starts), ("seed", seed)) if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
-        raise PlannerError(f"model is {table['model']!r}, expected the name of an MJCF file.")
+        raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
     mechanism = _mechanism(path.parent / table["model"], table, None)
     problem = _problem(table, mechanism, str(path))
     return ProblemFile(problem, problem.parameters["starts"], problem.parameters["seed"])
@@ -116,13 +119,13 @@ def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    text = read_text(path, "the problem file")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"{path} is not TOML: {str(error).removesuffix('.')}.") from None
-    except (OSError, ValueError) as error:  # ValueError: bytes that are no text
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise FileError(f"cannot read the problem file {path}: {reason}.") from None
+    except ValueError:  # Python reads no integers of more than 4300 digits
+        raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
     except RecursionError:
         raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
 
@@ -132,7 +135,9 @@ def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
     _known(table, KEYS, where)
     weights = table.get("weights", {})
     if not isinstance(weights, dict):
-        raise PlannerError(f"weights is {weights!r}, expected a table [weights] with some of: {', '.join(WEIGHTS)}.")
+        raise PlannerError(
+            f"weights is {shown(weights)}, expected a table [weights] with some of: {', '.join(WEIGHTS)}."
+        )
     _known(weights, WEIGHTS, f"[weights] of {where}")
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
@@ -152,7 +157,7 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
 
     ignore = table["ignore"]
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
-        raise PlannerError(f'ignore is {ignore!r}, expected a list of names such as ["frictionloss"].')
+        raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     choice("contacts", table["contacts"], ("on", "off"))
     mechanism = read(model, ignore=tuple(ignore), contacts=table["contacts"], assets=assets)
     if mechanism.nu == 0:
@@ -172,15 +177,16 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     goal = _state("goal", table["goal"], mechanism, at_rest)
     dt, N = _stages(table["duration"], table["dt"])
     table = table | {
-        "duration": float(table["duration"]), "dt": dt, "starts": count("starts", table["starts"]),
+        "duration": float(table["duration"]), "dt": dt, "starts": count("starts", table["starts"], most=MOST_STARTS),
         "seed": count("seed", table["seed"], least=0),
         "tolerance": number("tolerance", table["tolerance"], above=0.0),
         "guess": choice("guess", table["guess"], ("hold", "zero")),
     }  # fmt: skip
     if not isinstance(table["title"], str):
-        raise PlannerError(f"title is {table['title']!r}, expected a text.")
+        raise PlannerError(f"title is {shown(table['title'])}, expected a text.")
     dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"])
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
+    _check_departure(x0, cost, table["tolerance"])
     stage = default_stage(mechanism)
     return Problem(
         dynamics, cost, x0, twin=Twin.of(mechanism), case=CASE, parameters=table,
@@ -217,9 +223,9 @@ def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.
         if value not in mechanism.keyframes:
             near = difflib.get_close_matches(value, list(mechanism.keyframes), n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise PlannerError(f"{name} is {value!r}, expected {_states_of(mechanism)}.{hint}")
+            raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.{hint}")
         x = mechanism.keyframe(value)
-    elif isinstance(value, list):
+    elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
         if len(value) not in (nq, nq + nv, len(x)):
             raise PlannerError(f"{name} has {len(value)} numbers, expected {_states_of(mechanism)}.")
         x[nq:] = 0.0
@@ -229,22 +235,42 @@ def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.
             links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
             place = int(mechanism.q_address[links.start])
             size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
-            given = position if size > 1 else [position]
-            x[place : place + size] = array(f"{name} of {joint}", given, (size,))
+            label = f"{name} of {joint}"
+            x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
     else:
-        raise PlannerError(f"{name} is {value!r}, expected {_states_of(mechanism)}.")
+        raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     return states(name, x, mechanism.space, ())
+
+
+def _judged(cost: TrackingCost) -> np.ndarray:
+    """(ndx,) what the final weights act on."""
+    return np.abs(cost.Q[-1]).max(axis=0) > 0.0
+
+
+def _check_departure(x0: np.ndarray, cost: TrackingCost, tolerance: float) -> None:
+    """That a plan which does nothing would miss the goal. Where start and goal are the same, to stay is the task."""
+    way, judged = np.abs(cost.space.difference(x0, cost.x_ref[-1])), _judged(cost)
+    if not np.any(way) or not np.any(judged):
+        return
+    largest = way[judged].max()
+    if 0.0 < largest <= tolerance:
+        raise PlannerError(
+            f"the start is already within tolerance {tolerance:g} of the goal (largest difference {largest:.3g} where "
+            f"final weights are above 0), expected a smaller tolerance: a plan that does nothing would pass."
+        )
+    if largest == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
+        raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
 
 
 def judge_arrival(replay: Replay, cost: TrackingCost, tolerance: float) -> Section:
     """Whether the plan, and MuJoCo with it, end at the goal, in what the final weights act on."""
-    wanted = np.abs(cost.Q[-1]).max(axis=0) > 0.0
-    if not np.any(wanted):
-        return Section("goal", not_applicable="no final weight is above 0")
+    judged = _judged(cost)
+    if not np.any(judged):
+        return Section("goal", not_applicable="nothing is asked of the goal because no final weight is above 0")
     note = "largest component with a final weight: rad, m, rad/s, m/s; weights that are small beside the effort miss"
     ends = {"planned_goal_error": replay.plan.xs[-1], "replayed_goal_error": replay.xs[-1]}
     figures = tuple(
-        Figure(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[wanted].max()), "", tolerance, note)
+        Figure(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[judged].max()), "", tolerance, note)
         for name, x in ends.items()
     )
     return Section("goal", figures)

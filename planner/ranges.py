@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.gl import load_mujoco
+from planner.mechanism_refusals import named
 from planner.space import log_quaternion
 
 _ROUNDING = 1e-9  # as far beyond a range is still on it
@@ -22,25 +23,27 @@ def ranges_reached(model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray) -
         w: (M+1, nq + nv + na) states.
         ctrl: (M, nu) controls.
     """
+    steps = int(np.isfinite(w).all(axis=1).cumprod().sum())  # until it runs away, if it does
+    t, w, ctrl = t[:steps], w[:steps], ctrl[: min(steps, len(ctrl))]
     found = []
     for joint in np.flatnonzero(model.jnt_limited):
         value, limits, unit = _joint(model, joint, w)
         beyond = _beyond(value, limits - np.array([-1.0, 1.0]) * model.jnt_margin[joint])
-        found += _sentence(_name(model, "JOINT", joint), "is outside its range", t, beyond, unit)
+        found += _sentence(named(model, "joint", int(joint)), "is outside its range", t, beyond, unit)
     clamps = not model.opt.disableflags & load_mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL
     for actuator in np.flatnonzero(model.actuator_ctrllimited) if clamps else ():
         beyond = _beyond(ctrl[:, actuator], model.actuator_ctrlrange[actuator])
-        found += _sentence(_name(model, "ACTUATOR", actuator), "is asked for more than its ctrlrange", t, beyond)
+        found += _asked(model, "actuator", actuator, "ctrlrange", t, beyond)
     if np.any(model.actuator_forcelimited):
         forces, _ = _forces(model, w, ctrl, "actuator_forcelimited")
         for actuator in np.flatnonzero(model.actuator_forcelimited):
             beyond = _beyond(forces[:, actuator], model.actuator_forcerange[actuator])
-            found += _sentence(_name(model, "ACTUATOR", actuator), "is asked for more than its forcerange", t, beyond)
+            found += _asked(model, "actuator", actuator, "forcerange", t, beyond)
     if np.any(model.jnt_actfrclimited):
         _, sums = _forces(model, w, ctrl, "jnt_actfrclimited")
         for joint in np.flatnonzero(model.jnt_actfrclimited):
             beyond = _beyond(sums[:, model.jnt_dofadr[joint]], model.jnt_actfrcrange[joint])
-            found += _sentence(_name(model, "JOINT", joint), "is asked for more than its actuatorfrcrange", t, beyond)
+            found += _asked(model, "joint", joint, "actuatorfrcrange", t, beyond)
     return tuple(found)
 
 
@@ -77,15 +80,13 @@ def _beyond(value: np.ndarray, limits: np.ndarray) -> np.ndarray:
     return np.where(beyond > _ROUNDING, beyond, 0.0)
 
 
+def _asked(model: Any, kind: str, index: Any, limit: str, t: np.ndarray, beyond: np.ndarray) -> list[str]:
+    return _sentence(named(model, kind, int(index)), f"is asked for more than its {limit}", t, beyond)
+
+
 def _sentence(name: str, what: str, t: np.ndarray, beyond: np.ndarray, unit: str = "") -> list[str]:
     if not np.any(beyond):
         return []
     return [
         f"{name} {what} from t = {t[np.argmax(beyond > 0.0)]:.4g} s, by up to {beyond.max():.3g} {unit}".rstrip() + "."
     ]
-
-
-def _name(model: Any, kind: str, index: Any) -> str:
-    mujoco = load_mujoco()
-    name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), int(index))
-    return f"{kind.lower()} {name!r}" if name else f"{kind.lower()} number {index}"

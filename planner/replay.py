@@ -15,16 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import count, number
+from planner.arguments import count, number, shown
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
-from planner.mjcf import model_tree
+from planner.mechanism_refusals import named
+from planner.mjcf import is_text, model_tree
 from planner.plan import Plan
 from planner.ranges import ranges_reached
 from planner.twin import Twin
 
 REFINEMENT = 20  # simulator steps per stage, at least
 MOST_STEPS = 5_000_000  # some minutes and 1 GB
+_RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,9 @@ def compile_model(mjcf: str, assets: dict[str, bytes] | None = None) -> Any:
     try:
         return mujoco.MjModel.from_xml_string(mjcf, assets or {})
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise ModelError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+        reason = " ".join(str(error).split()) or "it does not say why"
+        stop = "" if reason.endswith((".", "!", "?")) else "."
+        raise ModelError(f"MuJoCo refuses the model: {reason}{stop}") from None
 
 
 def matching_model(twin: Twin, nu: int) -> Any:
@@ -127,11 +131,11 @@ def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
     """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
     if mjcf is None:
         return twin
-    is_text = isinstance(mjcf, str) and mjcf.lstrip().startswith("<")
-    root, files = model_tree(mjcf, twin.assets if is_text else None)  # a path brings its own meshes
+    root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
     return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
 
 
+@np.errstate(all="ignore")  # a motion may run away, and then it says so
 def replay(
     plan: Plan,
     *,
@@ -153,13 +157,16 @@ def replay(
         PlannerError: The plan has no twin or is not finite, or feedback without the problem to interpolate it.
         ModelError: MuJoCo refuses the model, or it does not fit the plan.
     """
+    if not isinstance(plan, Plan):
+        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
-    if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
-        raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
+    for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
+        if not np.isfinite(values).all():
+            raise PlannerError(f"the plan has {name} that are not finite, expected finite numbers.")
     model = matching_model(twin, plan.us.shape[1])
     dt = plan.problem.dynamics.dt
     if substeps is None:
@@ -188,34 +195,61 @@ def between_knots(plan: Plan, substeps: int) -> np.ndarray:
 
 def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> Replay:
     mujoco = load_mujoco()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
     data = mujoco.MjData(model)
     probe = mujoco.MjData(model) if may_touch(model) else None
     nq, nv, M = model.nq, model.nv, plan.N * substeps
     plan_xs = between_knots(plan, substeps)
-    w = np.empty((M + 1, nq + nv + model.na))
-    ctrl = np.empty((M, model.nu))
-    force, point = np.zeros(M + 1), np.full((M + 1, 3), np.nan)
+    w = np.full((M + 1, nq + nv + model.na), np.nan)
+    ctrl = np.repeat(plan.us, substeps, axis=0)
+    force, point, touching = np.zeros(M + 1), np.full((M + 1, 3), np.nan), ""
     assert plan.problem is not None  # replay has checked
     w[0] = twin.sim_of(plan.problem.x0)  # the problem's start, not what the plan says of it
     data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
     for i in range(M):
-        u = plan.us[i // substeps]
         if feedback:
-            u = u + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
-        data.ctrl[:] = ctrl[i] = u
+            ctrl[i] += plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
+        data.ctrl[:] = ctrl[i]
         if probe is not None:
-            force[i], point[i] = _contact(mujoco, model, data, probe)
+            force[i], point[i] = contact_now(mujoco, model, data, probe)
+            touching = touching or _touching(model, probe, i * model.opt.timestep)
         mujoco.mj_step(model, data)
         w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
-    if probe is not None:
-        force[M], point[M] = _contact(mujoco, model, data, probe)
+        if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < _RUNAWAY):
+            break
+    unstable = _unstable(model, w, substeps)
+    if probe is not None and not unstable:
+        force[M], point[M] = contact_now(mujoco, model, data, probe)
     t = model.opt.timestep * np.arange(M + 1)
+    planned = getattr(plan.problem.dynamics, "mechanism", None) is None  # such a plan may know of contacts
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
         t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
         plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
-        warnings=_warnings(mujoco, data), reached=ranges_reached(model, t, w, ctrl),
+        warnings=(*unstable, *warnings_of(mujoco, data)),
+        reached=(*ranges_reached(model, t, w, ctrl), *([touching] if touching and not planned else [])),
     )  # fmt: skip
+
+
+def _unstable(model: Any, w: np.ndarray, substeps: int) -> tuple[str, ...]:
+    """Where and when the states w (M+1, nq + nv + na) ran away, in a sentence; nothing when they did not."""
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(w) < _RUNAWAY)
+    if not bad.any():
+        return ()
+    first = int(np.argmax(bad.any(axis=1)))
+    w[first:] = np.nan
+    dofs = np.flatnonzero(bad[first, model.nq : model.nq + model.nv])
+    where = f" at {named(model, 'joint', int(model.dof_jntid[dofs[0]]))}" if len(dofs) else ""
+    return (f"MuJoCo's simulation became unstable{where} at t = {first * model.opt.timestep:.4g} s.",)
+
+
+def _touching(model: Any, probe: Any, t: float) -> str:
+    """The first contact of a machine that was planned without, in a sentence; "" for none."""
+    if probe.ncon == 0:
+        return ""
+    one, other = (named(model, "geom", int(geom)) for geom in probe.contact.geom[0])
+    return f"{one} and {other} touch from t = {t:.4g} s, of which the plan knows nothing."
 
 
 def may_touch(model: Any) -> bool:
@@ -230,7 +264,7 @@ def may_touch(model: Any) -> bool:
     return bool(np.any((fits | fits.T) & (body[:, None] != body[None])))
 
 
-def _contact(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.ndarray]:
+def contact_now(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.ndarray]:
     """Total normal contact force and where it acts, at the current state and not at a stage of the last step."""
     probe.qpos[:], probe.qvel[:], probe.act[:], probe.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
     probe.qacc_warmstart[:] = data.qacc_warmstart
@@ -243,7 +277,7 @@ def _contact(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.
     return total, moment / total if total > 0.0 else np.full(3, np.nan)
 
 
-def _warnings(mujoco: Any, data: Any) -> tuple[str, ...]:
+def warnings_of(mujoco: Any, data: Any) -> tuple[str, ...]:
     """MuJoCo's own warnings, e.g. about an unstable simulation."""
     kinds = mujoco.mjtWarning
     names = [kinds(k).name[7:].lower() for k in range(int(kinds.mjNWARNING))]

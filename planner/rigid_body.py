@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.arguments import array
+from planner.arguments import array, shown
 from planner.errors import PlannerError
 from planner.kernels import tree_batch
 from planner.kernels.jit import announce
@@ -53,14 +53,14 @@ class _Batch:
 
     def __init__(self, mechanism: Mechanism, **given: Any) -> None:
         if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {mechanism!r}, expected a Mechanism.")
+            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
         self.mechanism = mechanism
         sizes = {"q": mechanism.nq}
-        self.single = all(np.ndim(value) <= 1 for value in given.values())
+        self.single = all(_dimensions(value) <= 1 for value in given.values())
         arrays: dict[str, np.ndarray] = {}
         for name, value in given.items():
             size = sizes.get(name, mechanism.nv)
-            shape = (size,) if np.ndim(value) <= 1 else ("K", size)
+            shape = (size,) if _dimensions(value) <= 1 else ("K", size)
             arrays[name] = np.atleast_2d(array(name, value, shape))
         K = max(len(value) for value in arrays.values())
         for name, value in arrays.items():
@@ -85,6 +85,14 @@ class _Batch:
         announce(kernel)
         memory = TreeMemory(model, EULER, 0, linearizing)
         kernel(model.table, memory.table, self["q"], *arrays)
+
+
+def _dimensions(value: Any) -> int:
+    """Of an argument; 1 where it is ragged, which `array` refuses."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 1
 
 
 def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndarray:

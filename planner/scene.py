@@ -6,6 +6,7 @@ the next frame; a model without a sky or lights of its own gets both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from types import TracebackType
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from planner import gl
-from planner.camera import standing_back, swept_box
+from planner.camera import whole_motion
 from planner.errors import PlannerError, RenderingUnavailable
 from planner.film import Film
 from planner.replay import compile_model
@@ -36,13 +37,18 @@ _TRAIL = 0.002
 
 _SKY = {"name": "planner_sky", "type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88",
         "rgb2": "0.93 0.95 0.97", "width": "64", "height": "384"}  # fmt: skip
+_SHADOWS = 1024  # pixels of the shadow map of a picture beside another
+_ROOM = 0.7  # of the height of a picture beside another is free of words
 _SHOWN_GROUPS = 3  # geom groups that MuJoCo draws unless told otherwise
 
 
 class Scene:
     """Draws the frames of a film, without any text. A context manager: it holds an OpenGL context."""
 
-    def __init__(self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0) -> None:
+    def __init__(
+        self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
+        beside: Sequence[Film] = (),
+    ) -> None:  # fmt: skip
         """Open the model and an OpenGL context.
 
         Args:
@@ -52,6 +58,7 @@ class Scene:
             ghost: Draw the plan beside the machine. Without it, the camera looks at the machine alone.
             oversize: Draw so many times larger in both directions, then shrink. In software this costs no more than
                 OpenGL's own multisampling, and smooths the edges of shadows too.
+            beside: Other films of the same plan that the camera must suit as well.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -67,13 +74,16 @@ class Scene:
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
+        if beside:  # in software, the shadows of a picture half as wide would cost as much as all the rest
+            model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOWS)
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
         self._option, self._perturb = _option(model), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
-        self._look_at, self._distance = self._place(width / height)
+        self._fixed = self._stage.distance is not None and not beside  # a stage's own camera is for wide pictures
+        self._look_at, self._distance = self._place(width / height, beside)
         self._trails = self._paths()
         try:
             self._renderer: Any = mujoco.Renderer(model, rows, columns)
@@ -126,14 +136,15 @@ class Scene:
         self._mujoco.mj_camlight(self._model, data)
         self._mujoco.mj_tendon(self._model, data)
 
-    def _place(self, aspect: float) -> tuple[np.ndarray, float]:
+    def _place(self, aspect: float, beside: Sequence[Film]) -> tuple[np.ndarray, float]:
         """The point the camera looks at, before it rises, and its distance from there."""
         stage = self._stage
-        if stage.distance is not None:
+        if self._fixed and stage.distance is not None:
             # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
             aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
             return np.asarray(stage.look_at) - aside, stage.distance
-        look_at, distance = _whole_motion(self._film, self._model, stage, aspect, self._ghost)
+        room = _ROOM if beside else 1.0
+        look_at, distance = whole_motion([self._film, *beside], self._model, stage, aspect, self._ghost, room)
         extent, planes = self._model.stat.extent, self._model.vis.map
         planes.zfar = max(planes.zfar, 4.0 * distance / extent)
         planes.znear = min(planes.znear, 0.05 * distance / extent)
@@ -142,7 +153,7 @@ class Scene:
     def _aim(self, rise: float) -> None:
         stage = self._stage
         self._camera.lookat[:] = self._look_at
-        if stage.distance is not None:
+        if self._fixed:
             self._camera.lookat[2] += rise
         self._camera.distance = self._distance
         self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
@@ -250,18 +261,9 @@ def best_rows(film: Film, width: int, height: int) -> int:
 
     def size(rows: int) -> float:
         columns, high = -(-len(film) // rows), height / rows
-        return high / _whole_motion(film, model, stage, width / columns / high, ghost=False)[1]
+        return high / whole_motion([film], model, stage, width / columns / high, ghost=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
-
-
-def _whole_motion(film: Film, model: Any, stage: Stage, aspect: float, ghost: bool) -> tuple[np.ndarray, float]:
-    """Where to look, and from how far, to see the whole motion."""
-    box = swept_box(model, film.path_qpos)
-    if ghost:
-        box = box.beside(np.asarray(stage.ghost_offset))
-    distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect)
-    return 0.5 * (box.low + box.high), distance
 
 
 def _option(model: Any) -> Any:

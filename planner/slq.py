@@ -17,15 +17,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from planner.arguments import choice, count, number
+from planner.arguments import choice, count, number, shown
 from planner.engine import Engine, borrow, give_back
+from planner.errors import PlannerError
 from planner.kernels.workspace import ACCEPTED, CONVERGED
-from planner.multistart import best_of
+from planner.multistart import MOST_STARTS, best_of
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
 from planner.space import space_of
@@ -50,6 +52,7 @@ def solve(
     starts: int = 1,
     seed: int = 0,
     spread: float = 1.0,
+    rank: Callable[[Plan], float] | None = None,
 ) -> Plan:
     """Optimize a motion.
 
@@ -67,26 +70,40 @@ def solve(
         seed: Of the random changes.
         spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
             make of it where these are larger.
+        rank: What of a Plan decides among starts, less is better: its cost by default; planner.proven_cost is what it
+            costs in MuJoCo. A number that is not finite comes last.
 
     Returns:
-        A Plan; of several starts the one of least cost among the converged, else of all, which lists the others in
+        A Plan; of several starts the one of least rank among the converged, else of all, which lists the others in
         `starts`. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
 
     Raises:
         PlannerError: An argument that is none of the choices or out of range.
     """
+    if not isinstance(problem, Problem):
+        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
     feedback = choice("update", update, UPDATES) == "feedback"
     rule = LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES))
     count("max_iterations", max_iterations)
     number("gradient_tolerance", gradient_tolerance, least=0.0)
     number("decrease_tolerance", decrease_tolerance, least=0.0)
-    count("starts", starts)
+    count("starts", starts, most=MOST_STARTS)
     count("seed", seed, least=0)
     number("spread", spread, above=0.0)
+    if callback is not None and not callable(callback):
+        raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
+    if rank is not None and not callable(rank):
+        raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
     descend = partial(_descend, problem, feedback, rule, gradient_tolerance, decrease_tolerance)
+    options: dict[str, Any] = {
+        "update": update, "line_search": line_search, "max_iterations": max_iterations,
+        "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance, "starts": starts,
+    }  # fmt: skip
     if starts > 1:
-        return best_of(problem, descend, max_iterations, starts, seed, spread, callback)
-    return descend(problem.first_guess, max_iterations, callback)
+        plan = best_of(problem, descend, max_iterations, starts, seed, spread, callback, rank)
+        ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
+        return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
+    return replace(descend(problem.first_guess, max_iterations, callback), options=options)
 
 
 def _descend(

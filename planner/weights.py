@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import array, choice
+from planner.arguments import array, choice, numbers
 from planner.errors import PlannerError
+from planner.mechanism import Mechanism
 
 
 def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
@@ -54,9 +55,17 @@ def diagonal(name: str, value: Any, size: int, kind: str, places: Mapping[str, s
     return weights
 
 
-def numbers(name: str, value: Any) -> np.ndarray:
-    """Any array of floats."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is {value!r}, expected numbers.") from None
+def places(
+    mechanism: Mechanism, prescribed: tuple[str, ...]
+) -> tuple[dict[str, slice], dict[str, slice], dict[str, slice]]:
+    """Where weights by name go: joints in (nv,), actuators and prescribed joints in (nu,), actuators in (na,)."""
+    joints = {name: s for name, s in zip(mechanism.joint_names, mechanism.joint_links, strict=True) if name}
+    names = mechanism.actuators.names
+    inputs = {name: slice(i, i + 1) for i, name in enumerate(names) if name}
+    at = len(names)
+    for name in sorted(prescribed, key=lambda name: joints[name].start):  # in the order of qvel
+        inputs[name] = slice(at, at + joints[name].stop - joints[name].start)
+        at = inputs[name].stop
+    indices = mechanism.actuators.activation.tolist()
+    activations = {name: slice(i, i + 1) for name, i in zip(names, indices, strict=True) if name and i >= 0}
+    return joints, inputs, activations

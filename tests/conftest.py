@@ -1,8 +1,17 @@
 """What all tests share: those that draw need a headless OpenGL library."""
 
+import inspect
+
 import pytest
 
 from planner import gl
+from planner.proof.verdict import prove
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _proofs_without_rollouts():
+    """Proofs take their 512 perturbed rollouts, some seconds each, only in the tests that ask for them."""
+    inspect.unwrap(prove).__kwdefaults__["rollouts"] = 0
 
 
 def pytest_collection_modifyitems(items):

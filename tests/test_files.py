@@ -13,8 +13,8 @@ from contextlib import suppress
 
 import pytest
 
-from planner.errors import FileError
-from planner.files import file_error, staged_folder, write_atomically
+from planner.errors import FileError, ModelError
+from planner.files import TEXT_LIMIT, file_error, printable, read_input, read_text, staged_folder, write_atomically
 
 OUTPUTS = ("plan.npz", "report.html", "video.mp4")
 
@@ -205,6 +205,29 @@ def test_reading_says_what_is_missing(tmp_path):
 
 
 # A set of files
+
+
+def test_inputs_are_ordinary_files_of_a_size_that_fits(tmp_path):
+    (tmp_path / "a.txt").write_bytes("\ufeffgrüße\r\n".encode())
+    assert read_text(tmp_path / "a.txt", "the text") == "grüße\r\n"
+    assert read_input(tmp_path / "a.txt", "the text", most=12) == (tmp_path / "a.txt").read_bytes()
+    (tmp_path / "empty").touch()
+    assert read_input(tmp_path / "empty", "the text") == b""
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with open(tmp_path / "large", "wb") as file:
+        file.truncate(TEXT_LIMIT + 1)  # a hole, no block is written
+    os.mkfifo(tmp_path / "pipe")
+    wrong = {
+        "nowhere": "No such file", "binary": "it is not text", "large": "larger than 64 MB", "pipe": "a device or pipe",
+        ".": "Is a directory", "null\0byte": "no file can have this name", "n" * 300: "too long",
+    }  # fmt: skip
+    for name, says in wrong.items():
+        with pytest.raises(ModelError, match=says) as error:
+            read_text(tmp_path / name, "the text", raises=ModelError)
+        assert sentence(error).startswith(f"cannot read the text {printable(tmp_path / name)}: ")
+    for device in ("/dev/zero", "/dev/null"):
+        with pytest.raises(FileError, match="a device or pipe"):
+            read_input(device, "the text")
 
 
 def test_a_set_is_published_whole(tmp_path):

@@ -180,6 +180,23 @@ def test_contacts_are_taken_out_by_their_option_alone():
         Mechanism.from_mjcf(text, contacts="of")
 
 
+def test_what_is_ignored_is_given_by_name():
+    """One name, several, or none; what is no name is told which there are."""
+    text = plain(joint='frictionloss="1"')
+    for ignore in ("frictionloss", ["frictionloss"], {"frictionloss"}):
+        assert Mechanism.from_mjcf(text, ignore=ignore).ignored == ("frictionloss of joint 'h'",)
+    assert Mechanism.from_mjcf(plain(), ignore=None).ignored == ()
+    for ignore, told in (
+        (3, "ignore is 3"),
+        (True, "ignore is True"),
+        ("foo", "ignore is 'foo'"),
+        ([1], "ignore is 1"),
+    ):
+        with pytest.raises(PlannerError, match=f"^{told}, expected (some|one) of: frictionloss, equality, ") as error:
+            Mechanism.from_mjcf(text, ignore=ignore)
+        assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("flag", ["", "<flag filterparent='disable'/>"])
 def test_contact_pairs_are_those_that_mujoco_finds(seed, flag):

@@ -46,8 +46,8 @@ def test_a_better_minimum_is_found():
     assert plan.cost < alone.cost - 1.0
     assert plan.start > 0
     assert len(plan.starts) == 8
-    assert plan.starts[0] == Start(0, alone.status, alone.cost, alone.nit)
-    assert plan.starts[plan.start] == Start(plan.start, plan.status, plan.cost, plan.nit)
+    assert plan.starts[0] == Start(0, alone.status, alone.cost, alone.nit, alone.cost)
+    assert plan.starts[plan.start] == Start(plan.start, plan.status, plan.cost, plan.nit, plan.cost)
     assert plan.cost == min(start.cost for start in plan.starts if start.status is Status.CONVERGED)
     assert_consistent(wells(), plan)
 
@@ -98,7 +98,7 @@ def test_the_callback_gets_each_start_in_order():
 
 
 def test_lines_stand_under_their_header():
-    header, line = Start.header(), str(Start(12, Status.CONVERGED, -1.2345678e-100, 1000))
+    header, line = Start.header(), str(Start(12, Status.CONVERGED, -1.2345678e-100, 1000, 0.0))
     for word, end in (("start", "12"), ("cost", "-1.2345678e-100"), ("iterations", "1000")):
         assert header.index(word) + len(word) == line.index(end) + len(end)
     assert header.index("status") == line.index("CONVERGED")

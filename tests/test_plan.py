@@ -125,7 +125,7 @@ def turning(path, **changes):
     plan = Plan(
         np.arange(3.0), xs, rng.normal(size=(2, 2)), rng.normal(size=(2, 2, 8)), 1.0, 0.0, Status.CONVERGED, (),
         stored_space=StateSpace(9, 8, ((1, 1),)),
-        starts=(Start(0, Status.NOT_FINITE, np.inf, 0), Start(1, Status.CONVERGED, 1.0, 7)),
+        starts=(Start(0, Status.NOT_FINITE, np.inf, 0, np.inf), Start(1, Status.CONVERGED, 1.0, 7, 1.0)),
     )  # fmt: skip
     plan.save(path)
     return plan, rewritten(path, **changes) if changes else path

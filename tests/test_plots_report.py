@@ -1,75 +1,31 @@
-"""Figures and pages of made-up plans: what must be shown is shown, and nothing breaks them."""
+"""Figures of made-up plans and proofs: what must be shown is shown, and nothing breaks them."""
 
-import base64
 import math
-import re
 import sys
 from dataclasses import replace
-from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_up import MODES, STAGE, N, make_perturbed, make_plan, make_proof, make_replay
 from PIL import Image
 
 from planner.errors import FileError
-from planner.figures import Figure, Section
-from planner.plan import Iteration, Plan, Status
-from planner.plots import draw_plan, plot_plan
-from planner.replay import Replay
-from planner.report import write_report
-from planner.stage import Panel, Stage
-from planner.twin import Twin
-
-STAGE = Stage(
-    "A mass on a spring",
-    plots=(
-        Panel("Height", "height (in)", states=((0, "height"),), difference=True),
-        Panel("Piston", "piston (in)", states=((2, "piston"),), controls=((0, "flow (in/s)"),)),
-    ),
-)
-N, SUBSTEPS, DT = 20, 5, 0.1
-
-
-def states(t):
-    """Three made-up states: height, its rate, piston."""
-    return np.stack([np.sin(3 * t), 3 * np.cos(3 * t), 0.2 * t], axis=-1)
+from planner.plots import draw_plan, draw_proof, plot_plan, plot_proof
 
 
 @pytest.fixture
 def plan():
-    t = np.linspace(0.0, N * DT, N + 1)
-    history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
-    history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
-    twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
-    return Plan(
-        t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
-        Status.CONVERGED, tuple(history), problem=SimpleNamespace(stage=STAGE), case="spring", twin=twin,
-        parameters={"height": 20.0, "horizon": 200, "integrator": "rk4"}, made_with={"planner": "0.1.0"},
-    )  # fmt: skip
+    return make_plan()
 
 
 @pytest.fixture
 def replay(plan):
-    t = np.linspace(0.0, N * DT, N * SUBSTEPS + 1)
-    xs = states(t)
-    xs[:, 0] += 1e-3 * t
-    force = np.maximum(0.0, -xs[:, 0])
-    return Replay(
-        plan, plan.twin, False, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
-        np.repeat(plan.us, SUBSTEPS, axis=0), xs, states(t), force, np.full((len(t), 3), np.nan), SUBSTEPS,
-    )  # fmt: skip
+    return make_replay(plan)
 
 
-def proof_of(verdict="PASS", mode="open-loop", **sections):
-    every = {
-        "parity": Section("parity", (Figure("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
-        "same_step": Section("same step", not_applicable="Contact <is> solved otherwise."),
-        "refined_open_loop": Section("refined, open loop", (Figure("end_state", 2e-3, "in", 1e-2),)),
-        "refined_feedback": Section("refined, with feedback", (Figure("growth_rate", 1.5, "1/s"),)),
-        "goal": Section("goal", (Figure("height_error", 0.1, "%", 0.2),)),
-    } | sections
-    return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every)
+@pytest.fixture
+def proof(plan):
+    return make_proof(plan)
 
 
 def titles(figure):
@@ -200,116 +156,131 @@ def test_an_unknown_picture_format_is_one_sentence(plan, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# Report
+# Both replays of a proof
 
 
-class Page(HTMLParser):
-    """Reads a page: its text, the sources of its media, its tags; fails when tags are not closed in order."""
-
-    VOID = frozenset({"meta", "img"})
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.sources, self.words = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-        self.text = re.sub(r"\s+", " ", " ".join(self.words))
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "style" not in self.open:
-            self.words.append(data)
+def test_a_proof_shows_three_curves_the_plan_on_top(plan, proof):
+    open_loop, gains, planned = panel(draw_plan(plan, proof), "Height").get_lines()
+    np.testing.assert_array_equal(open_loop.get_ydata(), proof.replays["open-loop"].xs[:, 0])
+    np.testing.assert_array_equal(gains.get_ydata(), proof.replays["feedback"].xs[:, 0])
+    np.testing.assert_array_equal(planned.get_ydata(), proof.replay.plan_xs[:, 0])
+    assert open_loop.get_linewidth() > gains.get_linewidth() > planned.get_linewidth()
+    assert open_loop.get_zorder() < gains.get_zorder() < planned.get_zorder()
+    assert len({line.get_color() for line in (open_loop, gains, planned)}) == 3
 
 
-def page_of(plan, proof, folder, note=""):
-    return Page(write_report(plan, proof, folder, note).read_text(encoding="utf-8"))
+def test_the_legend_names_the_three(plan, proof):
+    (legend,) = draw_plan(plan, proof).legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert words[:3] == ["plan", "replay in MuJoCo, open loop", "replay in MuJoCo, with gains"]
 
 
-def test_the_verdict_comes_first_then_figures_pictures_video_parameters(plan, tmp_path):
-    Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
-    text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
-    expected = (
-        "PASS", "open-loop", "Within every bound.", "Proof", "Mass matrix", "3e-14", "≤ 1e-10", "pass",
-        "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Pictures", "Video",
-        "Not asked for.", "Solver", Status.CONVERGED.value, "Parameters of the case spring", "height", "20",
-        "rk4", "0.1.0", "<mujoco model='a & b'/>",
+def test_a_replay_that_runs_away_ends_at_the_edge_and_leaves_the_others_their_scale(plan, proof):
+    run = proof.replays["open-loop"]
+    run.xs[:, 0] += 1e8 * np.maximum(0.0, run.t - 1.0)
+    axes = panel(draw_plan(plan, proof), "Height")
+    low, high = axes.get_ylim()
+    assert high - low < 10.0
+    drawn = axes.get_lines()[0].get_ydata()
+    assert np.sum(drawn > high) == 1
+    assert np.isnan(drawn[-1])
+    assert np.isfinite(axes.get_lines()[1].get_ydata()).all()
+
+
+# proof.png
+
+
+def lines_of(axes, words):
+    return [line for line in axes.get_lines() if line.get_label() == words]
+
+
+def test_the_panels_of_a_proof(proof):
+    found = titles(draw_proof(proof))
+    assert [title.split(",")[0].split(":")[0] for title in found] == [
+        "Growth of errors", "Order of the open-loop replay as MuJoCo's step is halved",
+        "Monte Carlo", "Monte Carlo", "Monte Carlo",
+    ]  # fmt: skip
+
+
+def test_growth_is_drawn_as_measured_and_as_predicted_on_a_log_scale(proof):
+    axes = panel(draw_proof(proof), "Growth")
+    assert axes.get_yscale() == "log"
+    for mode, words in zip(MODES, ("open loop", "with gains"), strict=True):
+        (measured,), (predicted,) = lines_of(axes, words), lines_of(axes, f"{words}, predicted")
+        np.testing.assert_array_equal(measured.get_ydata()[1:], proof.errors.measured[mode][1:])
+        np.testing.assert_array_equal(predicted.get_ydata()[1:], proof.errors.predicted[mode][1:])
+        assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
+        assert measured.get_color() == predicted.get_color()
+    (bound,) = lines_of(axes, "bound at the end, 0.01")
+    assert set(bound.get_ydata()) == {1e-2}
+
+
+def test_the_general_bound_is_not_drawn_for_a_case_with_rules_of_its_own(plan, proof):
+    plan.problem.requirements = type("Own", (), {"tracking": lambda replay: None})
+    assert not lines_of(panel(draw_proof(proof), "Growth"), "bound at the end, 0.01")
+
+
+def test_order_is_drawn_beside_the_integrators_slope_with_its_extrapolation(proof):
+    axes = panel(draw_proof(proof), "Order")
+    (measured,), (slope,) = lines_of(axes, "measured"), lines_of(axes, "order 4, the integrator's")
+    np.testing.assert_array_equal(measured.get_xdata(), proof.convergence.steps[:-1])
+    np.testing.assert_array_equal(measured.get_ydata(), proof.convergence.changes)
+    np.testing.assert_allclose(slope.get_ydata(), proof.convergence.changes, rtol=1e-12)
+    for words in ("observed order 4.01", "5.0123", "1.0e-06", "1.0e-07"):
+        assert words in axes.get_xlabel()
+
+
+def test_a_fan_holds_the_component_that_strays_farthest(proof):
+    axes = panel(draw_proof(proof), "Monte Carlo, open loop")
+    assert axes.get_ylabel() == "deviation of height (in)"
+    (median,) = lines_of(axes, "median")
+    np.testing.assert_array_equal(median.get_ydata(), proof.monte_carlo.fans["open-loop"][2, :, 0])
+    outer, inner = (np.concatenate([path.vertices[:, 1] for path in band.get_paths()]) for band in axes.collections)
+    assert (outer.min(), outer.max()) == pytest.approx((-2.0, 2.0))
+    assert (inner.min(), inner.max()) == pytest.approx((-1.0, 1.0))
+
+
+def test_the_histogram_says_how_many_succeed_and_draws_the_tolerance(proof):
+    axes = panel(draw_proof(proof), "Monte Carlo: end errors")
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert words[0].startswith("open loop: 7.5 % succeed (3 of 40, 95 % interval 2.6 to 19.9 %)")
+    assert words[1].startswith("with gains: 100.0 % succeed (40 of 40, 95 % interval 91.2 to 100.0 %)")
+    (tolerance,) = lines_of(axes, "tolerance 0.1")
+    assert set(tolerance.get_xdata()) == {0.1}
+    bars = sum(patch.get_height() for patch in axes.patches if type(patch).__name__ == "Rectangle")
+    assert bars == 80
+
+
+def test_panels_that_do_not_apply_are_left_out(proof):
+    proof.monte_carlo = None
+    assert len(titles(draw_proof(proof))) == 2
+    proof.convergence = None
+    assert len(titles(draw_proof(proof))) == 1
+    proof.monte_carlo = make_perturbed(done=0)
+    assert len(titles(draw_proof(proof))) == 1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, 1e300])
+def test_nothing_that_a_proof_measures_breaks_its_figure(plan, proof, tmp_path, bad):
+    every = np.full(N + 1, bad)
+    proof.errors = replace(proof.errors, measured=dict.fromkeys(MODES, every), predicted=dict.fromkeys(MODES, every))
+    proof.convergence = replace(
+        proof.convergence, changes=np.full(4, bad), observed=None, extrapolated_cost=bad, end_uncertainty=bad
+    )
+    rollouts = proof.monte_carlo
+    proof.monte_carlo = replace(
+        rollouts, end_error=dict.fromkeys(MODES, np.full(40, bad)),
+        fans=dict.fromkeys(MODES, np.full((5, N + 1, 3), bad)),
     )  # fmt: skip
-    place = text.index("PASS", text.index("A mass on a spring"))
-    for words in expected:
-        place = text.index(words, place)
-    assert "FAIL" not in text
+    plot_proof(proof, tmp_path / "proof.png")
+    with Image.open(tmp_path / "proof.png") as image:
+        assert image.width >= 1280
 
 
-def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
-    section = Section("goal", (Figure("height_error", math.inf, "%", 0.2), Figure("speed", math.nan, "", 1.0)))
-    page = write_report(plan, proof_of("FAIL", None, goal=section), tmp_path).read_text(encoding="utf-8")
-    assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both figures
-    assert '<div class="verdict fail"' in page
-    assert "∞\N{NO-BREAK SPACE}%" in page
-    assert "undefined" in page
-
-
-def test_a_plan_without_a_proof_fails_and_says_why(plan, tmp_path):
-    broken = replace(plan, status=Status.NOT_FINITE, cost=math.nan, gradient_norm=math.inf, history=())
-    text = page_of(broken, None, tmp_path).text
-    assert "FAIL" in text
-    assert "PASS" not in text
-    assert Status.NOT_FINITE.value in text
-    assert "nothing is proven" in page_of(plan, None, tmp_path).text
-
-
-def test_a_proof_of_a_plan_that_did_not_converge_says_both(plan, tmp_path):
-    text = page_of(replace(plan, status=Status.MAX_ITERATIONS), proof_of(), tmp_path).text
-    assert f"The solver did not converge: {Status.MAX_ITERATIONS.value}" in text
-
-
-def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
-    data = {"strip.png": b"strip", "plots.png": b"plots", "video.mp4": bytes(range(256))}
-    for name, content in data.items():
-        (tmp_path / name).write_bytes(content)
-    page = page_of(plan, proof_of(), tmp_path, note="never shown")
-    embedded = [source.partition(";base64,") for source in page.sources]
-    assert [kind for kind, _, _ in embedded] == ["data:image/png", "data:image/png", "data:video/mp4"]
-    assert [base64.b64decode(text) for _, _, text in embedded] == list(data.values())
-    assert "never shown" not in page.text
-    assert "script" not in page.tags
-    assert "link" not in page.tags
-
-
-def test_all_text_is_escaped(plan, tmp_path):
-    evil = '<script>alert("1")</script>&amp;'
-    section = Section(evil, (Figure(evil, 1.0, evil, 2.0, evil),))
-    proof = proof_of("PASS", evil, goal=section, same_step=Section(evil, not_applicable=evil))
-    proof.reason = evil
-    marked = replace(
-        plan, case=evil, parameters={evil: evil, "list": [evil]}, made_with={evil: evil},
-        problem=SimpleNamespace(stage=Stage(evil)), twin=replace(plan.twin, mjcf=evil),
-    )  # fmt: skip
-    page = page_of(marked, proof, tmp_path, evil)
-    assert "script" not in page.tags
-    assert page.text.count(evil) >= 12
-
-
-def test_a_plan_read_without_its_problem(plan, tmp_path):
-    bare = replace(plan, problem=None, case=None, parameters={}, twin=None)
-    text = page_of(bare, proof_of(), tmp_path).text
-    assert "Parameters" not in text
-    assert "MJCF" not in text
-
-
-def test_a_name_that_is_no_unicode(plan, tmp_path):
-    assert page_of(replace(plan, parameters={"file": "a\udcffb"}), None, tmp_path)
-
-
-def test_a_missing_folder_is_one_sentence(plan, tmp_path):
-    with pytest.raises(FileError, match="missing' does not exist"):
-        write_report(plan, proof_of(), tmp_path / "missing")
+def test_rollouts_that_exploded_are_counted(proof):
+    ends = dict(proof.monte_carlo.end_error)
+    ends["feedback"] = np.append(ends["feedback"][:-3], [math.inf] * 3)
+    proof.monte_carlo = replace(proof.monte_carlo, end_error=ends)
+    words = [text.get_text() for text in panel(draw_proof(proof), "Monte Carlo: end").get_legend().get_texts()]
+    assert words[1].endswith(", 3 exploded")
+    assert "exploded" not in words[0]

@@ -42,9 +42,10 @@ def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
     text = model_text(model_path("hopper") / "scene.xml")
     twin = Twin(mjcf=text, to_x=to_x, to_x_offset=[0.0], to_sim=to_sim, to_sim_offset=np.zeros((1, 5)))
     xs, contact = y[:, None], y <= 0.0
+    problem = None if stage is None else SimpleNamespace(stage=stage, dynamics=SimpleNamespace(nx=1))
     plan = Plan(
         t=t[::100], xs=xs[::100], us=np.zeros((2, 1)), K=np.zeros((2, 1, 1)), cost=0.0, gradient_norm=0.0,
-        status=Status.CONVERGED, history=(), problem=None if stage is None else SimpleNamespace(stage=stage), twin=twin,
+        status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
         plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
@@ -97,16 +98,20 @@ def test_film_survives_its_file(tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 
 
-def test_film_refuses_what_is_not_finite():
+def test_film_refuses_what_has_nothing_to_draw():
     replay = make_replay()
-    replay.qpos[3, 0] = np.nan
-    with pytest.raises(PlannerError, match="qpos"):
+    replay.qpos[0, 0] = np.nan
+    with pytest.raises(PlannerError, match="first state"):
+        Film.of(replay, np.array([0.0]))
+    replay = make_replay(plan_offset=np.inf)
+    with pytest.raises(PlannerError, match="plan_xs"):
         Film.of(replay, np.array([0.0]))
 
 
 def test_words():
     assert number(-0.0001, 2) == "0.00"
     assert number(-1.5, 1) == "\N{MINUS SIGN}1.5"
+    assert number(-1234567890.0, 1) == "\N{MINUS SIGN}1e09"
     assert [decimals(value) for value in (0.0, 0.02, 5.0, 20.0, 150.0, 1e6)] == [4, 4, 3, 2, 1, 0]
     assert [speed_words(speed) for speed in (0.25, 1, 0.1, 2.0)] == [
         "1/4 speed", "real time", "1/10 speed", "2\N{MULTIPLICATION SIGN} speed",

@@ -53,6 +53,12 @@ def sentence(error):
         ({"max_iterations": 10.0}, "max_iterations is 10.0, expected a whole number of at least 1."),
         ({"gradient_tolerance": -1e-9}, "gradient_tolerance is -1e-09, expected a finite number of at least 0."),
         ({"decrease_tolerance": np.inf}, "decrease_tolerance is inf, expected a finite number of at least 0."),
+        ({"starts": 10_001}, "starts is 10001, expected a whole number of at least 1 and at most 10000."),
+        ({"starts": True}, "starts is True, expected a whole number of at least 1."),
+        ({"max_iterations": True}, "max_iterations is True, expected a whole number of at least 1."),
+        ({"seed": 10**30}, f"seed is {10**30}, expected a whole number of at least 0 and at most {2**63 - 1}."),
+        ({"spread": "1"}, "spread is '1', expected a finite number greater than 0."),
+        ({"callback": 3}, "callback is 3, expected a function"),
         ({"gradient_tolerance": "small"}, "gradient_tolerance is 'small', expected a finite number of at least 0."),
     ],
 )
@@ -66,6 +72,9 @@ def problem_with(**changes):
     honest = swing()
     fields = {"dynamics": honest.dynamics, "cost": honest.cost, "x0": honest.x0, **changes}
     return Problem(**fields)
+
+
+HORIZONS = "expected a whole number of at least 1 and at most 1000000."
 
 
 class NoHorizon:
@@ -91,6 +100,16 @@ class NoHorizon:
         ({"us": np.full((20, 1), np.inf)}, "us[0, 0] is inf, expected finite numbers."),
         ({"horizon": 19}, "the cost is made for N = 20, expected horizon = 19."),
         ({"horizon": 0}, "horizon is 0, expected a whole number of at least 1."),
+        ({"cost": NoHorizon(), "horizon": 10**15}, f"horizon is {10**15}, {HORIZONS}"),
+        ({"cost": NoHorizon(), "horizon": 10**400}, f"horizon is {str(10**400)[:197]}..., {HORIZONS}"),
+        ({"cost": NoHorizon(), "horizon": True}, "horizon is True, expected a whole number of at least 1."),
+        ({"x0": [True, False]}, "x0 is not an array of numbers, expected shape (2,)."),
+        ({"us": np.zeros((20, 1), dtype=bool)}, "us is not an array of numbers, expected shape (N, 1)."),
+        ({"dynamics": None}, "dynamics is None, expected dynamics with nx, nu, dt, step and linearize (no nx there)."),
+        ({"cost": None}, "cost is None, expected a cost with value() and quadratize()."),
+        ({"twin": "model.xml"}, "twin is 'model.xml', expected a Twin or None."),
+        ({"stage": 3}, "stage is 3, expected a Stage or None."),
+        ({"requirements": {}}, "requirements is {}, expected a Requirements or None."),
         ({"cost": flight(0).cost}, "the cost is made for nx = 3, expected dynamics.nx = 2."),
         ({"cost": linear(0, nx=2, nu=2).cost}, "the cost is made for nu = 2, expected dynamics.nu = 1."),
         ({"cost": NoHorizon()}, "the problem has no horizon, expected horizon=N or first controls us (N, nu)."),
@@ -100,6 +119,14 @@ def test_what_does_not_fit_together_is_one_sentence(changes, expected):
     with pytest.raises(PlannerError) as error:
         problem_with(**changes)
     assert sentence(error) == expected
+
+
+@pytest.mark.parametrize("problem", [None, "hopper", swing], ids=["nothing", "a name", "a function"])
+def test_what_is_no_problem_is_one_sentence(problem):
+    with pytest.raises(PlannerError) as error:
+        planner.solve(problem)
+    assert sentence(error).startswith("problem is ")
+    assert "expected a Problem" in sentence(error)
 
 
 def test_first_controls_of_no_shape_are_one_sentence():

@@ -18,7 +18,7 @@ CASES: dict[str, Callable[..., Problem]] = {"two-link": two_link, "acrobot": acr
 __all__ = ["CASES", "acrobot", "build", "hopper", "two_link"]
 
 
-def build(name: str, **parameters: Any) -> Problem:
+def build(name: str, /, **parameters: Any) -> Problem:
     """The Problem of a case by name.
 
     Raises:

@@ -49,6 +49,7 @@ TRACKING_BOUND = 0.05  # RMS height error at the knots, % of the hop height
 FINAL_BOUND = 0.1  # replayed minus planned final height, % of the hop height
 GOAL_BOUND = 0.2  # planned final height minus goal, % of the hop height
 EVENT_BOUND = 0.5  # touchdown and lift-off, ms
+SUCCESS = 0.05  # of the hop height: how near a perturbed machine must come, and how far its speed may still carry it
 
 
 LARGEST = 1e6  # of every size in inches and seconds: beyond, rounding is no longer small
@@ -184,7 +185,14 @@ def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
         no_same_step="the twin's foot and contact need a step of their own: no step of MuJoCo is the plan's stage",
         tracking=lambda replay: judge_tracking(replay, height, dynamics.smoothing),
         goal=lambda replay: judge_goal(replay, height, dynamics.gravity),
+        success=lambda ends: arrived(ends, height, dynamics.gravity),
     )
+
+
+def arrived(ends: np.ndarray, goal: float, gravity: float) -> np.ndarray:
+    """Which (K,) of perturbed ends (K, 3) are near the goal, and so slow that they stay near it."""
+    rise = ends[:, 1] ** 2 / (2.0 * gravity)
+    return (np.abs(ends[:, 0] - goal) <= SUCCESS * goal) & (rise <= SUCCESS * goal)
 
 
 def judge_tracking(replay: Replay, goal: float, smoothing: float) -> Section:

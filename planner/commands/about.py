@@ -12,9 +12,9 @@ from planner.commands.parser import PROBLEM_FILE, documented_arguments, summary
 from planner.console import Console
 from planner.kernels.jit import is_warm
 from planner.kernels.precompile import KERNELS, compile_together
-from planner.parity import parity
-from planner.plan import installed_versions
+from planner.proof.parity import parity
 from planner.slq import solve
+from planner.versions import installed_versions
 
 
 def list_cases(arguments: argparse.Namespace, console: Console) -> int:

@@ -111,6 +111,39 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_rank(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--rank", choices=("cost", "proven-cost"), default="cost",
+        help="What counts among several starts: the plan's cost, or what MuJoCo reaches with it. Default: cost.",
+    )  # fmt: skip
+
+
+def _add_proof(parser: argparse.ArgumentParser, note: str = "") -> None:
+    parser.add_argument(
+        "--rollouts", type=_whole, default=512, metavar="N",
+        help=f"Perturbed rollouts of the proof, 0 for none. Default: 512{note}.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--hold", type=_number, default=0.0, metavar="S",
+        help="Also hold the goal for so many seconds after arriving, by an infinite-horizon LQR. Default: 0.",
+    )  # fmt: skip
+
+
+def _add_case_of(parser: argparse.ArgumentParser) -> None:
+    """Which rollout, and what was varied in it."""
+    parser.add_argument(
+        "--replay-case", type=_whole, default=None, metavar="K", help="One perturbed rollout in detail."
+    )
+    parser.add_argument(
+        "--mode", choices=("feedback", "open-loop"), default="feedback", help="Of that rollout. Default: feedback."
+    )
+    parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="Of the perturbations. Default: 0.")
+    parser.add_argument(
+        "--perturb", action="append", default=None, metavar="NAME=X",
+        help="What varies, e.g. mass=0.1 or delay=0; may be given again for others (docs/proof.md).",
+    )  # fmt: skip
+
+
 def _add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="Print one JSON document on stdout.")
     parser.add_argument("--quiet", action="store_true", help="No progress.")
@@ -139,6 +172,7 @@ def build() -> argparse.ArgumentParser:
             child.set_defaults(parser=child)
             _add_case(child, build_case)
             _add_solver(child)
+            _add_rank(child)
             children.append(child)
         own = machines.add_parser(
             PROBLEM_FILE, help=_OWN, description=f"{text} {_OWN}", epilog=f"Its keys: {', '.join(problem_file.KEYS)}."
@@ -146,11 +180,13 @@ def build() -> argparse.ArgumentParser:
         own.set_defaults(parser=own)
         own.add_argument("problem", metavar="FILE", help="A problem.toml.")
         _add_solver(own)
+        _add_rank(own)
         return [*children, own]
 
     _add_output(command("list", "List the machines, what each shows and its parameters."))
     for parser in with_case("run", "Plan, prove, plot and film a case."):
         parser.add_argument("--no-refine", action="store_true", help="Do not refine a plan that fails.")
+        _add_proof(parser, ", fewer where they would take more than 20 s")
         parser.add_argument("--no-video", action="store_true", help="No pictures that need OpenGL.")
         parser.add_argument("--out", default=None, metavar="DIR", help="Folder of the results. Default: renders/CASE.")
         _add_output(parser)
@@ -161,6 +197,8 @@ def build() -> argparse.ArgumentParser:
     parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
     parser.add_argument("--mjcf", default=None, metavar="FILE", help="Replay in this model instead of the plan's own.")
     parser.add_argument("--out", default=None, metavar="FILE", help="Write the proof as JSON here.")
+    _add_proof(parser)
+    _add_case_of(parser)
     _add_output(parser)
     parser = command("render", "Film the replay of a stored plan.")
     parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
@@ -170,14 +208,24 @@ def build() -> argparse.ArgumentParser:
     parser.add_argument("--size", type=_size, default=None, metavar="WxH", help="Pixels. Default: 1280x720.")
     parser.add_argument("--fps", type=_whole, default=60, metavar="N", help="Frames per second. Default: 60.")
     parser.add_argument("--speed", type=_number, default=None, metavar="X", help="Playback speed. Default: the case's.")
+    _add_case_of(parser)
     _add_output(parser)
     parser = command("report", "Prove a stored plan again and write report.html with all its pictures.")
     parser.add_argument("plan", metavar="PLAN", help="A plan.npz.")
     parser.add_argument("--no-video", action="store_true", help="No pictures that need OpenGL.")
     parser.add_argument("--out", default="report", metavar="DIR", help="Folder of the results. Default: report.")
+    _add_proof(parser)
+    _add_output(parser)
+    parser = command("check", "Prove stored plans again and compare with the figures stored beside them.")
+    parser.add_argument("paths", metavar="DIR", nargs="+", help="Folders of plans, or plan files.")
+    parser.add_argument("--update", action="store_true", help="Store the new figures.")
+    parser.add_argument(
+        "--tolerance", type=_number, default=0.05, metavar="X", help="Relative change that counts. Default: 0.05."
+    )
     _add_output(parser)
     parser = command("paper", "Reproduce the paper's own numbers beside ours.")
-    parser.add_argument("case", metavar="CASE", choices=("hopper",), help="hopper.")
+    parser.add_argument("case", metavar="CASE", nargs="?", default="hopper", choices=("hopper",), help="hopper.")
+    parser.add_argument("--proofs", action="store_true", help="The table of proofs of all machines instead.")
     parser.add_argument("--out", default=None, metavar="DIR", help="Folder of the results. Default: renders/paper.")
     _add_output(parser)
     _add_output(command("warmup", "Compile the numerical core, once."))
@@ -190,8 +238,15 @@ def parse(argv: list[str]) -> argparse.Namespace:
     Raises:
         PlannerError: Wrong usage, in one sentence that guesses what was meant.
     """
-    if argv[:1] in (["run"], ["solve"]) and argv[1:] and argv[1].endswith(".toml"):
-        argv = [argv[0], PROBLEM_FILE, *argv[1:]]
+    if argv[:1] in (["run"], ["solve"]) and argv[1:]:
+        ending = argv[1].lower()
+        if ending.endswith(".toml"):
+            argv = [argv[0], PROBLEM_FILE, *argv[1:]]
+        elif ending.endswith((".xml", ".mjcf")):
+            raise PlannerError(
+                f"{argv[1]} is a model, expected a case ({', '.join(CASES)}) or a {PROBLEM_FILE} that names the model "
+                "(see docs/own-machine.md)."
+            )
     arguments, unknown = build().parse_known_args(argv)
     if not unknown:
         return arguments

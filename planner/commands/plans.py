@@ -1,118 +1,35 @@
-"""Commands that make plans or take stored ones: run, solve, prove, render, report."""
+"""Commands on plans: solve, prove, render, report."""
 
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import numpy as np
 
-from planner import cases
 from planner.archive import plan_name
-from planner.arguments import count
-from planner.commands.parser import PROBLEM_FILE
-from planner.commands.results import (
-    INTERRUPTED,
-    OUTPUTS,
-    json_text,
-    plan_facts,
-    show_plan,
-    show_proof,
-    write_results,
-)
+from planner.arguments import choice, count
+from planner.commands.problems import asked_problem, solved
+from planner.commands.results import OUTPUTS, plan_facts, show_plan, show_proof, write_results
 from planner.console import Console
 from planner.errors import PlannerError
 from planner.files import staged_folder, write_atomically
-from planner.parity import parity
+from planner.jsonable import json_text
 from planner.plan import Plan
-from planner.problem_file import ProblemFile, load
 from planner.proof import Proof, prove
-from planner.slq import solve
+from planner.proof.case_replay import replay_case
+from planner.proof.perturbation import Perturbation
+from planner.replay import Replay
 
-DONE, NOT_DONE, INTERRUPTED_CODE = 0, 1, 130
-
-
-def _problem(arguments: argparse.Namespace) -> ProblemFile:
-    """The problem of a case or a file, and from how many first guesses it is solved."""
-    count("max_iterations", arguments.max_iterations)
-    if arguments.case == PROBLEM_FILE:
-        return load(arguments.problem, starts=arguments.starts, seed=arguments.seed)
-    starts = 1 if arguments.starts is None else count("starts", arguments.starts)
-    seed = 0 if arguments.seed is None else count("seed", arguments.seed, least=0)
-    given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
-    return ProblemFile(cases.build(arguments.case, **given), starts, seed)
-
-
-def _name(arguments: argparse.Namespace) -> str:
-    """What a run is called: its case, or its file without folder and ending."""
-    return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
-
-
-def _solved(asked: ProblemFile, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
-    problem = asked.problem
-    solve(problem, max_iterations=1)  # what a first run compiles is not the solve's time
-    several = f", {asked.starts} starts" if asked.starts > 1 else ""
-    console.note(f"planning {_name(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
-    began = time.perf_counter()
-    plan = solve(
-        problem, update=arguments.update, line_search=arguments.line_search, starts=asked.starts, seed=asked.seed,
-        max_iterations=arguments.max_iterations, callback=console.iteration if asked.starts == 1 else console.start,
-    )  # fmt: skip
-    return plan, time.perf_counter() - began
-
-
-def _proved(plan: Plan) -> Proof | None:
-    """The proof; None for a plan that is not finite, or when Ctrl-C ends the replay: the plan is still saved."""
-    if not (np.isfinite(plan.xs).all() and np.isfinite(plan.cost)):
-        return None
-    try:
-        return prove(plan)
-    except KeyboardInterrupt:
-        return None
-
-
-def _exit_code(plan: Plan, proof: Proof | None) -> int:
-    return DONE if plan.success and proof is not None and proof.passed else NOT_DONE
-
-
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Plan, prove, plot and film a case into a folder."""
-    if arguments.out == "":
-        raise PlannerError("--out is empty, expected the name of a folder.")
-    asked = _problem(arguments)
-    folder = Path(arguments.out or f"renders/{_name(arguments)}")
-    with staged_folder(folder, OUTPUTS) as staged:
-        first = parity(asked.problem)
-        if not first.passed:
-            raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {'; '.join(map(str, first.failures))}.")
-        plan, seconds = _solved(asked, arguments, console)
-        show_plan(plan, seconds, console)
-        proof = _proved(plan)
-        if proof is not None:
-            show_proof(proof, console)
-        note = write_results(plan, proof, staged.path, not arguments.no_video, console)
-    code = INTERRUPTED_CODE if note == INTERRUPTED else _exit_code(plan, proof)
-    files = [name for name in OUTPUTS if (folder / name).is_file()]
-    console.say(f"\n{folder}: {', '.join(files)}")
-    if note and not arguments.no_video:
-        console.say(f"no video: {note}")
-    console.document(
-        {
-            "command": "run", "plan": plan_facts(plan), "solve_seconds": seconds,
-            "proof": proof.to_dict() if proof is not None else None, "folder": str(folder), "files": files,
-            "video_note": note, "exit_code": code,
-        }
-    )  # fmt: skip
-    return code
+DONE, NOT_DONE = 0, 1
 
 
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case and save the plan."""
-    asked = _problem(arguments)
+    asked = asked_problem(arguments)
     out = plan_name(arguments.out)
     with write_atomically(out) as unfinished:  # fails now rather than after the work
-        plan, seconds = _solved(asked, arguments, console)
+        plan, seconds = solved(asked, arguments, console)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
     console.say(str(out))
@@ -129,17 +46,40 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     return code
 
 
+def _perturbation(words: list[str] | None) -> Perturbation:
+    """What --perturb says, e.g. mass=0.1."""
+    given = {}
+    for word in words or ():
+        name, _, value = word.partition("=")
+        name = choice("--perturb", name.strip(), Perturbation.__dataclass_fields__)
+        try:
+            given[name] = float(value)
+        except ValueError:
+            raise PlannerError(f"--perturb {name} is {value!r}, expected a number, e.g. {name}=0.05.") from None
+    return Perturbation(**given)
+
+
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = Plan.load(arguments.plan)
-    mjcf = None if arguments.mjcf is None else Path(arguments.mjcf)
+    perturbation = _perturbation(arguments.perturb)
+    if arguments.replay_case is not None:
+        return _show_case(plan, arguments, perturbation, console)
+
+    def judge() -> Proof:
+        return prove(
+            plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
+            seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
+            progress=lambda done, total: console.progress("rollouts", done, total),
+        )  # fmt: skip
+
     if arguments.out is None:
-        proof = prove(plan, mjcf=mjcf)
+        proof = judge()
     elif Path(arguments.out).suffix != ".json":
         raise PlannerError(f"cannot write the proof as {arguments.out!r}: expected a name ending in .json.")
     else:
         with write_atomically(arguments.out) as unfinished:  # fails now rather than after the work
-            proof = prove(plan, mjcf=mjcf)
+            proof = judge()
             unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")
     show_proof(proof, console)
     if arguments.out is not None:
@@ -147,6 +87,37 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     code = DONE if proof.passed else NOT_DONE
     console.document({"command": "prove", "plan": plan_facts(plan), "proof": proof.to_dict(), "exit_code": code})
     return code
+
+
+def _case(plan: Plan, arguments: argparse.Namespace, perturbation: Perturbation) -> Replay:
+    """One rollout of the Monte Carlo in detail."""
+    if plan.twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    count("replay-case", arguments.replay_case, least=0)
+    feedback = arguments.mode == "feedback"
+    return replay_case(
+        plan, plan.twin, arguments.replay_case, seed=arguments.seed, perturbation=perturbation, feedback=feedback
+    )
+
+
+def _show_case(plan: Plan, arguments: argparse.Namespace, perturbation: Perturbation, console: Console) -> int:
+    run = _case(plan, arguments, perturbation)
+    end, largest = float(np.abs(run.error[-1]).max()), float(np.abs(run.error).max())
+    facts = {
+        "case": arguments.replay_case, "seed": arguments.seed, "mode": arguments.mode, "end_error": end,
+        "largest_error": largest, "cost": run.cost, "timestep": run.timestep, "warnings": list(run.warnings),
+        "reached": list(run.reached),
+    }  # fmt: skip
+    console.table(("rollout", "value"), [(name.replace("_", " "), _shown(value)) for name, value in facts.items()])
+    console.say(
+        f"planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode} films it"
+    )
+    console.document({"command": "prove", "replay_case": facts, "exit_code": DONE})
+    return DONE
+
+
+def _shown(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else " ".join(value) if isinstance(value, list) else str(value)
 
 
 def render_plan(arguments: argparse.Namespace, console: Console) -> int:
@@ -159,13 +130,16 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
     plan = Plan.load(arguments.plan)
     require_backend()
-    proof = prove(plan)
+    if arguments.replay_case is not None:
+        run = _case(plan, arguments, _perturbation(arguments.perturb))
+    else:
+        run = prove(plan, rollouts=0).replay
     size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
     if out.suffix == ".png":
-        render_strip(proof.replay, out, **size)
+        render_strip(run, out, **size)
     else:
         render_video(
-            proof.replay, out, fps=arguments.fps, speed=arguments.speed,
+            run, out, fps=arguments.fps, speed=arguments.speed,
             progress=lambda done, total: console.progress("video", done, total), **size,
         )  # fmt: skip
     console.say(str(out))
@@ -177,11 +151,16 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
     plan = Plan.load(arguments.plan)
     with staged_folder(arguments.out, OUTPUTS) as staged:
-        proof = _proved(plan)
+        proof = None
+        if np.isfinite(plan.xs).all() and np.isfinite(plan.cost):
+            proof = prove(
+                plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold,
+                progress=lambda done, total: console.progress("rollouts", done, total),
+            )  # fmt: skip
         write_results(plan, proof, staged.path, not arguments.no_video, console)
     if proof is not None:
         show_proof(proof, console)
-    code = _exit_code(plan, proof)
+    code = DONE if plan.success and proof is not None and proof.passed else NOT_DONE
     console.say(f"\n{Path(arguments.out) / 'report.html'}")
     console.document({"command": "report", "folder": arguments.out, "exit_code": code})
     return code

@@ -1,27 +1,27 @@
-"""The files of a run: plan, proof, plots, pictures, video, report, written as one set."""
+"""The files of a run: plan, proof, plots, pictures, video, report, each of them finished or not there."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner.console import Console
 from planner.errors import RenderingUnavailable
-from planner.jsonable import finite
+from planner.files import file_error, write_atomically
+from planner.jsonable import json_text
 from planner.plan import Plan, Status
-from planner.plots import plot_plan
+from planner.plots import plot_plan, plot_proof
 from planner.proof import Proof
-from planner.replay import Replay
+from planner.report import NAME as REPORT
 from planner.report import write_report
 
+if TYPE_CHECKING:
+    from planner.refine import Refinement
+
 INTERRUPTED = "The pictures were interrupted."
-OUTPUTS = ("plan.npz", "proof.json", "plots.png", "strip.png", "video.mp4", "report.html")
-
-
-def json_text(content: dict[str, Any]) -> str:
-    """A JSON document as the files of a run hold it."""
-    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
+PICTURES = ("plots.png", "proof.png", "strip.png", "video.mp4")
+OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
 
 
 def write_results(plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console) -> str:
@@ -35,33 +35,98 @@ def write_results(plan: Plan, proof: Proof | None, folder: Path, video: bool, co
         console: For progress.
     """
     plan.save(folder / "plan.npz")
+    write_proof(plan, proof, folder)
+    return draw_results(plan, proof, folder, video, console)
+
+
+def write_proof(plan: Plan, proof: Proof | None, folder: Path, path: Sequence[Refinement] = ()) -> None:
+    """Write proof.json, also for a plan that was not replayed; `path` is how the plan was refined."""
     content = proof.to_dict() if proof is not None else _no_proof(plan)
-    (folder / "proof.json").write_text(json_text(content), encoding="utf-8")
-    replay = proof.replay if proof is not None else None
+    if path:
+        content["refinement"] = [refinement_row(line) for line in path]
+    with write_atomically(folder / "proof.json") as unfinished:
+        unfinished.write_text(json_text(content), encoding="utf-8")
+
+
+def draw_results(
+    plan: Plan,
+    proof: Proof | None,
+    folder: Path,
+    video: bool,
+    console: Console,
+    path: Sequence[Refinement] = (),
+    keep: Collection[str] = frozenset(),
+    options: Mapping[str, Any] | None = None,
+) -> str:
+    """Draw the pictures and the report into a folder, one finished file after the other; returns why there is no video.
+
+    What is interrupted leaves the files before it finished and none half written, and a report of what there is.
+
+    Args:
+        plan: As solved.
+        proof: Of the plan; None for a plan that is not finite or whose replay was interrupted.
+        folder: An existing folder. Pictures in it that are not kept are removed first: they are of an older plan.
+        video: Whether to draw with OpenGL.
+        console: For progress.
+        path: How the plan was refined, if it was.
+        keep: Names of files that are finished and of this very plan and proof. The report is kept when nothing else
+            had to be drawn.
+        options: Flags that the command was given, for the report.
+    """
+    wanted = _pictures(plan, proof, folder, video, console)
+    for name in PICTURES:
+        if name not in keep:
+            _remove(folder / name)
     note = "" if video else "It was not asked for (--no-video)."
+    if proof is None:
+        note = "There is nothing to film: the plan was not replayed."
+    drawn = False
     try:
-        plot_plan(plan, replay, folder / "plots.png")
-        if replay is None:
-            note = "There is nothing to film: the plan was not replayed."
-        elif video:
-            _draw(replay, folder, console)
+        for name, draw in wanted.items():
+            if name not in keep:
+                draw(folder / name)
+                drawn = True
     except RenderingUnavailable as error:
         note = str(error)
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
-        note = INTERRUPTED
-    write_report(plan, proof, folder, video_note=note)
+        note, drawn = INTERRUPTED, True
+    if drawn or REPORT not in keep:
+        write_report(plan, proof, folder, video_note=note, path=path, options=options)
     return note
 
 
-def _draw(replay: Replay, folder: Path, console: Console) -> None:
-    from planner.render import render_strip, render_video
+def _pictures(
+    plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console
+) -> dict[str, Callable[[Path], object]]:
+    """How each picture of a run is drawn, the quickest first."""
+    pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: plot_plan(plan, proof, file)}
+    if proof is not None:
+        pictures["proof.png"] = lambda file: plot_proof(proof, file)
+        if video:
+            from planner.render import render_strip, render_video
 
-    render_strip(replay, folder / "strip.png")
-    render_video(replay, folder / "video.mp4", progress=lambda done, total: console.progress("video", done, total))
+            def film(file: Path) -> object:
+                return render_video(proof, file, progress=lambda done, of: console.progress("video", done, of))
+
+            pictures["strip.png"] = lambda file: render_strip(proof.replay, file)
+            pictures["video.mp4"] = film
+    return pictures
+
+
+def _remove(file: Path) -> None:
+    try:
+        file.unlink(missing_ok=True)
+    except OSError as error:
+        raise file_error(error, file) from error
 
 
 def _no_proof(plan: Plan) -> dict[str, Any]:
     return {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
+
+
+def refinement_row(line: Refinement) -> dict[str, Any]:
+    """One step of a refinement as JSON values."""
+    return line._asdict() | {"status": line.status.name}
 
 
 def plan_facts(plan: Plan) -> dict[str, Any]:

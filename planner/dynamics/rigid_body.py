@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from planner.arguments import array, choice, number
+from planner.arguments import array, choice, number, shown
 from planner.dynamics.protocol import INTEGRATORS
 from planner.errors import PlannerError
 from planner.kernels import tree_linearize, tree_solve, tree_step
@@ -37,11 +37,11 @@ class RigidBodyDynamics:
         self, mechanism: Mechanism, dt: float, integrator: str = "rk4", prescribed: Collection[str] = ()
     ) -> None:
         if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {mechanism!r}, expected a Mechanism.")
+            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
         self.integrator = choice("integrator", integrator, INTEGRATORS)
         if not isinstance(prescribed, (str, Collection)):
-            raise PlannerError(f"prescribed is {prescribed!r}, expected names of joints.")
+            raise PlannerError(f"prescribed is {shown(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
         driven = np.zeros(mechanism.nv, dtype=bool)
         for name in self.prescribed:

@@ -5,7 +5,7 @@ All terms but the springs of balls are linear, so their derivatives are the list
 
 from __future__ import annotations
 
-from planner.kernels.jit import jit
+from planner.kernels.jit import part
 from planner.kernels.lanes import floats, integers, load, store
 from planner.kernels.model import (
     ACTIVATION_GAIN,
@@ -44,7 +44,7 @@ from planner.kernels.model import (
 from planner.kernels.rotations import difference, inverse_right_jacobian
 
 
-@jit
+@part
 def add_passive(m, q, v, tau, scratch):
     """Springs and dampers onto tau (nv lanes); scratch is three lanes."""
     q_address, kind = integers(m, Q_ADDRESS), integers(m, KIND)
@@ -64,7 +64,7 @@ def add_passive(m, q, v, tau, scratch):
                 store(tau, i, load(tau, i) - load(ball_stiffness, ball) * load(scratch, k))
 
 
-@jit
+@part
 def add_actuators(m, q, v, u, act, tau):
     """Actuator forces but for the constant ones, by inputs u (nu lanes) and activations act (na lanes), onto tau."""
     q_address = integers(m, Q_ADDRESS)
@@ -83,7 +83,7 @@ def add_actuators(m, q, v, u, act, tau):
         store(tau, i, load(tau, i) + load(value, t) * load(v, load(column, t)))
 
 
-@jit
+@part
 def applied_forces(m, q, v, u, act, tau, a, scratch):
     """All forces on the joints (tau), and the accelerations that u prescribes (into a)."""
     prescribed, constant = integers(m, PRESCRIBED), floats(m, CONSTANT)
@@ -95,7 +95,7 @@ def applied_forces(m, q, v, u, act, tau, a, scratch):
     add_actuators(m, q, v, u, act, tau)
 
 
-@jit
+@part
 def activation_rates(m, u, act, rate):
     """Rates d act/dt (na lanes)."""
     index, gain, decay = integers(m, ACTIVATION_INPUT), floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
@@ -103,7 +103,7 @@ def activation_rates(m, u, act, rate):
         store(rate, k, load(gain, k) * load(u, load(index, k)) + load(decay, k) * load(act, k))
 
 
-@jit
+@part
 def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
     """What springs and dampers add to dtau/dq and dtau/dv of inverse dynamics, (nv, ld) lanes; scratch is twelve."""
     kind = integers(m, KIND)
@@ -125,7 +125,7 @@ def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
                     store(Dq, k, load(Dq, k) + load(ball_stiffness, ball) * load(scratch, 3 + 3 * r + c))
 
 
-@jit
+@part
 def add_actuator_derivatives(m, Dq, Dv, ld):
     """What actuators take from dtau/dq and dtau/dv of inverse dynamics."""
     row, column, value = integers(m, POSITION_ROW), integers(m, POSITION_COLUMN), floats(m, POSITION_VALUE)

@@ -10,7 +10,7 @@ search direction gives the slope of the cost.
 
 from __future__ import annotations
 
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, jit, part
 from planner.kernels.lanes import (
     WIDTH,
     as_floats,
@@ -142,7 +142,7 @@ def rates(parameters, xs, us, rates):
         rates[i, 2] = us[i, 0]
 
 
-@jit
+@part
 def linearize(integrator, dt, parameters, xs, us, N, F, width, first, knots):
     """F[n, i, :] = (B | A) row i of stage n, four stages at a time; all pointers, knots seven lanes of scratch."""
     stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
@@ -193,7 +193,7 @@ def _tracking(e, d, row, column, value, terms, slopes):
     return J, S
 
 
-@jit
+@part
 def rollout(integrator, dt, parameters, w, search, feedback, slopes):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, costs and, if asked, their slopes.
 

@@ -21,6 +21,8 @@ from typing import Any
 import numba
 from numba import njit
 from numba.core import config as numba_config
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
 config: Any = numba_config
 
@@ -55,9 +57,10 @@ def cache_is_shared() -> bool:
 
 def is_warm(kernel: Callable[..., Any]) -> bool:
     """Whether machine code of `kernel` is at hand, in this process or in the cache."""
-    compiled = bool(getattr(kernel, "signatures", ()))
-    name: str = kernel.__name__
-    return compiled or any(cache_directory().rglob(f"*.{name}-*.nbc"))
+    if getattr(kernel, "signatures", ()):
+        return True
+    module: str = kernel.__module__.rpartition(".")[2]
+    return any(cache_directory().rglob(f"{module}.{kernel.__name__}-*.nbc"))
 
 
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
@@ -70,14 +73,52 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
         config.CACHE_DIR = previous
 
 
+class _PartLibrary(JITCodeLibrary):
+    """Code that is optimised and turned into machine code only as a part of the kernels that link it."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Nothing here is known to the execution engine."""
+
+
+class _PartCompiler(CompilerBase):
+    def define_pipelines(self) -> list[Any]:
+        self.state.library = _PartLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+
+def _compile_part(function: Callable[..., Any], **options: Any) -> Any:
+    wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return njit(
+        nogil=True, fastmath=set(FASTMATH), error_model="numpy", pipeline_class=_PartCompiler, **wrappers, **options
+    )(function)
+
+
 def jit(function: Callable[..., Any]) -> Any:
     """Compile a kernel, cached on disk."""
     return _compile(function)
 
 
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call, into each of them."""
+    return _compile_part(function)
+
+
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a helper that must be inlined into kernels (calls spill every vector register)."""
-    return _compile(function, forceinline=True)
+    return _compile_part(function, forceinline=True)
 
 
 _log = logging.getLogger("planner")

@@ -1,11 +1,13 @@
-"""Compiling several kernels at once on a cold start, each in a process of its own.
+"""Compiling several kernels at once on a cold start, each family of them in a process of its own.
 
 Numba compiles one function at a time in a process; the cache on disk is shared. So what a problem needs is compiled by
-as many processes as there are kernels, and this one then finds it in the cache.
+as many processes as there are families, and this one then finds it in the cache. Kernels of a family have parts in
+common, which its process compiles once.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -15,7 +17,7 @@ from typing import Any
 
 from numba.core.sigutils import normalize_signature
 
-from planner.kernels import hopper, riccati, tree_batch, tree_linearize, tree_solve, tree_step
+from planner.kernels import hopper, quadratic, riccati, tree_batch, tree_linearize, tree_solve, tree_step
 from planner.kernels.jit import announce, cache_is_shared, is_warm
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
@@ -26,6 +28,7 @@ _SEARCH = (_ROWS, "float64", "int64", "boolean", "float64", "float64")
 KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense": (riccati.riccati_dense, (_TABLE, "float64", "float64")),
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
+    "gradients": (quadratic.gradients, (_TABLE,)),
     "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (
         tree_linearize.linearize_structured,
@@ -43,32 +46,49 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "hopper linearize": (hopper.linearize_nominal, (*_HOPPER, _TABLE)),
 }
 
+# Kernels that have parts in common: one process compiles them, and the parts once.
+_FAMILIES = (
+    ("riccati dense", "riccati structured", "gradients"),
+    ("tree search", "tree steps", "tree forward", "tree inverse"),
+    ("tree structured", "tree dense", "tree derivatives"),
+    ("hopper search", "hopper linearize"),
+)
 
-def compile_one(name: str) -> None:
-    """Compile a kernel of KERNELS into the cache."""
-    kernel, types = KERNELS[name]
-    arguments, _ = normalize_signature(
-        f"({', '.join(types)})"
-    )  # the cache knows a call by its types, not by their text
-    kernel.compile(arguments)
+
+def compile_these(names: Iterable[str]) -> None:
+    """Compile kernels of KERNELS into the cache."""
+    collecting = gc.isenabled()
+    gc.disable()  # a tenth of the time, and nothing that Numba makes is garbage before it is done
+    try:
+        for name in names:
+            kernel, types = KERNELS[name]
+            arguments, _ = normalize_signature(
+                f"({', '.join(types)},)"
+            )  # the cache knows a call by its types, not by their text
+            kernel.compile(arguments)
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def compile_together(names: Iterable[str]) -> None:
     """Have kernels compiled, all at once where the machine has the processors and the cache is on disk."""
-    cold = [name for name in names if not is_warm(KERNELS[name][0])]
+    cold = {name for name in names if not is_warm(KERNELS[name][0])}
     if not cold:
         return
-    announce(KERNELS[cold[0]][0])
-    if len(cold) == 1 or (os.cpu_count() or 1) == 1 or not cache_is_shared():
+    families = [[name for name in family if name in cold] for family in _FAMILIES if not cold.isdisjoint(family)]
+    own, *others = families
+    announce(KERNELS[own[0]][0])
+    if not others or (os.cpu_count() or 1) == 1 or not cache_is_shared():
         return  # compiled one after the other, when they are called
     package = str(Path(__file__).parents[2])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([package, os.environ.get("PYTHONPATH", "")])}
     children: list[subprocess.Popen[bytes]] = []
     try:
-        for name in cold[1:]:
-            code = f"from planner.kernels.precompile import compile_one; compile_one({name!r})"
+        for family in others:
+            code = f"from planner.kernels.precompile import compile_these; compile_these({family!r})"
             children.append(subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL))
-        compile_one(cold[0])
+        compile_these(own)
         for child in children:
             child.wait()  # what a child could not do is compiled here, when it is called
     finally:

@@ -171,8 +171,9 @@ def _begin(w):
     for i in range(0, width * width, WIDTH):
         store4(M, i, zero)
     add_weights(w, M, w[W.N])
-    for i in range(w[W.FIRST_X], width, WIDTH):
-        mirror(M, 0, width, i, width)
+    first = w[W.FIRST_X]
+    for i in range(0, width - first, WIDTH):
+        mirror(M, first * width + first, width, i, width - first)
     for j in range(0, width, WIDTH):
         store4(s, j, load4(l, w[W.N] * width + j))
         store4(c, j, load4(l, w[W.N] * width + j))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kernels.jit import jit
+from planner.kernels.jit import jit, part
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 START = -1  # no search: one rollout at step length 0, which is taken as it is
@@ -46,7 +46,7 @@ def batches(rule):
     return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 
 
-@jit
+@part
 def _too_long(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie before this one. A step must lower the cost, to a finite one."""
     c = GOLDSTEIN_C if rule == GOLDSTEIN else SUFFICIENT
@@ -55,7 +55,7 @@ def _too_long(rule, alpha, J, S, J0, S0):
     return rule == WOLFE and not S <= -CURVATURE * S0
 
 
-@jit
+@part
 def _too_short(rule, alpha, J, S, J0, S0):
     """Whether the rule's steps lie beyond this one, which is not too long."""
     if rule == GOLDSTEIN:
@@ -63,7 +63,7 @@ def _too_short(rule, alpha, J, S, J0, S0):
     return rule == WOLFE and S < CURVATURE * S0
 
 
-@jit
+@part
 def _choose_exact(alpha, J, J0, bracket):
     best = -1
     for i in range(alpha.shape[0]):

@@ -17,7 +17,7 @@ where the force term F x* S_i falls away between the axes of one ball. A pair co
 
 from __future__ import annotations
 
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, part
 from planner.kernels.lanes import floats, integers, load, spread, store
 from planner.kernels.model import (
     ARMATURE,
@@ -63,7 +63,7 @@ def _crossed(bw, bv, sw, sv):
     return cross(bw, sw), add(cross(bw, sv), cross(bv, sw))
 
 
-@jit
+@part
 def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
     """Forces tau, M = dtau/da, Dq = dtau/dq and Dv = dtau/dv at (q, v, a), without springs and damping.
 
@@ -194,7 +194,7 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
             j = load(parent, j)
 
 
-@jit
+@part
 def invert(M, n, ld):
     """A symmetric positive definite M (n, ld) of lanes becomes its inverse, by n unpivoted sweeps of one triangle."""
     for k in range(n):

@@ -30,14 +30,16 @@ def _four_by_eight(C, A, B, n, factor, base, add):
         s3 += a3 * w
         a += lda
         b += ldb
-    _put(C, 0, 0, r0, factor, base, add)
-    _put(C, 0, WIDTH, s0, factor, base, add)
-    _put(C, 1, 0, r1, factor, base, add)
-    _put(C, 1, WIDTH, s1, factor, base, add)
-    _put(C, 2, 0, r2, factor, base, add)
-    _put(C, 2, WIDTH, s2, factor, base, add)
-    _put(C, 3, 0, r3, factor, base, add)
-    _put(C, 3, WIDTH, s3, factor, base, add)
+    p, c, ldc = C
+    q, b, ldb = base
+    _put(p, c, r0, factor, q, b, add)
+    _put(p, c + WIDTH, s0, factor, q, b + WIDTH, add)
+    _put(p, c + ldc, r1, factor, q, b + ldb, add)
+    _put(p, c + ldc + WIDTH, s1, factor, q, b + ldb + WIDTH, add)
+    _put(p, c + 2 * ldc, r2, factor, q, b + 2 * ldb, add)
+    _put(p, c + 2 * ldc + WIDTH, s2, factor, q, b + 2 * ldb + WIDTH, add)
+    _put(p, c + 3 * ldc, r3, factor, q, b + 3 * ldb, add)
+    _put(p, c + 3 * ldc + WIDTH, s3, factor, q, b + 3 * ldb + WIDTH, add)
 
 
 @inline
@@ -54,17 +56,17 @@ def _four_by_four(C, A, B, n, factor, base, add):
         r3 += load(p, a + 3 * step) * v
         a += lda
         b += ldb
-    _put(C, 0, 0, r0, factor, base, add)
-    _put(C, 1, 0, r1, factor, base, add)
-    _put(C, 2, 0, r2, factor, base, add)
-    _put(C, 3, 0, r3, factor, base, add)
+    p, c, ldc = C
+    q, b, ldb = base
+    _put(p, c, r0, factor, q, b, add)
+    _put(p, c + ldc, r1, factor, q, b + ldb, add)
+    _put(p, c + 2 * ldc, r2, factor, q, b + 2 * ldb, add)
+    _put(p, c + 3 * ldc, r3, factor, q, b + 3 * ldb, add)
 
 
 @inline
-def _put(C, i, j, row, factor, base, add):
-    p, c, ldc = C
-    q, b, ldb = base
-    store4(p, c + i * ldc + j, load4(q, b + i * ldb + j) + factor * row if add else factor * row)
+def _put(p, c, row, factor, q, b, add):
+    store4(p, c, load4(q, b) + factor * row if add else factor * row)
 
 
 @inline

@@ -9,7 +9,7 @@ Every link has a record of RECORD entries in the scratch memory `ws`.
 
 from __future__ import annotations
 
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, part
 from planner.kernels.lane_math import sincos
 from planner.kernels.lanes import floats, integers, load, spread, store
 from planner.kernels.model import (
@@ -124,7 +124,7 @@ def moved_inertia(inertia, i, R, P):
     )  # fmt: skip
 
 
-@jit
+@part
 def place_all(m, q, ws):
     """Poses and screws of all links."""
     parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
@@ -133,7 +133,7 @@ def place_all(m, q, ws):
         place(parent, kind, first, q_address, home, i, q, ws)
 
 
-@jit
+@part
 def forward_dynamics(m, q, v, tau, a, ws, reaction):
     """Accelerations from forces (Fig. 2, right; the paper's Case 3 where accelerations are prescribed).
 
@@ -244,7 +244,7 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
         store3(ws, b + ACCELERATION + 3, axpy(av, acceleration, sv))
 
 
-@jit
+@part
 def inverse_dynamics(m, q, v, a, tau, ws):
     """Forces from accelerations (Fig. 2, left): tau (nv lanes) without springs and damping, with armature."""
     n = m[NV]

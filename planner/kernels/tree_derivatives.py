@@ -7,7 +7,7 @@ prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
 from __future__ import annotations
 
 from planner.kernels.forces import add_actuator_derivatives, add_passive_derivatives
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, part
 from planner.kernels.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.model import (
     INPUT_DOF,
@@ -64,7 +64,7 @@ def store_four(p, k, v):
     store(p, k + 3, v[3])
 
 
-@jit
+@part
 def acceleration_derivatives(m, r, q, v, a, dA):
     """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act)."""
     nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]

@@ -5,7 +5,7 @@ Columns are ordered z = (u | dq | dv | dact), as in tree_derivatives.
 
 from __future__ import annotations
 
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, jit, part
 from planner.kernels.lane_math import transpose
 from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, pointer, spread, store, store4
 from planner.kernels.model import (
@@ -155,7 +155,7 @@ def _velocity(m, X, columns, at_v, factor, dA):
         store(X, o, load(X, o) + 1.0)
 
 
-@jit
+@part
 def _runge_kutta(m, r, x, a, dt):
     """Derivatives of an RK4 stage: dq+ in XQ, dv+ in XV, dact+ in XA (own, by control)."""
     nv, na, columns = m[NV], m[NA], r[COLUMNS]
@@ -210,7 +210,7 @@ def _runge_kutta(m, r, x, a, dt):
         store(Xa, 2 * k + 1, (dt / 6.0) * load(sums, 2 * k + 1))
 
 
-@jit
+@part
 def _euler(m, r, x, a, dt):
     """The same for the two Euler integrators; the rotation vector dt v or dt v+ is left in THETA."""
     nv, na, columns = m[NV], m[NA], r[COLUMNS]

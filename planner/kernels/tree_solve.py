@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planner.kernels import workspace as W
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, jit, part
 from planner.kernels.lanes import at, floats, integers, lanes, load, pointer, spread, store
 from planner.kernels.model import NV
 from planner.kernels.quadratic import control_terms, state_terms
@@ -94,7 +94,7 @@ def _controls(w, n, alpha, feedback, dx, U):
         store(U, a, load(U, a) + (s0 + s1))
 
 
-@jit
+@part
 def rollout(w, m, r, search, dt, feedback):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs."""
     nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]

@@ -10,7 +10,7 @@ Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K
 from __future__ import annotations
 
 from planner.kernels.forces import activation_rates, applied_forces
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, jit, part
 from planner.kernels.lane_math import transpose
 from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, load4, pointer, store
 from planner.kernels.model import BALL, BALL_NEXT, BALL_Q, BALL_V, KIND, NA, NBALLS, NQ, NU, NV, Q_ADDRESS
@@ -66,7 +66,7 @@ def add_commutator(m, theta, first, second, factor):
         store3(theta, k, (t[0] + factor * c[0], t[1] + factor * c[1], t[2] + factor * c[2]))
 
 
-@jit
+@part
 def accelerations(m, r, q, v, u, act, a):
     """Accelerations a (nv lanes) under inputs u and activations act."""
     tau = lanes(r, TAU)
@@ -88,7 +88,7 @@ def _stage_state(m, r, x, i, factor, velocity, acceleration):
         store(act_i, k, load(act, k) + factor * load(rate, k))
 
 
-@jit
+@part
 def stage_state(m, r, x, i, a, dt):
     """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
     nv = m[NV]
@@ -105,7 +105,7 @@ def stage_state(m, r, x, i, a, dt):
     moved(m, x, theta, lanes(r, Q_STAGE))
 
 
-@jit
+@part
 def end_rotation(m, r, x, a, dt):
     """What moves the configuration over a whole RK4 stage, into theta; v_stages are filled."""
     nv = m[NV]
@@ -116,7 +116,7 @@ def end_rotation(m, r, x, a, dt):
     add_commutator(m, theta, v1, at(v1, 3 * nv), (1.0 / 12.0) * dt * dt)
 
 
-@jit
+@part
 def stage(m, r, x, u, a, dt, x_next):
     """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
     nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]

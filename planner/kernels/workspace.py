@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.kernels.jit import jit
+from planner.kernels.jit import part
 from planner.kernels.lanes import WIDTH, floats, lane_array, load, padded, store
 
 # Outcomes of one iteration
@@ -124,14 +124,14 @@ def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return row, column, weights[:, row, column], int(np.sum(~turned))
 
 
-@jit
+@part
 def accept(w, lane):
     """Make candidate `lane` the nominal trajectory."""
     take_lane(floats(w, XS), floats(w, TRIAL_X), w[NX] * (w[N] + 1), lane)
     take_lane(floats(w, US), floats(w, TRIAL_U), w[NU] * w[N], lane)
 
 
-@jit
+@part
 def take_lane(to, candidates, count, lane):
     """Copy one lane of `count` entries of four."""
     for i in range(count):

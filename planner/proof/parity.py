@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from planner.arguments import shown
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.mechanism import Mechanism
 from planner.problem import Problem, Requirements
+from planner.proof.rigid_parity import rigid_parity
 from planner.replay import compile_model, matching_model, with_model
-from planner.rigid_parity import rigid_parity
 from planner.twin import Twin
 
 STATES = 256
@@ -40,6 +41,8 @@ def parity(
     """
     if isinstance(machine, Mechanism):
         return _of_mechanism(machine, None, with_model(twin or Twin.of(machine), mjcf), seed)
+    if not isinstance(machine, Problem):
+        raise PlannerError(f"parity() was given {shown(machine)}, expected a Mechanism or a Problem.")
     requirements = machine.requirements or Requirements()
     mechanism = getattr(machine.dynamics, "mechanism", None)
     if requirements.rates is None and not isinstance(mechanism, Mechanism):

@@ -7,7 +7,7 @@ integrator is applied here to MuJoCo's accelerations, mj_forward at each of its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,11 @@ PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
 _ROUNDING = 10.0 * np.finfo(float).eps  # of one stage, relative to the largest state
 
+ACCELERATIONS = "MuJoCo's accelerations"
+
 Stage = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Advance = Callable[[np.ndarray, np.ndarray, int], Iterator[np.ndarray]]
 
 
 def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
@@ -38,7 +41,7 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
     space = plan.space
     model = matching_model(twin, problem.dynamics.nu)
-    found = _stage(getattr(problem.dynamics, "integrator", ""), problem.dynamics.dt, model, twin, space)
+    found = stage_function(getattr(problem.dynamics, "integrator", ""), problem.dynamics.dt, model, twin, space)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, stage = found
@@ -72,7 +75,7 @@ def rounding_amplification(A: np.ndarray) -> float:
     return largest
 
 
-def _stage(integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace) -> tuple[str, Stage] | None:
+def stage_function(integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace) -> tuple[str, Stage] | None:
     """One stage in MuJoCo: what does it, in words, and the function (x, u) -> x at its end."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -101,8 +104,35 @@ def _stage(integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step
     if integrator in own:
-        return "MuJoCo's accelerations", lambda x, u: own[integrator](rates, space, x, u, dt)
+        return ACCELERATIONS, lambda x, u: own[integrator](rates, space, x, u, dt)
     return None
+
+
+def advancing(integrator: str, step: float, model: Any, twin: Twin, space: StateSpace) -> Advance | None:
+    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None as above.
+
+    MuJoCo's own integrators run on: the simulator may have more states than the plan.
+    """
+    found = stage_function(integrator, step, model, twin, space)
+    if found is None:
+        return None
+    mujoco, (how, stage) = load_mujoco(), found
+
+    def own(x: np.ndarray, us: np.ndarray, steps: int) -> Iterator[np.ndarray]:
+        for u in us:
+            for _ in range(steps):
+                x = stage(x, u)
+            yield x
+
+    def native(x: np.ndarray, us: np.ndarray, steps: int) -> Iterator[np.ndarray]:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(twin.sim_of(x), [model.nq, model.nq + model.nv])
+        for u in us:
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data, steps)
+            yield twin.x_of(np.concatenate([data.qpos, data.qvel, data.act]))
+
+    return own if how == ACCELERATIONS else native
 
 
 def explicit_euler(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:

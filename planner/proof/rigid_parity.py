@@ -22,6 +22,9 @@ from planner.errors import ModelError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.mechanism import SCREW, Mechanism
+from planner.mechanism_reader import mechanism_of
+from planner.mechanism_refusals import found
+from planner.proof.differences import actuator_of, differences, joint_of
 from planner.space import unit
 
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
@@ -56,6 +59,8 @@ def rigid_parity(
         ModelError: The model has other joints or actuators.
     """
     _check_sizes(mechanism, model)
+    unmodelled = _unmodelled(mechanism, model)
+    named = differences(mechanism, mechanism_of(model))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
     us = rng.normal(size=(states, mechanism.nu))
@@ -76,9 +81,18 @@ def rigid_parity(
         value = float(relative.max())
         note = f"at {states} random states (seed {seed}), relative to the largest at each"
         if not value <= bound:
-            note = f"{_cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
+            note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
         figures.append(Figure(names.get(term, f"{term}_error"), value, "", bound, note))
-    return Section("parity", tuple(figures))
+    return Section("parity", (*figures, unmodelled))
+
+
+def _unmodelled(mechanism: Mechanism, model: Any) -> Figure:
+    """What acts in the model and is none of the mechanism's. Contacts are no part of it: a replay says what touched."""
+    phrases = [one.phrase for one in found(model) if one.kind != "contacts"]
+    note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
+    if phrases and mechanism.ignored:
+        note += f" (the plan was made without {', '.join(mechanism.ignored)})"
+    return Figure("unmodelled_elements", float(len(phrases)), "", 0.0, note)
 
 
 def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:
@@ -156,10 +170,10 @@ def _cause(
     worst = int(relative.max(axis=0).argmax())
     if term == "activation":
         actuator = int(np.flatnonzero(mechanism.actuators.activation == worst)[0])
-        return f"activation of {_actuator(mechanism, actuator)}"
+        return f"activation of {actuator_of(mechanism, actuator)}"
     if term == "actuator":
         acting = np.flatnonzero(mechanism.actuators.moment[:, worst])
-        which = " and ".join(_actuator(mechanism, int(a)) for a in acting) or "no actuator of ours"
+        which = " and ".join(actuator_of(mechanism, int(a)) for a in acting) or "no actuator of ours"
         return f"gear, gain or bias of {which} at {joint_of(mechanism, worst)}"
     return f"at {joint_of(mechanism, worst)}"
 
@@ -176,20 +190,6 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
     alone = entries.sum() == 1 and np.ptp(own) <= 1e-3 * np.abs(own).max()
     what = "armature" if alone else "mass, inertia or place of what moves"
     return f"{what} at {joint_of(mechanism, outermost)}"
-
-
-def joint_of(mechanism: Mechanism, dof: int) -> str:
-    """A degree of freedom in words, e.g. joint 'elbow'."""
-    for number, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
-        if links.start <= dof < links.stop:
-            words = f"joint {name!r}" if name else f"joint number {number}"
-            return words if links.stop - links.start == 1 else f"{words} (axis {dof - links.start + 1})"
-    raise AssertionError(f"no joint has the degree of freedom {dof}")
-
-
-def _actuator(mechanism: Mechanism, index: int) -> str:
-    name = mechanism.actuators.names[index]
-    return f"actuator {name!r}" if name else f"actuator number {index}"
 
 
 def _largest(values: np.ndarray) -> np.ndarray:

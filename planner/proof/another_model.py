@@ -1,0 +1,37 @@
+"""Another MJCF in place of a plan's own: without what the plan's mechanism took out of its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+from planner.mechanism import Mechanism
+from planner.mechanism_edits import take_out
+from planner.mechanism_refusals import found
+from planner.problem import Problem
+from planner.replay import compile_model, with_model
+from planner.twin import Twin
+
+
+def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin:
+    """A twin with another MJCF, a path or the XML text; the twin itself for None.
+
+    A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of.
+
+    Raises:
+        ModelError: A file that cannot be read or that MuJoCo refuses.
+    """
+    if mjcf is None:
+        return twin
+    twin = with_model(twin, mjcf)
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism) or not mechanism.ignored:
+        return twin
+    model = compile_model(twin.mjcf, twin.assets)
+    kinds = {one.kind for one in found(model) if one.phrase in mechanism.ignored or one.kind in mechanism.ignored}
+    if not kinds:
+        return twin
+    root = ElementTree.fromstring(twin.mjcf)
+    take_out(root, kinds, model)
+    return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"))

@@ -1,0 +1,80 @@
+"""One rollout of the Monte Carlo in detail, step by step: to be looked at and rendered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import count
+from planner.gl import load_mujoco
+from planner.plan import Plan
+from planner.proof.perturbation import Perturbation, draw
+from planner.proof.rollouts import BAD, CONTROL_STEPS, MODES, Rollouts
+from planner.ranges import ranges_reached
+from planner.replay import Replay, between_knots, contact_now, may_touch, warnings_of
+from planner.twin import Twin
+
+
+def replay_case(
+    plan: Plan, twin: Twin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None, feedback: bool = True
+) -> Replay:
+    """Rollout k of perturbed(), by plain mj_step: the same states to the last bit, NaN once it has exploded.
+
+    Args:
+        plan: The plan.
+        twin: The MuJoCo model it is simulated in; the replay keeps it, with the errors in its motion alone.
+        k: Number of the rollout, e.g. one of Perturbed.worst.
+        seed: That of the Monte Carlo.
+        perturbation: That of the Monte Carlo; None for Perturbation().
+        feedback: With the plan's gains, or open loop.
+
+    Raises:
+        PlannerError: The plan cannot be simulated.
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    """
+    k, seed = count("k", k, least=0), count("seed", seed, least=0)
+    mujoco = load_mujoco()
+    with Rollouts(plan, twin, threads=1) as rollouts:
+        errors = draw(perturbation or Perturbation(), seed, k, rollouts.nominal.sizes)
+        batch, M = rollouts.batch([errors]), rollouts.steps
+        piece, commands = rollouts.pieces(batch, MODES[feedback])
+        model = batch.models[0]
+        data, complaints = mujoco.MjData(model), ()
+        probe = mujoco.MjData(model) if may_touch(model) else None
+        w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
+        force, point = np.zeros(M + 1), np.full((M + 1, 3), np.nan)
+        w[0] = batch.start[0]
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [model.nq, model.nq + model.nv])
+        for i in range(M):
+            if i % piece == 0:
+                n, complaints = min(piece, M - i), _complaints(data)
+                with np.errstate(all="ignore"):  # of one about to explode
+                    ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
+                data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
+            elif _complaints(data) != complaints:  # where mujoco.rollout gives a simulation up
+                w[i] = np.nan
+                break
+            data.ctrl[:] = ctrl[i]
+            if probe is not None:
+                force[i], point[i] = contact_now(mujoco, model, data, probe)
+            mujoco.mj_step(model, data)
+            w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
+            if not np.all(np.abs(w[i + 1]) < BAD):
+                w[i + 1] = np.nan
+                break
+        if probe is not None and np.isfinite(w[M]).all():
+            force[M], point[M] = contact_now(mujoco, model, data, probe)
+        t = rollouts.step * np.arange(M + 1)
+        qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+        substeps = CONTROL_STEPS * rollouts.substeps
+        return Replay(
+            plan=plan, twin=twin, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act, ctrl=ctrl,
+            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=force, contact_point=point,
+            substeps=substeps, warnings=warnings_of(mujoco, data), reached=ranges_reached(model, t, w, ctrl),
+        )  # fmt: skip
+
+
+def _complaints(data: Any) -> tuple[int, ...]:
+    """How often MuJoCo has warned, by kind."""
+    return tuple(warning.number for warning in data.warning)

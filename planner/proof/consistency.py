@@ -1,0 +1,65 @@
+"""Step 0 of a proof: whether a plan is what it says it is, by its own dynamics and cost. MuJoCo has no part in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner import lq
+from planner.cost import Quadratic
+from planner.figures import Figure, Section
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.proof.scales import cost_of_deviation
+
+BOUND = 1e-9  # relative; a plan and its file agree to rounding
+GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages
+_LEAST = 1e-3  # of the cost of a deviation that passes: costs smaller than that are as good as zero
+
+
+def consistency(plan: Plan, problem: Problem) -> Section:
+    """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
+    dynamics, cost = problem.dynamics, problem.cost
+    with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
+        ends = dynamics.step(plan.xs[:-1], plan.us)
+        A, B = dynamics.linearize(plan.xs, plan.us)
+        quadratic = cost.quadratize(plan.xs, plan.us)
+        norm = float(np.linalg.norm(lq.gradient(A, B, quadratic)))
+        terms = float(np.linalg.norm(quadratic.r)) + norm
+        scale = max(abs(plan.cost), _LEAST * cost_of_deviation(quadratic), np.finfo(float).tiny)
+        largest = max(1.0, float(np.abs(plan.xs).max()))
+        t = dynamics.dt * np.arange(plan.N + 1)
+        errors = {
+            "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
+            "stage_error": (
+                _largest(plan.space.difference(ends, plan.xs[1:])) / largest,
+                "each state against one stage from the last",
+            ),
+            "cost_error": (abs(cost.value(plan.xs, plan.us) - plan.cost) / scale, "the cost recomputed"),
+            "gradient_error": (
+                abs(norm - plan.gradient_norm) / max(terms, scale),
+                "the norm of Eq. 19 recomputed",
+            ),
+            "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
+        }
+        figures = [Figure(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]
+        figures.append(_gains(plan, A, B, quadratic))
+    note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
+    figures.append(Figure("changed_parts", float(len(plan.changed)), "", 0.0, note))
+    return Section("plan", tuple(figures))
+
+
+def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> Figure:
+    """The gains against a Riccati sweep along the plan."""
+    name, sweep = "gain_error", None
+    if all(np.isfinite(part).all() for part in (A, B, *quadratic)):
+        sweep = lq.riccati(A, B, quadratic)
+    if sweep is None:
+        note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
+        return Figure(name, 0.0 if np.isfinite(plan.K).all() else np.inf, "", GAIN_BOUND, note)
+    error = _largest(plan.K - sweep.K) / max(_largest(sweep.K), np.finfo(float).tiny)
+    return Figure(name, error, "", GAIN_BOUND, "the gains against the last Riccati sweep (Eq. 31-33), relative")
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest magnitude; NaN when any is."""
+    return float(np.abs(values).max())

@@ -1,0 +1,33 @@
+"""What a plan costs where it is run: the cost reached in MuJoCo, which ranks plans that their own steps flatter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planner.plan import Plan
+from planner.replay import replay
+
+
+def proven_cost(plan: Plan) -> float:
+    """The cost that MuJoCo reaches at the refined step, with the plan's gains or open loop, whichever is less.
+
+    Plans are run with their gains; where these do worse than none, the plan is run without. Several threads may ask
+    at once. For solve(..., rank=proven_cost).
+
+    Args:
+        plan: A plan of a problem with a twin.
+
+    Returns:
+        The cost; infinite where the plan is not finite, or neither replay stays so without MuJoCo's complaints.
+
+    Raises:
+        PlannerError: No plan of this problem can be replayed: it has no twin, or too many steps.
+    """
+    if not all(np.isfinite(part).all() for part in (plan.xs, plan.us, plan.K)):
+        return math.inf
+    with np.errstate(all="ignore"):  # of a replay that runs away
+        runs = [replay(plan, feedback=feedback) for feedback in (True, False)]
+        costs = [run.cost for run in runs if not run.warnings]
+    return min((cost for cost in costs if math.isfinite(cost)), default=math.inf)

@@ -1,0 +1,98 @@
+"""Which number of a mechanism another model has otherwise: what a parity that fails is traced to.
+
+The other model is read as a mechanism too, and the two are compared joint by joint. Where their numbers agree, the
+difference is elsewhere, and `rigid_parity` says at which joint it is felt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.mechanism import Mechanism
+
+_ROUNDING = 1e-12  # relative, of numbers that went through a compiler
+_MOST = 4  # differences named; further ones are counted
+
+
+def differences(ours: Mechanism, theirs: Mechanism) -> str:
+    """What differs, joint and term, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
+
+    Args:
+        ours: The mechanism of the plan.
+        theirs: The other model, with as many joints and actuators.
+    """
+    found = list(_all(ours, theirs))
+    more = [f"{len(found) - _MOST} more"] if len(found) > _MOST else []
+    return "; ".join([*found[:_MOST], *more])
+
+
+def joint_of(mechanism: Mechanism, dof: int) -> str:
+    """A degree of freedom in words, e.g. joint 'elbow'."""
+    for number, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
+        if links.start <= dof < links.stop:
+            words = f"joint {name!r}" if name else f"joint number {number}"
+            return words if links.stop - links.start == 1 else f"{words} (axis {dof - links.start + 1})"
+    raise AssertionError(f"no joint has the degree of freedom {dof}")
+
+
+def actuator_of(mechanism: Mechanism, index: int) -> str:
+    """An actuator in words, e.g. actuator 'motor'."""
+    name = mechanism.actuators.names[index]
+    return f"actuator {name!r}" if name else f"actuator number {index}"
+
+
+def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
+    if not _same(ours.gravity, theirs.gravity):
+        yield f"gravity is {_shown(theirs.gravity)}, the plan has {_shown(ours.gravity)}"
+    if not (np.array_equal(ours.parent, theirs.parent) and np.array_equal(ours.kind, theirs.kind)):
+        yield "the joints are of other kinds or carried by other bodies"
+        return
+    terms = {
+        "frame": (ours.T_home, theirs.T_home), "frame (axis or anchor)": (ours.S, theirs.S),
+        "reference position": (ours.q_home, theirs.q_home), "mass": (ours.mass, theirs.mass),
+        "centre of mass": (ours.com, theirs.com), "inertia": (ours.inertia, theirs.inertia),
+        "armature": (ours.armature, theirs.armature), "damping": (ours.damping, theirs.damping),
+        "stiffness": (ours.stiffness, theirs.stiffness), "spring reference": (ours.spring_rest, theirs.spring_rest),
+    }  # fmt: skip
+    for dof in range(ours.nv):
+        for term, (one, other) in terms.items():
+            if not _same(one[dof], other[dof], np.abs(one).max()):
+                yield f"{term} at {joint_of(ours, dof)}{_values(one[dof], other[dof])}"
+    for ball, (_, dof) in enumerate(ours.quaternions):
+        for term, name in (("stiffness", "ball_stiffness"), ("spring reference", "ball_rest")):
+            one, other = getattr(ours, name)[ball], getattr(theirs, name)[ball]
+            if not _same(one, other):
+                yield f"{term} at {joint_of(ours, dof)}{_values(one, other)}"
+    a, b = ours.actuators, theirs.actuators
+    terms = {
+        "gear": (a.moment, b.moment), "gain": (a.gain, b.gain), "bias": (a.bias, b.bias),
+        "kind of activation": (a.dynamics.astype(float), b.dynamics.astype(float)),
+        "time constant": (a.time_constant, b.time_constant),
+    }  # fmt: skip
+    for index in range(ours.nu):
+        for term, (one, other) in terms.items():
+            if not _same(one[index], other[index]):
+                where = f" at {joint_of(ours, int(np.abs(one - other)[index].argmax()))}" if term == "gear" else ""
+                yield f"{term} of {actuator_of(ours, index)}{where}{_values(one[index], other[index])}"
+
+
+def _same(one: np.ndarray, other: np.ndarray, scale: float = 0.0) -> bool:
+    size = max(scale, float(np.abs(one).max(initial=0.0)))
+    return bool(np.all(np.abs(one - other) <= _ROUNDING * size))
+
+
+def _values(ours: np.ndarray, theirs: np.ndarray) -> str:
+    """The two values, where a sentence can hold them."""
+    ours, theirs = np.atleast_1d(ours), np.atleast_1d(theirs)
+    wrong = np.flatnonzero(ours != theirs) if ours.ndim == 1 else ()
+    if len(wrong) == 1 or ours.size <= 3:
+        few = wrong if len(wrong) == 1 else slice(None)
+        return f" is {_shown(theirs[few])}, the plan has {_shown(ours[few])}"
+    return ""
+
+
+def _shown(values: np.ndarray) -> str:
+    flat = [f"{value:.6g}" for value in np.ravel(values)]
+    return flat[0] if len(flat) == 1 else f"({', '.join(flat)})"

@@ -1,0 +1,33 @@
+"""Step 4 of a proof: whether the replay gets where the cost wanted it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.cost import TrackingCost
+from planner.figures import Figure, Section
+from planner.problem import Problem
+from planner.replay import Replay
+
+
+def goal(run: Replay, problem: Problem) -> Section:
+    """The machine's own judgement of one replay, or how far from its cost's final state it ends."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return problem.requirements.goal(run)
+    costs = getattr(problem.cost, "costs", (problem.cost,))
+    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    if not wanted:
+        return Section("goal", not_applicable="the problem states no goal apart from its cost")
+
+    def distance(x: np.ndarray) -> float:
+        errors = (np.abs(run.plan.space.difference(x, c.x_ref[-1]))[np.any(c.Q[-1], axis=0)].max() for c in wanted)
+        return float(max(errors))
+
+    note = "largest component that the cost's final weight acts on, against its reference; shown, not judged"
+    return Section(
+        "goal",
+        (
+            Figure("planned_goal_error", distance(run.plan.xs[-1]), "", None, note),
+            Figure("replayed_goal_error", distance(run.xs[-1]), "", None, note),
+        ),
+    )

@@ -1,0 +1,116 @@
+"""How errors grow along a plan, open loop and with its gains, and what replay error that predicts.
+
+To first order a deviation obeys  dx(n+1) = A(n) dx(n) + d(n),  with the gains  (A(n) + B(n) K(n)) dx(n) + d(n):
+
+    Phi(n) = A(n-1) ... A(0)    the state transition; its norm is what an error of size 1 at the start becomes
+    d(n)                        what stage n misses: the plan's own integrator at a refined step, against one stage
+
+so the replay error of a plan whose model is right is known before MuJoCo is asked. A replay that is much worse than
+its prediction differs in the model, not in the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.figures import Figure, Section
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.replay import REFINEMENT, Replay
+
+SMALL = 0.1  # rad: beyond, a linear prediction is none
+FACTOR = 10.0  # between prediction and measurement, where both mean something
+_ROUNDING = 1e-10  # errors below are not of the integrator
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """Growth of errors along a plan. Modes are "open-loop" and "feedback".
+
+    Attributes:
+        t: (N+1,) s.
+        transition: Mode -> (N+1,) log10 of the norm of the state transition from the start.
+        predicted: Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s.
+        measured: Mode -> (N+1,) the replay error measured at the knots, likewise.
+        switches: Whether a contact opened or closed during the replay.
+    """
+
+    t: np.ndarray
+    transition: dict[str, np.ndarray]
+    predicted: dict[str, np.ndarray]
+    measured: dict[str, np.ndarray]
+    switches: bool
+
+    def rate(self, mode: str) -> float:
+        """1/s, of the norm of the transition over the whole plan."""
+        return float(self.transition[mode][-1] * np.log(10.0) / self.t[-1])
+
+    def ratio(self, mode: str) -> float | None:
+        """Measured over predicted error, the largest of each over the path; None where a prediction means nothing."""
+        measured, predicted = self.measured[mode].max(), self.predicted[mode].max()
+        if self.switches or not (np.isfinite(measured) and np.isfinite(predicted) and measured < SMALL):
+            return None
+        return float(max(measured, _ROUNDING) / max(predicted, _ROUNDING))
+
+    @property
+    def section(self) -> Section:
+        """The figures; shown, not judged."""
+        figures = []
+        for mode, words in (("open-loop", "open_loop"), ("feedback", "feedback")):
+            how = "open loop" if mode == "open-loop" else "with the gains"
+            norm = self.transition[mode][-1]
+            note = f"an error at the start becomes up to 10^{norm:.1f} times as large by the end, {how}"
+            figures.append(Figure(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
+            note = f"largest over the path, by the linearised plan {how}; measured {self.measured[mode].max():.2e}"
+            figures.append(Figure(f"predicted_error_{words}", float(self.predicted[mode].max()), "", None, note))
+            ratio = self.ratio(mode)
+            if ratio is not None:
+                note = f"a factor of {FACTOR:g} either way is the same error; more is another model"
+                figures.append(Figure(f"measured_over_predicted_{words}", ratio, "", None, note))
+        return Section("growth", tuple(figures))
+
+
+def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
+    """Predict the replay errors of a plan, beside those of its replays by mode."""
+    with np.errstate(all="ignore"):
+        A, B = problem.dynamics.linearize(plan.xs, plan.us)
+        missed = _missed(plan, problem)
+        stages = {"open-loop": A, "feedback": A + B @ plan.K}
+        found = {mode: _propagated(F, missed) for mode, F in stages.items()}
+        measured = {mode: np.abs(run.error[:: run.substeps]).max(axis=1) for mode, run in runs.items()}
+    forces = [run.contact_force > 0.0 for run in runs.values()]
+    return Growth(
+        t=plan.t,
+        transition={mode: norms for mode, (norms, _) in found.items()},
+        predicted={mode: errors for mode, (_, errors) in found.items()},
+        measured=measured,
+        switches=any(bool(np.any(touching != touching[0])) for touching in forces),
+    )
+
+
+def _missed(plan: Plan, problem: Problem) -> np.ndarray:
+    """D (N, ndx): where each stage ends when it is integrated in REFINEMENT steps, less where the plan says."""
+    part = np.full(plan.N, problem.dynamics.dt / REFINEMENT)
+    xs = plan.xs[:-1]
+    for _ in range(REFINEMENT):
+        xs = problem.dynamics.step(xs, plan.us, part)
+    return plan.space.difference(xs, plan.xs[1:])
+
+
+def _propagated(F: np.ndarray, missed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """log10 |Phi(n)| and the largest component of the error (N+1,), where stages F (N, ndx, ndx) lead."""
+    N, ndx = missed.shape
+    norms, errors = np.zeros(N + 1), np.zeros(N + 1)
+    phi, scale, error = np.eye(ndx), 0.0, np.zeros(ndx)
+    for n in range(N):
+        phi, error = F[n] @ phi, F[n] @ error + missed[n]
+        size = float(np.linalg.norm(phi))
+        if not np.isfinite(size) or size == 0.0:
+            norms[n + 1 :], errors[n + 1 :] = np.nan if size else -np.inf, np.abs(error).max()
+            return norms, errors
+        phi, scale = phi / size, scale + np.log10(size)
+        norms[n + 1] = scale + np.log10(np.linalg.norm(phi, 2))
+        errors[n + 1] = np.abs(error).max()
+    return norms, errors

@@ -1,0 +1,162 @@
+"""How a plan's replay changes as MuJoCo's step is halved: the practice of Roache's grid convergence index.
+
+The controls are held as planned and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
+(P. J. Roache, "Perspective: a method for uniform reporting of grid refinement studies", J. Fluids Eng. 116, 1994;
+ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
+
+    observed order     p = log2(|f1 - f2| / |f2 - f3|)
+    extrapolated       f = f3 + (f3 - f2) / (2^p - 1)
+    uncertainty        1.25 |f3 - f2| / (2^p - 1)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.figures import Figure, Section
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.proof.same_step import advancing
+from planner.proof.scales import COST_BOUND, cost_scale
+from planner.replay import Replay, matching_model, may_touch
+from planner.twin import Twin
+
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
+ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
+LEVELS = 5  # steps h ... h/16
+MOST_LEVELS = 7  # while errors are so large that no order shows
+_SEEN = 1e-9  # changes below are rounding
+_SAFETY = 1.25  # Roache's factor for three grids and more
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Replays of one plan at halved steps.
+
+    Attributes:
+        steps: (L,) s, halved from one to the next.
+        ends: (L, nx) end states.
+        costs: (L,) J reached.
+        changes: (L-1,) from each end state to the next, Euclidean.
+        nominal: Order of the integrator.
+        observed: Of the end state, over the last steps whose changes are above rounding; None when none are.
+        judged: Why the order is only shown; "" when it is judged.
+        extrapolated_cost: J at a step of zero.
+        cost_uncertainty: Of it.
+        end_uncertainty: Of the end state, largest component.
+        plan_cost: What the plan says.
+        scale: What cost changes are relative to.
+    """
+
+    steps: np.ndarray
+    ends: np.ndarray
+    costs: np.ndarray
+    changes: np.ndarray
+    nominal: float
+    observed: float | None
+    judged: str
+    extrapolated_cost: float
+    cost_uncertainty: float
+    end_uncertainty: float
+    plan_cost: float
+    scale: float
+
+    @property
+    def section(self) -> Section:
+        """The figures: the change of the cost is judged, for smooth machines the order too."""
+        with np.errstate(all="ignore"):
+            change = 100.0 * abs(self.extrapolated_cost - self.plan_cost) / self.scale
+        steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
+        figures = [
+            Figure(
+                "cost_change", change, "%", COST_BOUND,
+                f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
+                f"+- {self.cost_uncertainty:.1e}",
+            ),
+            Figure("end_state_uncertainty", self.end_uncertainty, "", None, f"of the extrapolated, steps {steps}"),
+        ]  # fmt: skip
+        if self.observed is not None:
+            note = f"end state over halvings from {steps}, nominal {self.nominal:g}"
+            figures.append(Figure("observed_order", self.observed, "", None, note))
+            bound = None if self.judged else ORDER_BOUND
+            note = self.judged or "nominal order less the observed one; a smooth machine shows its integrator's order"
+            figures.append(Figure("order_shortfall", self.nominal - self.observed, "", bound, note))
+        else:
+            note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
+            figures.append(Figure("observed_order", float("nan"), "", None, note))
+        return Section("order", tuple(figures))
+
+
+def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:
+    """Replay a plan open loop at halved steps.
+
+    Args:
+        plan: What to replay.
+        problem: Its problem.
+        twin: The model.
+        run: The refined replay, open loop.
+
+    Raises:
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    """
+    integrator = getattr(problem.dynamics, "integrator", "rk4")
+    refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
+    model = matching_model(twin, problem.dynamics.nu)
+    touches = may_touch(model)
+    # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
+    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [1 << k for k in range(LEVELS)]
+    nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
+    kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
+    with np.errstate(all="ignore"):
+        levels = [_level(plan, problem, twin, kind, count) for count in substeps]
+        changes, observed = _observed_between(plan, levels)
+        while not refined_only and observed is not None and observed < nominal - ORDER_BOUND:
+            if len(levels) == MOST_LEVELS:
+                break
+            substeps.append(2 * substeps[-1])
+            levels.append(_level(plan, problem, twin, kind, substeps[-1]))
+            changes, observed = _observed_between(plan, levels)
+        ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
+        factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
+        step = plan.space.difference(ends[-1], ends[-2])
+    why = "contacts open and close: the order scatters" if touches else ""
+    why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
+    why = why or ("a range is reached: the motion is not smooth" if run.reached else "")
+    return Order(
+        steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, nominal=nominal,
+        observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
+        cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
+        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
+        scale=cost_scale(plan, problem),
+    )  # fmt: skip
+
+
+def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, float | None]:
+    """The changes (L-1,) between end states, and the order that they show."""
+    ends = np.array([end for end, _ in levels])
+    changes = np.linalg.norm(plan.space.difference(ends[1:], ends[:-1]), axis=-1)
+    return changes, _observed(changes)
+
+
+def _observed(changes: np.ndarray) -> float | None:
+    """The order over the last two changes that are above rounding."""
+    seen = np.flatnonzero(changes > _SEEN)
+    if len(changes) < 2 or (np.isfinite(changes).all() and (len(seen) == 0 or seen[-1] == 0)):
+        return None
+    last = int(seen[-1]) if np.isfinite(changes).all() else len(changes) - 1
+    order = float(np.log2(changes[last - 1] / changes[last]))
+    return order if np.isfinite(order) else 0.0
+
+
+def _level(plan: Plan, problem: Problem, twin: Twin, integrator: str, substeps: int) -> tuple[np.ndarray, float]:
+    """End state and cost of an open-loop replay with so many steps per stage."""
+    model = matching_model(twin, problem.dynamics.nu)
+    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space)
+    assert advance is not None  # every integrator of NOMINAL has one
+    xs = np.empty_like(plan.xs)
+    xs[0] = problem.x0
+    for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
+        xs[n] = x
+    return xs[-1], problem.cost.value(xs, plan.us)

@@ -1,0 +1,209 @@
+"""What step 5 of a proof varies: by how much, how one rollout's errors are drawn, and a MuJoCo model that has them.
+
+A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
+is the same in any company, and switching one kind of error off leaves the others as they were.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import number
+from planner.errors import PlannerError
+from planner.gl import load_mujoco
+from planner.plan import Plan
+from planner.twin import Twin
+
+_MOST_KNOTS = 200  # of the plan are asked for its largest forces
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """How far the simulated machine may be from the planned one. All zero: not at all.
+
+    The defaults are those of a machine that was weighed and measured but not identified: masses as from CAD, good
+    bearings, calibrated encoders, a controller at 500 Hz.
+
+    Attributes:
+        mass: Each body's mass is scaled by a factor uniform in 1 +- this, and its inertia with it.
+        inertia: Each body's inertia is scaled, as a whole, by another factor uniform in 1 +- this.
+        damping: The damping that the model has in a joint is scaled by a factor uniform in 1 +- this.
+        drag: Damping added to a joint, uniform in 0 to this times the inertia it moves (MuJoCo's dof_M0), 1/s: the
+            rate at which its speed would decay. Free joints move through the air and have none.
+        friction: Dry friction added to a joint, uniform in 0 to this times the largest force that the plan asks of it
+            (actuator, or weight with Coriolis forces). Free joints have none.
+        contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
+        start: Standard deviation of the start from the plan's, in each direction: rad, m, rad/s, m/s.
+        noise: Standard deviation of white noise on a control, held over a stage, as a fraction of the largest that the
+            plan applies.
+        delay: The controls come late by a time uniform in 0 to this, s, in whole steps of the simulator. Until then
+            the first ones are held.
+
+    Raises:
+        PlannerError: A number that is negative or not finite, or a factor that could reach zero.
+    """
+
+    mass: float = 0.05
+    inertia: float = 0.05
+    damping: float = 0.2
+    drag: float = 0.01
+    friction: float = 0.002
+    contact_friction: float = 0.2
+    start: float = 0.002
+    noise: float = 0.01
+    delay: float = 0.002
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            most = 0.99 if field.name in ("mass", "inertia", "damping", "contact_friction") else None
+            value = number(f"Perturbation: {field.name}", getattr(self, field.name), least=0.0, most=most)
+            object.__setattr__(self, field.name, value)
+
+    def to_dict(self) -> dict[str, float]:
+        """The numbers by name."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        units = {"drag": " 1/s", "start": " rad, m, rad/s, m/s", "delay": " s"}
+        parts = [
+            f"{name.replace('_', ' ')} {value:.3g}{units[name]}" if name in units
+            else f"{name.replace('_', ' ')} {100.0 * value:.3g} %"
+            for name, value in self.to_dict().items() if value
+        ]  # fmt: skip
+        return ", ".join(parts) or "nothing"
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """The errors of one rollout.
+
+    Attributes:
+        mass: (nbody,) factors.
+        inertia: (nbody,) factors, apart from those of the masses.
+        damping: (nv,) factors.
+        drag: (nv,) 1/s.
+        friction: (nv,) fractions of the largest force.
+        contact_friction: Factor.
+        start: (ndx,) deviation from the plan's start.
+        noise: (N, nu) fractions of the largest control.
+        delay: s.
+    """
+
+    mass: np.ndarray
+    inertia: np.ndarray
+    damping: np.ndarray
+    drag: np.ndarray
+    friction: np.ndarray
+    contact_friction: float
+    start: np.ndarray
+    noise: np.ndarray
+    delay: float
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Of what a rollout's errors are drawn for: nbody and nv are the model's, the others the plan's."""
+
+    nbody: int
+    nv: int
+    ndx: int
+    N: int
+    nu: int
+
+
+def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
+    """The errors of rollout k."""
+    rng, p = np.random.default_rng([seed, k]), perturbation
+    return Draw(
+        mass=1.0 + p.mass * rng.uniform(-1.0, 1.0, sizes.nbody),
+        inertia=1.0 + p.inertia * rng.uniform(-1.0, 1.0, sizes.nbody),
+        damping=1.0 + p.damping * rng.uniform(-1.0, 1.0, sizes.nv),
+        drag=p.drag * rng.random(sizes.nv),
+        friction=p.friction * rng.random(sizes.nv),
+        contact_friction=1.0 + p.contact_friction * rng.uniform(-1.0, 1.0),
+        start=p.start * rng.standard_normal(sizes.ndx),
+        delay=p.delay * rng.random(),
+        noise=p.noise * rng.standard_normal((sizes.N, sizes.nu)),
+    )
+
+
+def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Draw:
+    """Masses (and inertias with them) wrong by plus or minus `error`, the signs at random; nothing else."""
+    rng = np.random.default_rng([seed, k, 1 + level])  # not [.., 0]: NumPy takes that for [seed, k]
+    none = draw(Perturbation(**dict.fromkeys((field.name for field in fields(Perturbation)), 0.0)), seed, k, sizes)
+    return Draw(**{**vars(none), "mass": 1.0 + error * rng.choice([-1.0, 1.0], sizes.nbody)})
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """The machine as planned, and what its errors are measured by.
+
+    Attributes:
+        model: MuJoCo's.
+        load: (nv,) the largest generalized force along the plan, N m or N.
+        control: (nu,) the largest magnitude of each control along the plan.
+        sizes: Of a draw.
+    """
+
+    model: Any
+    load: np.ndarray
+    control: np.ndarray
+    sizes: Sizes
+
+    @classmethod
+    def of(cls, model: Any, plan: Plan, twin: Twin) -> Nominal:
+        """From a plan and the model to simulate it in."""
+        sizes = Sizes(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu)
+        return cls(model, _loads(model, plan, twin), np.abs(plan.us).max(axis=0), sizes)
+
+    @cached_property
+    def _in_joints(self) -> np.ndarray:
+        """(nv,) 1 for degrees of freedom that have bearings, 0 for those of free joints."""
+        free = load_mujoco().mjtJoint.mjJNT_FREE
+        return (self.model.jnt_type[self.model.dof_jntid] != free).astype(float)
+
+    @property
+    def ignores_friction(self) -> bool:
+        """Whether the model's flags switch dry friction in joints off."""
+        bits = load_mujoco().mjtDisableBit
+        return bool(self.model.opt.disableflags & (bits.mjDSBL_FRICTIONLOSS | bits.mjDSBL_CONSTRAINT))
+
+    def with_errors(self, draw: Draw, data: Any) -> Any:
+        """A copy of the model with these errors; `data` is overwritten.
+
+        Raises:
+            PlannerError: MuJoCo cannot work with the masses.
+        """
+        mujoco, nominal = load_mujoco(), self.model
+        moves = nominal.body_weldid != 0  # what is welded to the world has no inertia to speak of
+        model = copy.copy(nominal)
+        model.body_mass[moves] *= draw.mass[moves]
+        model.body_inertia[moves] *= (draw.mass * draw.inertia)[moves, None]
+        # Without damping there is no diagonal to be implicit in, so what adds nothing must leave it exactly zero.
+        model.dof_damping[:] = nominal.dof_damping * draw.damping + draw.drag * nominal.dof_M0 * self._in_joints
+        model.dof_frictionloss[:] += draw.friction * self.load * self._in_joints
+        model.geom_friction[:] *= draw.contact_friction
+        model.pair_friction[:] *= draw.contact_friction
+        try:
+            mujoco.mj_setConst(model, data)  # contacts are as hard as the inertias behind them, and those are cached
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            raise PlannerError(f"MuJoCo refuses the perturbed model: {' '.join(str(error).split())}") from None
+        return model
+
+
+def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
+    """The largest force (nv,) of actuators, and of weight and Coriolis, at knots of the plan."""
+    mujoco = load_mujoco()
+    data, loads = mujoco.MjData(model), np.zeros(model.nv)
+    for n in np.unique(np.linspace(0, plan.N - 1, _MOST_KNOTS).round().astype(int)):
+        state = twin.sim_of(plan.xs[n])
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(state, [model.nq, model.nq + model.nv])
+        data.ctrl[:] = plan.us[n]
+        mujoco.mj_forward(model, data)
+        loads = np.maximum(loads, np.maximum(np.abs(data.qfrc_bias), np.abs(data.qfrc_actuator)))
+    return loads

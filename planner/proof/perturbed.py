@@ -1,0 +1,284 @@
+"""Step 5 of a proof: how often a plan still succeeds on a machine that is not quite the one it was made for.
+
+Seeded Monte Carlo in MuJoCo, open loop and with the plan's gains: masses, friction, start, controls and their delay are
+wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The figures are not
+judged: what rate is enough is the user's to say.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import count, number
+from planner.figures import Figure, Section
+from planner.jsonable import finite
+from planner.plan import Plan
+from planner.proof.partial import Partial, fingerprint
+from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
+from planner.proof.rollouts import MODES, OutOfTime, Rollouts
+from planner.proof.statistics import Rate
+from planner.twin import Twin
+
+TOLERANCE = 0.1  # of the end state, largest component: rad, m, rad/s, m/s
+ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
+LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
+PERCENTILES = (5, 25, 50, 75, 95)
+_WORST = 5
+_PER_LEVEL = 20  # the fewest of which 95 % is a number other than all
+_SHARE = 20  # rollouts for each of a level of mass errors
+_FEWEST = 16  # rollouts, however short the budget
+_PIECES = 6  # of which at least one shall be done before a budget ends, on the slowest computer
+_USUAL = 0.3  # of the budget is what the estimate may fill, so that its error does not reach the rest
+
+
+@dataclass(frozen=True, eq=False)
+class Perturbed:
+    """What a Monte Carlo found. Modes are "open-loop" and "feedback".
+
+    Attributes:
+        perturbation: What was varied.
+        seed: Of the random numbers.
+        asked: Rollouts that were asked for, in each mode.
+        done: Rollouts that were run; with a budget it may be fewer.
+        step: The simulator's step, s.
+        control_step: How often the gains act, s.
+        tolerance: On the end state, rad, m, rad/s, m/s.
+        end_error: Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for
+            a simulation that exploded.
+        success: Per mode (done,), whether the rollout counts as one.
+        margin: Per mode, the largest mass error, relative, at which and below which 95 % succeed; NaN if not known.
+        per_level: Rollouts of each mass error behind the margin.
+        t: (T,) s, all knots of the plan, of a long one at most 201.
+        fans: Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts
+            that had not exploded by then.
+        notes: What there is to say about how it was done, one sentence each.
+    """
+
+    perturbation: Perturbation
+    seed: int
+    asked: int
+    done: int
+    step: float
+    control_step: float
+    tolerance: float
+    end_error: dict[str, np.ndarray]
+    success: dict[str, np.ndarray]
+    margin: dict[str, float]
+    per_level: int
+    t: np.ndarray
+    fans: dict[str, np.ndarray]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rates(self) -> dict[str, Rate]:
+        """Per mode, how many succeeded of how many."""
+        return {mode: Rate(int(won.sum()), len(won)) for mode, won in self.success.items()}
+
+    @property
+    def worst(self) -> dict[str, tuple[int, ...]]:
+        """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_case."""
+        return {
+            mode: tuple(int(k) for k in np.argsort(-error, kind="stable")[:_WORST])
+            for mode, error in self.end_error.items()
+        }
+
+    @property
+    def section(self) -> Section:
+        """The figures, without bounds."""
+        if not self.done:
+            return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
+        varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
+        figures = [Figure("rollouts", float(self.done), "", None, varied)]
+        for mode, rate in self.rates.items():
+            name = mode.replace("-", "_")
+            median = float(np.median(self.end_error[mode]))
+            figures += [
+                Figure(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson)"),
+                Figure(f"{name}_median_end_error", median, "", None, "largest component, rad, m, rad/s, m/s"),
+            ]
+            if math.isfinite(self.margin[mode]):
+                note = f"largest error of every body's mass at which, and below, 95 % of {self.per_level} succeed"
+                figures.append(Figure(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
+        return Section("perturbed", tuple(figures))
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but the fans as JSON values; what is not finite becomes null."""
+        return {
+            "perturbation": self.perturbation.to_dict(),
+            "seed": self.seed,
+            "rollouts": {"asked": self.asked, "done": self.done},
+            "timestep": self.step,
+            "control_step": self.control_step,
+            "tolerance": self.tolerance,
+            "notes": list(self.notes),
+            "modes": {
+                mode: {
+                    "success": rate.to_dict(),
+                    "worst": list(self.worst[mode]),
+                    "mass_margin": finite(self.margin[mode]),
+                    "end_error": finite([float(error) for error in self.end_error[mode]]),
+                }
+                for mode, rate in self.rates.items()
+            },
+        }
+
+
+def perturbed(
+    plan: Plan,
+    twin: Twin,
+    *,
+    rollouts: int = 512,
+    seed: int = 0,
+    perturbation: Perturbation | None = None,
+    tolerance: float = TOLERANCE,
+    budget: float | None = None,
+    partial: Path | None = None,
+    progress: Callable[[int, int], object] | None = None,
+    threads: int | None = None,
+) -> Perturbed:
+    """Simulate a plan many times with errors drawn at random, open loop and with its gains.
+
+    A rollout succeeds when it ends within `tolerance` of the plan's last state, or as the problem's requirements say.
+
+    Args:
+        plan: A plan of a problem.
+        twin: The MuJoCo model it is simulated in.
+        rollouts: How many, in each mode; rollout k is the same whatever their number.
+        seed: Of the random numbers, at least 0.
+        perturbation: What is varied; None for Perturbation().
+        tolerance: Largest component of the end state's deviation, rad, m, rad/s, m/s.
+        budget: s; fewer rollouts where they would take too long, and an end when it is used up.
+        partial: An .npz that keeps finished rollouts; those of this plan, seed and perturbation are not run again.
+        progress: Called with (rollouts finished, all), those behind the margin included.
+        threads: Of the simulator; by default one per core. No result depends on it.
+
+    Raises:
+        PlannerError: The plan cannot be simulated, or an argument that cannot be.
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+        FileError: `partial` cannot be read or written.
+    """
+    asked = count("rollouts", rollouts)
+    seed = count("seed", seed, least=0)
+    tolerance = number("tolerance", tolerance, above=0.0)
+    perturbation = Perturbation() if perturbation is None else perturbation
+    deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, above=0.0)
+    with Rollouts(plan, twin, threads) as simulator:
+        wanted = asked if budget is None else min(asked, _affordable(budget, simulator.seconds))
+        per_level = int(np.clip(wanted // _SHARE, 5, _PER_LEVEL))
+        notes = [] if wanted == asked else [f"{wanted} rollouts in place of {asked}, to keep within {budget:g} s."]
+        if perturbation.friction and simulator.nominal.ignores_friction:
+            notes.append("Dry friction does nothing here: the model's flags switch it off.")
+        store = Partial(None if partial is None else Path(partial), fingerprint(simulator, perturbation, seed))
+        sizes = simulator.nominal.sizes
+
+        def level_draw(i: int) -> Draw:
+            repeat, level = divmod(i, len(LEVELS))  # so that more rollouts per level continue the fewer
+            return draw_masses(LEVELS[level], seed, level, repeat, sizes)
+
+        parts = {
+            "cases": (wanted, lambda k: draw(perturbation, seed, k, sizes)),
+            "levels": (per_level * len(LEVELS), level_draw),
+        }
+        try:
+            size = simulator.batch_size if budget is None else _affordable(budget / _PIECES, simulator.seconds, least=4)
+            _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)
+        except OutOfTime:
+            notes.append(f"Stopped after {budget:g} s: how many rollouts there are depends on this computer.")
+        return _result(simulator, store, perturbation, seed, asked, wanted, per_level, tolerance, tuple(notes))
+
+
+def _affordable(budget: float, seconds: float, least: int = _FEWEST) -> int:
+    """How many rollouts, and those behind the margin with them, of so many seconds in one mode."""
+    return max(least, int(_USUAL * budget / (len(MODES) * seconds) / (1.0 + len(LEVELS) / _SHARE)))
+
+
+def _run(
+    simulator: Rollouts,
+    parts: dict[str, tuple[int, Callable[[int], Draw]]],
+    store: Partial,
+    size: int,
+    deadline: float,
+    progress: Callable[[int, int], object] | None,
+) -> None:
+    """Run what is not in the store yet, in batches of at most `size`, in both modes each."""
+    total, before = sum(wanted for wanted, _ in parts.values()), 0
+    for name, (wanted, draw_one) in parts.items():
+        done = len(store.arrays.get(f"{name}_end", ()))
+        while done < wanted:
+            batch = simulator.batch([draw_one(k) for k in range(done, min(done + size, wanted))])
+            runs = [simulator.run(batch, mode, deadline) for mode in MODES]
+            more = {f"{name}_end": np.stack([xs[:, -1] for xs in runs], axis=1)}
+            if name == "cases":
+                more["cases_deviation"] = np.stack([_deviations(simulator, xs) for xs in runs], axis=1)
+            store.add(**more)
+            done += len(batch.models)
+            if progress is not None:
+                progress(before + done, total)
+        before += wanted
+
+
+def _deviations(simulator: Rollouts, xs: np.ndarray) -> np.ndarray:
+    """Of states (K, T, nx) at the kept knots from the plan's (K, T, ndx), in single precision: they are for plots."""
+    with np.errstate(all="ignore"):  # of what has exploded
+        return simulator.plan.space.difference(xs, simulator.plan.xs[simulator.knots]).astype(np.float32)
+
+
+def _result(
+    simulator: Rollouts, store: Partial, perturbation: Perturbation, seed: int, asked: int, wanted: int,
+    per_level: int, tolerance: float, notes: tuple[str, ...],
+) -> Perturbed:  # fmt: skip
+    plan = simulator.plan
+    nothing = np.empty((0, len(MODES), plan.xs.shape[1]))
+    ends = store.arrays.get("cases_end", nothing)[:wanted]
+    levels = store.arrays.get("levels_end", nothing)
+    per_level = min(per_level, len(levels) // len(LEVELS))
+    levels = levels[: per_level * len(LEVELS)]
+    deviations = store.arrays.get("cases_deviation", np.empty((0, len(MODES), len(simulator.knots), plan.space.ndx)))
+    end_error, success, margin, fans = {}, {}, {}, {}
+    for m, mode in enumerate(MODES):
+        end_error[mode], success[mode] = _judged(plan, ends[:, m], tolerance)
+        _, kept = _judged(plan, levels[:, m], tolerance)
+        margin[mode] = _margin(kept.reshape(per_level, len(LEVELS)))
+        fans[mode] = _percentiles(deviations[:wanted, m])
+    return Perturbed(
+        perturbation=perturbation, seed=seed, asked=asked, done=len(ends), step=simulator.step,
+        control_step=simulator.control_step, tolerance=tolerance, end_error=end_error, success=success, margin=margin,
+        per_level=per_level, t=plan.t[simulator.knots], fans=fans, notes=notes,
+    )  # fmt: skip
+
+
+def _judged(plan: Plan, ends: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """End errors (K,) and successes (K,) of end states (K, nx)."""
+    sound = np.isfinite(ends).all(axis=1)
+    error, won = np.full(len(ends), np.inf), np.zeros(len(ends), dtype=bool)
+    error[sound] = np.abs(plan.space.difference(ends[sound], plan.xs[-1])).max(axis=1, initial=0.0)
+    own = None if plan.problem is None else getattr(plan.problem.requirements, "success", None)
+    won[sound] = error[sound] <= tolerance if own is None else own(ends[sound])
+    return error, won
+
+
+def _margin(kept: np.ndarray) -> float:
+    """The largest level at which, and at all below, enough of the rollouts (repeats, levels) succeed."""
+    if not len(kept):
+        return math.nan
+    enough = kept.mean(axis=0) >= ENOUGH
+    below = int(np.argmin(enough)) if not enough.all() else len(LEVELS)
+    return LEVELS[below - 1] if below else 0.0
+
+
+def _percentiles(deviations: np.ndarray) -> np.ndarray:
+    """(5, T, ndx) of (K, T, ndx); NaN where nothing is left."""
+    alive = np.logical_and.reduce(np.isfinite(deviations), axis=2)
+    if alive.size and alive.all():
+        return np.percentile(deviations, PERCENTILES, axis=0)
+    result = np.full((len(PERCENTILES), *deviations.shape[1:]), np.nan)
+    for t in np.flatnonzero(alive.any(axis=0)):
+        result[:, t] = np.percentile(deviations[alive[:, t], t], PERCENTILES, axis=0)
+    return result

@@ -1,0 +1,31 @@
+"""Ranges and shapes that a plan itself goes beyond: no replay of it can agree, whatever the step."""
+
+from __future__ import annotations
+
+from planner.gl import load_mujoco
+from planner.ranges import ranges_reached
+from planner.replay import Replay, matching_model
+
+
+def reached_by_plan(run: Replay) -> tuple[str, ...]:
+    """What of a replay's `reached` the plan's own knots reach too, one sentence each.
+
+    A replay that goes astray may reach anything, and that comes of its going astray.
+
+    Args:
+        run: A replay of the plan.
+    """
+    if not run.reached:
+        return ()
+    mujoco, plan = load_mujoco(), run.plan
+    model, w = matching_model(run.twin, plan.us.shape[1]), run.twin.sim_of(plan.xs)
+    ranges = ranges_reached(model, plan.t, w, plan.us)
+    if plan.problem is None or getattr(plan.problem.dynamics, "mechanism", None) is None:
+        return ranges  # such a plan may know of contacts; that of a mechanism does not
+    data = mujoco.MjData(model)
+    for t, state in zip(plan.t, w, strict=True):
+        data.qpos[:] = state[: model.nq]
+        mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            return (*ranges, f"shapes touch at t = {t:.4g} s.")
+    return ranges

@@ -1,0 +1,57 @@
+"""Step 3 of a proof: MuJoCo at a refined step against the plan, by the machine's own rules or by the general ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.figures import Figure, Section
+from planner.mechanism import Mechanism
+from planner.problem import Problem
+from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
+from planner.replay import Replay
+
+
+def tracking(run: Replay, problem: Problem) -> Section:
+    """How far one replay is from the plan."""
+    common = (
+        Figure("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
+        Figure(
+            "ranges_reached", float(len(run.reached)), "", None,
+            " ".join(run.reached) or "of joints, controls and forces: a plan knows none, MuJoCo holds them",
+        ),
+    )  # fmt: skip
+    if problem.requirements is not None and problem.requirements.tracking is not None:
+        section = problem.requirements.tracking(run)
+        return replace(section, figures=(*section.figures, *common))
+    error = np.abs(run.error)
+    with np.errstate(all="ignore"):
+        cost = 100.0 * abs(run.cost - run.plan.cost) / cost_scale(run.plan, problem)
+    return Section(
+        run.title,
+        (
+            Figure("end_state_error", float(error[-1].max()), "", STATE_BOUND, "largest component, rad, m, rad/s, m/s"),
+            Figure("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
+            *common,
+            *_along_the_path(error, problem),
+        ),
+    )
+
+
+def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Figure, ...]:
+    """The largest errors over the whole replay, by kind where the plan's states are a mechanism's."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return (Figure("largest_state_error", float(error.max()), "", None, "over the path, largest component"),)
+    turns, nv = np.any(mechanism.S[:, :3] != 0.0, axis=1), mechanism.nv
+    kinds = {
+        "largest_angle_error": (error[:, :nv][:, turns], "rad"),
+        "largest_distance_error": (error[:, :nv][:, ~turns], "m"),
+        "largest_angular_velocity_error": (error[:, nv : 2 * nv][:, turns], "rad/s"),
+        "largest_velocity_error": (error[:, nv : 2 * nv][:, ~turns], "m/s"),
+    }
+    return tuple(
+        Figure(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
+        if values.size
+    )  # fmt: skip

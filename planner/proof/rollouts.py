@@ -1,0 +1,246 @@
+"""Many perturbed simulations of one plan at once, by mujoco.rollout on all cores: open loop and with the plan's gains.
+
+The gains act at control steps, a quarter of a stage. The simulator takes half of that, or as much less as the model's
+own timestep says where there may be contacts: with errors of several percent a finer step shows nothing else. A
+rollout is the same to the last bit in any batch and on any number of threads: every segment starts from the physical
+state alone (no warm start), and what NumPy does here for many rollouts it does elementwise, since a matrix product
+may round differently in other company.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import number
+from planner.errors import PlannerError
+from planner.gl import load_mujoco, load_rollout
+from planner.plan import Plan
+from planner.proof.perturbation import Draw, Nominal
+from planner.replay import MOST_STEPS, between_knots, matching_model, may_touch
+from planner.twin import Twin
+
+MODES = ("open-loop", "feedback")
+CONTROL_STEPS = 4  # per stage
+MOST_KNOTS = 200  # at which states are kept
+BAD = 1e10  # MuJoCo's own: beyond, a simulation has exploded
+_SEGMENT = 16384  # numbers per rollout that MuJoCo hands back at a time
+_MEMORY = 256e6  # bytes that a batch's models may fill, and its states
+
+
+class OutOfTime(Exception):
+    """The deadline has passed; the batch is not finished."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Perturbed machines, ready to run.
+
+    Attributes:
+        models: K of MuJoCo's.
+        start: (K, nw) simulator states.
+        noise: (K, N, nu) added to the controls.
+        delay: (K,) steps of the simulator.
+    """
+
+    models: list[Any]
+    start: np.ndarray
+    noise: np.ndarray
+    delay: np.ndarray
+
+
+class Rollouts:
+    """The simulations of one plan. A context manager: it holds threads.
+
+    Attributes:
+        plan: What is simulated.
+        twin: The model, and the maps between its state and the plan's.
+        nominal: The machine as planned.
+        substeps: Simulator steps per control step.
+        x_of: Simulator states (..., nw) as plan states (..., nx).
+        knots: (T,) the stages at whose start (or end, the last) states are kept.
+    """
+
+    def __init__(self, plan: Plan, twin: Twin, threads: int | None = None) -> None:
+        """Prepare the model.
+
+        Raises:
+            PlannerError: The plan is not finite, comes without its problem, or takes too many steps.
+            ModelError: MuJoCo refuses the model, or it does not fit the plan.
+        """
+        if plan.problem is None:
+            raise PlannerError("the plan comes without its problem, expected one of planner.cases or one just solved.")
+        if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
+            raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
+        mujoco = load_mujoco()
+        model = matching_model(twin, plan.us.shape[1])
+        self.plan, self.twin, self.control_step = plan, twin, plan.problem.dynamics.dt / CONTROL_STEPS
+        own = number("the model's timestep", model.opt.timestep, above=0.0)
+        finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
+        # Only contacts, and parts that the plan does not know of, ask for the model's own step.
+        self.substeps = finest if may_touch(model) or twin.to_x.shape != (plan.xs.shape[1],) * 2 else min(finest, 2)
+        if self.steps > MOST_STEPS:
+            raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
+        model.opt.timestep = self.step
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what explodes would start anew
+        self.nominal = Nominal.of(model, plan, twin)
+        self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
+        self._plan_xs = between_knots(plan, CONTROL_STEPS)
+        self.x_of = _affine(twin.to_x, twin.to_x_offset)
+        self._scratch = mujoco.MjData(model)
+        self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self._row = np.empty(mujoco.mj_stateSize(model, self._full))
+        mujoco.mj_getState(model, self._scratch, self._row, self._full)
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        threads = cores if threads is None else threads
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
+
+    def __enter__(self) -> Rollouts:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.close()
+
+    @property
+    def step(self) -> float:
+        """The simulator's step, s."""
+        return self.control_step / self.substeps
+
+    @property
+    def steps(self) -> int:
+        """Of the simulator, per rollout."""
+        return self.plan.N * CONTROL_STEPS * self.substeps
+
+    @property
+    def _segment(self) -> int:
+        """Steps that run open loop without a look at the states: whole stages."""
+        per_stage = CONTROL_STEPS * self.substeps
+        return per_stage * max(1, min(2000, _SEGMENT // len(self._row)) // per_stage)
+
+    @property
+    def seconds(self) -> float:
+        """What a rollout costs in one mode, s, as far as the sizes tell; of no particular machine."""
+        return self.steps * 0.5 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
+
+    @property
+    def batch_size(self) -> int:
+        """Rollouts that run together: so many that they take seconds and fit the memory."""
+        model = self.nominal.model
+        own = model.nbuffer + 8 * (self.plan.N * model.nu + len(self.knots) * self.plan.space.ndx)
+        return int(max(1, min(_MEMORY / own, np.clip(3.0 / self.seconds, 32, 512))))
+
+    def batch(self, draws: Sequence[Draw]) -> Batch:
+        """The machines with these errors."""
+        plan = self.plan
+        assert plan.problem is not None  # checked at the start
+        x0 = plan.problem.x0
+        return Batch(
+            models=[self.nominal.with_errors(draw, self._scratch) for draw in draws],
+            start=np.array([self.twin.sim_of(plan.space.integrate(x0, draw.start)) for draw in draws]),
+            noise=np.array([draw.noise * self.nominal.control for draw in draws]),
+            delay=np.array([round(min(draw.delay / self.step, self.steps)) for draw in draws]),
+        )
+
+    def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
+        """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes.
+
+        Raises:
+            OutOfTime: time.monotonic() has passed the deadline.
+        """
+        K, nw = batch.start.shape
+        n, commands = self.pieces(batch, mode)
+        at = self.knots * CONTROL_STEPS * self.substeps  # the step before which each is kept
+        first = np.tile(self._row, (K, 1))
+        first[:, 1 : 1 + nw] = batch.start
+        row, sound, warm = first.copy(), np.ones(K, dtype=bool), np.zeros((K, self.nominal.model.nv))
+        xs = np.empty((K, len(at), self.plan.xs.shape[1]))
+        xs[:, 0] = self.x_of(batch.start)
+        states = np.empty((K, n, len(self._row)))
+        for i in range(0, self.steps, n):
+            if time.monotonic() > deadline:
+                raise OutOfTime
+            if self.steps - i < n:
+                n = self.steps - i
+                states = np.empty((K, n, len(self._row)))
+            with np.errstate(all="ignore"):  # of one about to explode
+                ctrl = commands(i, n, row[:, 1 : 1 + nw])
+            self._pool.rollout(
+                batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
+            )
+            row[:] = states[:, -1]
+            # MuJoCo stops a simulation that explodes, and its time with it.
+            sound &= np.all(np.abs(row) < BAD, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)
+            here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
+            if here.start < here.stop:
+                xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
+            if not sound.all():
+                row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
+        return xs
+
+    def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
+        """How many simulator steps run at a time, and (step i, n, states w (K, nw)) -> the next controls (K, n, nu)."""
+        if mode == "open-loop":
+            return self._segment, lambda i, n, w: self._held(batch, i, n)
+        return self.substeps, _Feedback(self, batch)
+
+    def deviation(self, w: np.ndarray, control_step: int) -> np.ndarray:
+        """By how much simulator states (K, nw) differ (K, ndx) from the plan at a control step."""
+        x, x_plan = self.x_of(w), self._plan_xs[control_step]
+        if len(x) > 1:
+            return self.plan.space.difference(x, x_plan)
+        # NumPy may take another sine for a single number than for several, with another last bit.
+        return self.plan.space.difference(np.repeat(x, 2, axis=0), x_plan)[:1]
+
+    def _held(self, batch: Batch, i: int, n: int) -> np.ndarray:
+        """The plan's controls over n steps, late and noisy."""
+        steps, per_stage = np.arange(i, i + n), CONTROL_STEPS * self.substeps
+        late = np.maximum(steps - batch.delay[:, None], 0) // per_stage
+        return self.plan.us[late] + batch.noise[:, steps // per_stage]
+
+
+class _Feedback:
+    """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; late and noisy."""
+
+    def __init__(self, rollouts: Rollouts, batch: Batch) -> None:
+        K, c = len(batch.models), rollouts.substeps
+        self._rollouts, self._noise = rollouts, batch.noise
+        self._past = (np.arange(c) - batch.delay[:, None]) // c  # (K, c) the control step that acts, from this one
+        self._commands = np.empty((1 - int(self._past.min(initial=0)), K, batch.noise.shape[2]))  # the last ones
+        self._each = np.arange(K)[:, None]
+
+    def __call__(self, i: int, n: int, w: np.ndarray) -> np.ndarray:
+        rollouts, past = self._rollouts, self._commands
+        j = i // rollouts.substeps
+        stage = j // CONTROL_STEPS
+        dx, gains = rollouts.deviation(w, j), rollouts.plan.K[stage]
+        u = np.tile(rollouts.plan.us[stage], (len(w), 1))
+        for column in np.flatnonzero(gains.any(axis=0)):
+            u += dx[:, column, None] * gains[:, column]
+        if j == 0:
+            past[:] = u  # held before the first instant
+        past[j % len(past)] = u
+        return past[(j + self._past) % len(past), self._each] + self._noise[:, stage, None]
+
+
+def _affine(matrix: np.ndarray, offset: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of v (..., n): matrix @ v + offset (..., m), rounded alike for any number of them."""
+    entries = [np.flatnonzero(row) for row in matrix]
+    if all(len(found) == 1 and row[found[0]] == 1.0 for row, found in zip(matrix, entries, strict=True)):
+        which = np.concatenate(entries)
+        return lambda v: v[..., which] + offset
+
+    def general(v: np.ndarray) -> np.ndarray:
+        result = np.zeros((*v.shape[:-1], len(matrix)))
+        for column in np.flatnonzero(matrix.any(axis=0)):
+            result += v[..., column, None] * matrix[:, column]
+        return result + offset
+
+    return general

@@ -1,0 +1,284 @@
+"""prove(): what an independent engine says of a plan, step by step, with every figure beside its bound.
+
+    0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
+    1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
+    2. same step    MuJoCo with the plan's own integrator and step: proves the transcription, nothing else
+    3. refined      MuJoCo at a refined step, open loop and with the plan's gains
+       growth       how errors grow along the plan, and the replay error that this predicts
+       order        what halving MuJoCo's step changes, and the cost at a step of zero
+    4. goal         whether the replay gets where the cost wanted it
+       hold         whether the machine stays there, where it is asked to
+    5. perturbed    how often it still arrives with other masses, friction, starts, noise and delay
+
+PASS needs 0, 1 and 2 (where they apply), and steps 3 and 4 in the same mode. Open loop is tried first, and needs the
+order too: a cost that a smaller step changes was never the plan's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import count, number, shown
+from planner.errors import PlannerError
+from planner.figures import Section
+from planner.gl import load_mujoco
+from planner.hold import Held, hold_gain, hold_section, replay_hold
+from planner.plan import Plan
+from planner.proof.another_model import another_model
+from planner.proof.consistency import consistency
+from planner.proof.goal import goal
+from planner.proof.growth import Growth, growth
+from planner.proof.order import Order, order
+from planner.proof.parity import parity
+from planner.proof.perturbation import Perturbation
+from planner.proof.perturbed import Perturbed, perturbed
+from planner.proof.refined import tracking
+from planner.proof.same_step import same_step
+from planner.replay import Replay, replay
+from planner.twin import Twin
+
+ROLLOUTS = 512
+MODES = ("open-loop", "feedback")
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What the simulator says of a plan.
+
+    Attributes:
+        verdict: "PASS" or "FAIL".
+        mode: "open-loop" or "feedback", the mode that passed; None when neither did.
+        reason: The verdict in a sentence.
+        plan: Step 0.
+        parity: Step 1.
+        same_step: Step 2.
+        refined_open_loop: Step 3 without gains.
+        refined_feedback: Step 3 with gains.
+        growth: Of errors along the plan, beside step 3.
+        order: Of the replay in MuJoCo's step, beside step 3.
+        goal: Step 4, in the mode that passed, else open loop.
+        hold: Whether it stays at the goal, where that was asked.
+        perturbed: Step 5.
+        replay: The replay in the mode that passed, else open loop.
+        replays: Mode -> replay.
+        errors: What `growth` was read from.
+        convergence: What `order` was read from; None where the plan has no order.
+        held: What `hold` was read from, or None.
+        monte_carlo: What `perturbed` was read from, or None.
+        asked: What proves the same again: the arguments of prove(), without another model.
+    """
+
+    verdict: str
+    mode: str | None
+    reason: str
+    plan: Section
+    parity: Section
+    same_step: Section
+    refined_open_loop: Section
+    refined_feedback: Section
+    growth: Section
+    order: Section
+    goal: Section
+    hold: Section
+    perturbed: Section
+    replay: Replay
+    replays: dict[str, Replay]
+    errors: Growth
+    convergence: Order
+    held: Held | None = None
+    monte_carlo: Perturbed | None = None
+    asked: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is PASS."""
+        return self.verdict == "PASS"
+
+    @property
+    def sections(self) -> dict[str, Section]:
+        """The steps in order."""
+        names = (
+            "plan", "parity", "same_step", "refined_open_loop", "refined_feedback", "growth", "order", "goal", "hold",
+            "perturbed",
+        )  # fmt: skip
+        return {name: getattr(self, name) for name in names}
+
+    def __str__(self) -> str:
+        mode = f" ({self.mode})" if self.mode else ""
+        return f"Proof({self.verdict}{mode}: {self.reason})"
+
+    __repr__ = __str__
+
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Every figure as step, name, value, bound and "ok" or "FAIL"."""
+        rows = []
+        for section in self.sections.values():
+            for figure in section.figures:
+                bound = "" if figure.bound is None else f"{figure.bound:g}"
+                mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
+                value = f"{figure.value:.5g} {figure.unit}".rstrip()
+                rows.append((section.title, figure.name.replace("_", " "), value, bound, mark))
+        return rows
+
+    def table(self) -> str:
+        """All figures beside their bounds, one line each, then the verdict."""
+        rows = [("step", "figure", "value", "bound", ""), *self.rows()]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        return "\n".join([*lines, str(self)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The proof as JSON values: proof.json."""
+        return {
+            "verdict": self.verdict,
+            "mode": self.mode,
+            "reason": self.reason,
+            **{name: section.to_dict() for name, section in self.sections.items()},
+            "asked": self.asked,
+            "monte_carlo": None if self.monte_carlo is None else self.monte_carlo.to_dict(),
+            "simulator": {
+                "engine": "MuJoCo",
+                "version": load_mujoco().__version__,
+                "integrator": self.replay.integrator,
+                "timestep": self.replay.timestep,
+                "steps_per_stage": self.replay.substeps,
+                "warnings": list(self.replay.warnings),
+            },
+        }
+
+
+@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+def prove(
+    plan: Plan,
+    *,
+    mjcf: str | Path | None = None,
+    twin: Twin | None = None,
+    seed: int = 0,
+    rollouts: int = ROLLOUTS,
+    perturbation: Perturbation | None = None,
+    hold_seconds: float = 0.0,
+    budget: float | None = None,
+    partial: Path | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Proof:
+    """Replay a plan in MuJoCo at a refined step, open loop and with its gains, and judge it.
+
+    Args:
+        plan: A plan of a problem with a twin.
+        mjcf: Another MJCF, a path or the XML text, in place of the plan's own; it must have the same states. What the
+            plan's mechanism took out of its file is taken out of this one too.
+        twin: Another model and other maps in place of the plan's own.
+        seed: Of the random states of parity and of the perturbations.
+        rollouts: Of step 5; 0 leaves it out.
+        perturbation: What step 5 varies; by default Perturbation().
+        hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
+        budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
+        partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
+        progress: Called with the rollouts done and their number.
+
+    Raises:
+        PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
+    """
+    if not isinstance(plan, Plan):
+        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+    problem = plan.problem
+    if problem is None:
+        raise PlannerError(
+            "the plan comes without its problem, which is its maker's own Python: expected prove() of a plan just "
+            "solved, or Plan.load(path, problem=...)."
+        )
+    count("seed", seed, least=0)
+    count("rollouts", rollouts, least=0)
+    number("hold_seconds", hold_seconds, least=0.0)
+    twin = twin or plan.twin
+    if twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    twin = another_model(problem, twin, mjcf)
+    runs = {mode: replay(plan, twin=twin, feedback=mode == "feedback") for mode in MODES}
+    first = (consistency(plan, problem), parity(problem, twin=twin, seed=seed), same_step(plan, problem, twin))
+    errors = growth(plan, problem, runs)
+    convergence = order(plan, problem, twin, runs["open-loop"])
+    steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
+    judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
+    sound = all(section.passed for section in first)
+    mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
+    seen = mode or "open-loop"
+    proof = Proof(
+        verdict="FAIL" if mode is None else "PASS",
+        mode=mode,
+        reason=_reason(mode, (*first, *judged[seen]), steps[seen], runs[seen]),
+        plan=first[0],
+        parity=first[1],
+        same_step=first[2],
+        refined_open_loop=steps["open-loop"][0],
+        refined_feedback=steps["feedback"][0],
+        growth=errors.section,
+        order=convergence.section,
+        goal=steps[seen][1],
+        hold=Section("hold", not_applicable="it was not asked for"),
+        perturbed=Section("perturbed", not_applicable="no rollouts were asked for"),
+        replay=runs[seen],
+        replays=runs,
+        errors=errors,
+        convergence=convergence,
+        asked={"seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "perturbation": None},
+    )
+    if hold_seconds:
+        proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
+    if not rollouts:
+        return proof
+    return with_rollouts(
+        proof, rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial, progress=progress
+    )
+
+
+def with_rollouts(
+    proof: Proof,
+    rollouts: int = ROLLOUTS,
+    *,
+    seed: int = 0,
+    perturbation: Perturbation | None = None,
+    budget: float | None = None,
+    partial: Path | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Proof:
+    """A proof with step 5 added; the arguments are those of prove()."""
+    perturbation = perturbation or Perturbation()
+    run = proof.replay
+    found = perturbed(
+        run.plan, run.twin, rollouts=rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
+        progress=progress,
+    )  # fmt: skip
+    asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(perturbation)}
+    return replace(proof, perturbed=found.section, monte_carlo=found, asked=asked)
+
+
+def _held(proof: Proof, held: Held) -> Proof:
+    """The proof with what holding the goal showed: a machine that was to stay and does not, fails."""
+    section = hold_section(held)
+    proof = replace(proof, hold=section, held=held)
+    if section.passed or not proof.passed:
+        return proof
+    reason = f"hold: {'; '.join(map(str, section.failures))}."
+    return replace(proof, verdict="FAIL", mode=None, reason=reason)
+
+
+def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section], run: Replay) -> str:
+    """The verdict in a sentence: what held, or what broke and by how much."""
+    if mode is None:
+        broken = next(section for section in judged if section.failures)
+        more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))
+        if broken.title == "parity":  # the first term that differs makes the later ones differ
+            return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}.{more}"
+        if broken.title == "plan" and run.plan.changed:
+            return f"plan: {broken.failures[-1].note}.{more}"
+        return f"{broken.title}: {'; '.join(map(str, broken.failures))}.{more}"
+    figures = [figure for section in steps for figure in section.figures if figure.bound]
+    worst = max(figures, key=lambda figure: figure.value / (figure.bound or 1.0))
+    how = "with the plan's gains" if mode == "feedback" else "open loop"
+    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

@@ -1,0 +1,55 @@
+"""A problem of our own parts in a plan's file: a mechanism's dynamics and a tracking cost are numbers and an MJCF text.
+
+What has a case or a problem.toml is rebuilt from its parameters instead. Any other dynamics or cost is its maker's
+Python, which no file holds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.cost import TrackingCost
+from planner.default_stage import default_stage
+from planner.dynamics import RigidBodyDynamics
+from planner.errors import PlannerError
+from planner.mechanism import Mechanism
+from planner.problem import Problem
+from planner.twin import Twin
+
+KIND = "mechanism and tracking cost"
+_COST = ("Q", "R", "x_ref", "u_ref")
+PARTS = (*_COST, "x0", "us")
+
+
+def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+    """What a file must hold of a problem: JSON values and arrays by name; None where that is not enough."""
+    if problem is None or problem.case is not None or type(problem.cost) is not TrackingCost:
+        return None
+    dynamics, twin = problem.dynamics, problem.twin
+    if type(dynamics) is not RigidBodyDynamics or dynamics.prescribed or problem.requirements is not None:
+        return None
+    if twin is None or twin.mjcf != dynamics.mechanism.mjcf:  # the model of the file is not the mechanism's
+        return None
+    arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
+    facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
+    return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
+
+
+def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:
+    """The problem that stored() described.
+
+    Raises:
+        PlannerError: A part is missing or does not fit.
+    """
+    missing = [name for name in PARTS if name not in arrays]
+    if facts.get("kind") != KIND or twin is None or missing:
+        what = f"without {', '.join(missing)}" if missing else f"of the kind {facts.get('kind')!r}"
+        raise PlannerError(f"its problem is {what}, expected {KIND} with {', '.join(PARTS)} and a model.")
+    from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
+
+    mechanism: Mechanism = read(twin.mjcf, assets=twin.assets)
+    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"))  # pyright: ignore
+    cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
+    return Problem(dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism))

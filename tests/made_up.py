@@ -1,0 +1,100 @@
+"""Plans, replays and proofs that nobody computed, for tests of plots, pages and files."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from planner.figures import Figure, Section
+from planner.plan import Iteration, Plan, Status
+from planner.proof.growth import Growth
+from planner.proof.order import Order
+from planner.proof.perturbation import Perturbation
+from planner.proof.perturbed import Perturbed
+from planner.replay import Replay
+from planner.stage import Panel, Stage
+from planner.twin import Twin
+
+MODES = ("open-loop", "feedback")
+STAGE = Stage(
+    "A mass on a spring",
+    plots=(
+        Panel("Height", "height (in)", states=((0, "height"),), difference=True),
+        Panel("Piston", "piston (in)", states=((2, "piston"),), controls=((0, "flow (in/s)"),)),
+    ),
+)
+N, SUBSTEPS, DT = 20, 5, 0.1
+
+
+def states(t):
+    """Three made-up states: height, its rate, piston."""
+    return np.stack([np.sin(3 * t), 3 * np.cos(3 * t), 0.2 * t], axis=-1)
+
+
+def make_plan():
+    """Twenty stages of what nobody solved."""
+    t = np.linspace(0.0, N * DT, N + 1)
+    problem = SimpleNamespace(stage=STAGE, dynamics=SimpleNamespace(nx=3))
+    history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
+    history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
+    twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
+    return Plan(
+        t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
+        Status.CONVERGED, tuple(history), problem=problem, case="spring", twin=twin,
+        parameters={"height": 20.0, "horizon": 200, "integrator": "rk4"}, made_with={"planner": "0.1.0"},
+    )  # fmt: skip
+
+
+def make_replay(plan, feedback=False, error=1e-3):
+    """A replay that drifts from the plan at a constant rate."""
+    t = np.linspace(0.0, N * DT, N * SUBSTEPS + 1)
+    xs = states(t)
+    xs[:, 0] += error * t
+    force = np.maximum(0.0, -xs[:, 0])
+    return Replay(
+        plan, plan.twin, feedback, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
+        np.repeat(plan.us, SUBSTEPS, axis=0), xs, states(t), force, np.full((len(t), 3), np.nan), SUBSTEPS,
+    )  # fmt: skip
+
+
+def make_perturbed(N_=N, done=40, errors=(0.5, 0.01)):
+    """Rollouts of which those without gains end far off."""
+    t = np.linspace(0.0, N_ * DT, N_ + 1)
+    spread = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None, None] * t[:, None] * np.array([1.0, 0.1, 0.01])
+    end_error = {mode: e * np.linspace(0.1, 2.0, done) for mode, e in zip(MODES, errors, strict=True)}
+    return Perturbed(
+        perturbation=Perturbation(), seed=7, asked=done, done=done, step=0.01, control_step=0.02, tolerance=0.1,
+        end_error=end_error, success={mode: values <= 0.1 for mode, values in end_error.items()},
+        margin=dict.fromkeys(MODES, 0.01), per_level=5, t=t,
+        fans={mode: e * spread for mode, e in zip(MODES, errors, strict=True)},
+    )  # fmt: skip
+
+
+def make_proof(plan, open_error=1e-3, gains_error=1e-4):
+    """What plots and films ask of a proof."""
+    replays = {"open-loop": make_replay(plan, False, open_error), "feedback": make_replay(plan, True, gains_error)}
+    measured = {mode: np.abs(run.error[::SUBSTEPS]).max(axis=1) for mode, run in replays.items()}
+    zeros = dict.fromkeys(MODES, np.zeros(N + 1))
+    errors = Growth(plan.t, zeros, {mode: 1.1 * values for mode, values in measured.items()}, measured, False)
+    steps = DT / 2.0 ** np.arange(5)
+    order = Order(
+        steps, np.zeros((5, 3)), np.full(5, 5.0), steps[:-1] ** 4, 4.0, 4.01, "", 5.0123, 1e-6, 1e-7, 5.0, 5.0
+    )
+    proof = proof_of()
+    vars(proof).update({
+        "replay": replays["open-loop"], "replays": replays, "errors": errors, "convergence": order,
+        "monte_carlo": make_perturbed(), "held": None,
+        "refined_open_loop": proof.sections["refined_open_loop"],
+        "refined_feedback": proof.sections["refined_feedback"],
+    })  # fmt: skip
+    return proof
+
+
+def proof_of(verdict="PASS", mode="open-loop", **sections):
+    every = {
+        "parity": Section("parity", (Figure("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
+        "same_step": Section("same step", not_applicable="Contact <is> solved otherwise."),
+        "refined_open_loop": Section("refined, open loop", (Figure("end_state", 2e-3, "in", 1e-2),)),
+        "refined_feedback": Section("refined, with feedback", (Figure("growth_rate", 1.5, "1/s"),)),
+        "goal": Section("goal", (Figure("height_error", 0.1, "%", 0.2),)),
+    } | sections
+    return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every)

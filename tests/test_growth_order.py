@@ -1,0 +1,140 @@
+"""Growth predicts the replay's error, and halving the step shows the integrator's order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import planner
+from planner import Problem, cases
+from planner.proof.growth import FACTOR, SMALL
+from planner.proof.order import ORDER_BOUND, _observed
+
+
+def proof_of(problem, **options):
+    return planner.prove(planner.solve(problem), rollouts=0, **options)
+
+
+def values(section):
+    return {figure.name: figure.value for figure in section.figures}
+
+
+@pytest.fixture(scope="module")
+def proofs():
+    problems = {
+        "two-link": cases.two_link(), "two-link, 0.02 s": cases.two_link(horizon=100), "acrobot": cases.acrobot(),
+        "acrobot, hanging": cases.acrobot(start="hanging"), "acrobot, 0.005 s": cases.acrobot(horizon=600),
+    }  # fmt: skip
+    return {name: proof_of(problem) for name, problem in problems.items()}
+
+
+@pytest.mark.parametrize("mode", ["open-loop", "feedback"])
+def test_the_replays_error_is_the_predicted_one(proofs, mode):
+    """Within a factor of 10 wherever the measured error is below 0.1, and mostly within 10 %."""
+    seen = 0
+    for proof in proofs.values():
+        measured, predicted = (part[mode].max() for part in (proof.errors.measured, proof.errors.predicted))
+        if measured < SMALL:
+            seen += 1
+            assert 1.0 / FACTOR < measured / predicted < FACTOR
+            assert proof.errors.ratio(mode) == pytest.approx(measured / predicted)
+        else:
+            assert proof.errors.ratio(mode) is None
+    assert seen >= 3
+
+
+def test_a_wrong_model_is_not_predicted():
+    """What a step cannot explain: a forearm 0.1 % heavier in MuJoCo alone, held by the gains."""
+    plan = planner.solve(cases.two_link())
+    from planner.mjcf import edited
+
+    text = edited(plan.twin.mjcf, {".//body[@name='forearm']/inertial": {"mass": "0.5005"}})
+    assert planner.prove(plan, mjcf=text, rollouts=0).errors.ratio("feedback") > FACTOR
+
+
+def test_the_transition_is_the_product_of_the_stages(proofs):
+    proof = proofs["acrobot"]
+    plan = proof.replay.plan
+    A, B = plan.problem.dynamics.linearize(plan.xs, plan.us)
+    for mode, stages in (("open-loop", A), ("feedback", A + B @ plan.K)):
+        phi = np.linalg.multi_dot(list(stages[::-1]))
+        norm = np.linalg.norm(phi, 2)
+        assert proof.errors.transition[mode][-1] == pytest.approx(np.log10(norm))
+        assert proof.errors.rate(mode) == pytest.approx(np.log(norm) / plan.t[-1])
+
+
+def test_gains_stop_the_growth(proofs):
+    for proof in proofs.values():
+        assert proof.errors.rate("feedback") < 0.0 < proof.errors.rate("open-loop")
+
+
+def test_runge_kutta_plans_show_its_order(proofs):
+    for proof in proofs.values():
+        order = proof.convergence
+        assert order.nominal == 4.0
+        assert order.judged == ""
+        assert order.observed > 4.0 - ORDER_BOUND
+        assert np.allclose(order.steps[:-1] / order.steps[1:], 2.0)
+        assert order.changes[-1] < order.changes[0]
+
+
+def test_the_extrapolated_cost_is_that_of_a_far_finer_replay(proofs):
+    proof = proofs["acrobot"]
+    plan, order = proof.replay.plan, proof.convergence
+    fine = planner.replay(plan, substeps=64).cost
+    assert abs(order.extrapolated_cost - fine) <= 10.0 * order.cost_uncertainty + 1e-9
+    assert abs(order.costs[0] - plan.cost) < 1e-6 * plan.cost  # MuJoCo's RK4 at the plan's step is the plan's
+
+
+def test_semi_implicit_euler_is_of_first_order():
+    """A slow motion of the arm, whose errors are small: the order is 1, and the cost moves by more than 1 %."""
+    proof = proof_of(cases.two_link(duration=1.0, horizon=400, integrator="semi-implicit-euler", guess="paper"))
+    assert proof.convergence.nominal == 1.0
+    assert proof.convergence.observed == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_first_order_method_in_place_of_the_fourth_is_seen(monkeypatch):
+    """MuJoCo's Euler where the plan says RK4: what `order_shortfall` is for."""
+    from planner.proof import order as module
+
+    own = module.advancing
+    monkeypatch.setattr(module, "advancing", lambda name, *rest: own("semi-implicit-euler", *rest))
+    proof = proof_of(cases.two_link(duration=1.0, horizon=400))
+    assert "order_shortfall" in [figure.name for figure in proof.order.failures]
+
+
+def test_a_cost_that_a_finer_step_changes_fails_open_loop():
+    proof = proof_of(cases.acrobot(start="hanging"))
+    assert values(proof.order)["cost_change"] > 1.0
+    assert proof.mode == "feedback"  # the gains hold it
+
+
+@pytest.mark.parametrize(
+    ("changes", "order"),
+    [
+        ([16.0, 4.0, 1.0], 2.0), ([1.0, 1e-10], None), ([1e-3, 1e-4, 1e-10], np.log2(10.0)), ([0.0, 0.0], None),
+        ([np.inf, np.nan], 0.0), ([1.0], None),
+    ],
+)  # fmt: skip
+def test_the_observed_order_of_changes(changes, order):
+    assert _observed(np.array(changes)) == (None if order is None else pytest.approx(order))
+
+
+def test_contact_is_shown_and_not_judged():
+    proof = proof_of(cases.hopper())
+    assert proof.convergence.judged
+    assert proof.passed
+    assert values(proof.order)["cost_change"] < 1.0
+
+
+def test_costs_near_zero_are_compared_with_what_an_error_costs():
+    """A plan that has nothing to do costs nothing; then 1 % of its cost is no measure."""
+    problem = cases.two_link()
+    start = np.array([np.pi / 2 + 1e-7, 0.0, 0.0, 0.0])
+    still = Problem(problem.dynamics, problem.cost, start, horizon=problem.N, twin=problem.twin)
+    proof = proof_of(still)
+    assert proof.passed, proof.reason
+    plan = proof.replay.plan
+    assert plan.cost < 1e-9
+    off = planner.prove(replace(plan, cost=plan.cost + 1e-3), rollouts=0)
+    assert [figure.name for figure in off.plan.failures] == ["cost_error"]

@@ -1,0 +1,169 @@
+"""problem.toml: a mistake gets one sentence that names it."""
+
+import pytest
+from carts import CART, refuse, write
+
+from planner import PlannerError
+from planner.commands.parser import PROBLEM_FILE, parse
+from planner.problem_file import load
+
+
+@pytest.mark.parametrize(
+    ("keys", "fragments"),
+    [
+        ({"gaol": "1"}, ("key 'gaol'", "Did you mean 'goal'", "duration")),
+        ({"model": None}, ("no key 'model'",)),
+        ({"start": None}, ("no key 'start'", "left, right", "slider, pole")),
+        ({"goal": None}, ("no key 'goal'", "2 or 4 numbers")),
+        ({"duration": None}, ("no key 'duration'", "seconds")),
+        ({"model": '"no.xml"'}, ("no.xml",)),
+        ({"model": "3"}, ("model is 3",)),
+        ({"start": '"lift"'}, ("start is 'lift'", "left, right", "Did you mean 'left'")),
+        ({"start": "[1.0]"}, ("start has 1 numbers", "2 or 4 numbers")),
+        ({"start": "[nan, 0.0]"}, ("start[0] is nan", "finite")),
+        ({"start": '["a", 0.0]'}, ("start is not an array of numbers",)),
+        ({"start": "1.0"}, ("start is 1.0", "table of joints")),
+        ({"goal": "{ elbow = 1.0 }"}, ("elbow", "slider, pole")),
+        ({"goal": '{ pole = "up" }'}, ("goal of pole",)),
+        ({"duration": "-1"}, ("duration is -1",)),
+        ({"duration": "1.02"}, ("duration is 1.02", "0.05", "e.g. 1")),
+        ({"duration": "1e9"}, ("duration / dt", "100000")),
+        ({"dt": "0.0"}, ("dt is 0.0", "greater than 0")),
+        ({"dt": '"fast"'}, ("dt is 'fast'",)),
+        ({"integrator": '"rk5"'}, ("rk5", "rk4")),
+        ({"guess": '"good"'}, ("guess", "hold, zero")),
+        ({"contacts": "false"}, ("contacts is False", "on, off")),
+        ({"ignore": '"friction"'}, ("ignore is 'friction'", "list")),
+        ({"ignore": '["friction"]'}, ("friction", "frictionloss")),
+        ({"starts": "0"}, ("starts is 0",)),
+        ({"seed": "-1"}, ("seed is -1",)),
+        ({"tolerance": "0"}, ("tolerance is 0",)),
+        ({"title": "3"}, ("title is 3",)),
+        ({"start": "true"}, ("start is True", "2 or 4 numbers")),
+        ({"goal": "true"}, ("goal is True", "2 or 4 numbers")),
+        ({"goal": "[true, 0.0]"}, ("goal is not an array of numbers",)),
+        ({"goal": "{ pole = true }"}, ("goal of pole is True", "a finite number")),
+        ({"goal": '["1", "2"]'}, ("goal is not an array of numbers",)),
+        ({"goal": "[[1, 2]]"}, ("goal is [[1, 2]]", "2 or 4 numbers", "slider, pole")),
+        ({"goal": "[{ pole = 1 }]"}, ("goal is [{'pole': 1}]", "2 or 4 numbers")),
+        ({"duration": "true"}, ("duration is True",)),
+        ({"ignore": '"foo"'}, ("ignore is 'foo'", "frictionloss", "equality")),
+        ({"ignore": "[1]"}, ("ignore is [1]", "frictionloss")),
+        ({"starts": "true"}, ("starts is True",)),
+        ({"starts": "10001"}, ("starts is 10001", "at most 10000")),
+        ({"seed": "9" * 400}, ("seed is 999", "...")),
+        ({"dt": "9" * 5000}, ("thousands of digits",)),
+    ],
+    ids=lambda given: str(given)[:60],
+)
+def test_wrong_keys_are_named(tmp_path, keys, fragments):
+    refuse(write(tmp_path, **keys), *fragments)
+
+
+@pytest.mark.parametrize(
+    ("weights", "fragments"),
+    [
+        ("efort = 1.0", ("'efort'", "Did you mean 'effort'")),
+        ("effort = 0.0", ("effort", "above 0")),
+        ("effort = { pull = 1.0 }", ("pull", "push")),
+        ("final_position = { pol = 1.0 }", ("pol", "Did you mean 'pole'")),
+        ("final_position = -1.0", ("final_position", "at least 0")),
+        ("final_velocity = nan", ("final_velocity", "nan")),
+        ('velocity = "some"', ("velocity is 'some'",)),
+        ("position = [1.0]", ("position has shape (1,)", "(2,)")),
+        ("effort = true", ("effort is True", "expected numbers")),
+        ('effort = "1"', ("effort is '1'", "expected numbers")),
+        ("final_position = { pole = true }", ("final_position['pole'] is True",)),
+        ("final_velocity = [true, 1.0]", ("final_velocity is [True, 1.0]",)),
+        ('position = ["1", "2"]', ("position is ['1', '2']",)),
+    ],
+)
+def test_wrong_weights_are_named(tmp_path, weights, fragments):
+    refuse(write(tmp_path, f"[weights]\n{weights}\n"), *fragments)
+
+
+def test_weights_are_a_table(tmp_path):
+    refuse(write(tmp_path, "weights = 3\n"), "weights is 3", "final_position")
+
+
+@pytest.mark.parametrize(
+    ("content", "fragments"),
+    [
+        (CART.replace("<motor", "<!-- <motor").replace('"slider"/></act', '"slider"/> --></act'), ("no actuators",)),
+        (CART.replace('mass="0.2"', 'mass="0"').replace('diaginertia="0.01 0.01 0.01"', ""), ("mass",)),
+        ('<!DOCTYPE m [<!ENTITY a "aaaa">]>' + CART, ("entities",)),
+        (CART.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'), ("gone.xml",)),
+        (CART.replace("<worldbody>", '<include file="cart.xml"/><worldbody>'), ("includes itself",)),
+        (CART.replace("damping", "frictionloss"), ("frictionloss",)),
+        (CART[:200], ("not well-formed",)),
+        ("", ("cart.xml",)),
+    ],
+    ids=["no actuators", "zero mass", "entities", "missing include", "circle", "friction", "cut", "empty"],
+)
+def test_models_that_cannot_be_used_are_named(tmp_path, content, fragments):
+    path = write(tmp_path)
+    (tmp_path / "cart.xml").write_text(content, encoding="utf-8")
+    refuse(path, *fragments)
+
+
+def test_files_that_are_no_problem(tmp_path):
+    refuse(tmp_path / "nowhere.toml", "nowhere.toml", "No such file")
+    (tmp_path / "a.toml").write_text("model = ", encoding="utf-8")
+    refuse(tmp_path / "a.toml", "a.toml is not TOML")
+    (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
+    refuse(tmp_path / "b.toml", "b.toml", "not text")
+    refuse(tmp_path, "directory")
+
+
+# To do nothing is no way to reach a goal
+
+STAYING = {"start": "[0.5, 0.2]", "goal": "[0.55, 0.2]"}
+
+
+def test_a_start_within_tolerance_of_the_goal_is_refused(tmp_path):
+    """The file says how near they are, so a smaller tolerance is easily chosen."""
+    refuse(write(tmp_path, **STAYING), "within tolerance 0.1", "largest difference 0.05", "smaller tolerance")
+    refuse(write(tmp_path, **STAYING, tolerance="0.051"), "within tolerance 0.051")
+    assert load(write(tmp_path, **STAYING, tolerance="0.049")).problem.N == 20
+
+
+def test_only_what_final_weights_act_on_must_be_away_from_the_goal(tmp_path):
+    keys = {"start": "[0.0, 0.0]", "goal": "[0.05, 2.0]"}
+    assert load(write(tmp_path, **keys)).problem.N == 20
+    slider = "[weights]\nfinal_position = { slider = 1e4 }\n"
+    refuse(write(tmp_path, slider, **keys), "within tolerance 0.1", "largest difference 0.05")
+    moving = {"start": "[0.0, 0.0, 0.0, 0.0]", "goal": "[0.05, 0.0, 0.0, 0.5]"}
+    assert load(write(tmp_path, **moving)).problem.N == 20
+
+
+def test_to_stay_at_the_goal_is_a_task(tmp_path):
+    for goal in ("[0.5, 0.2]", "{ slider = 0.5 }"):
+        assert load(write(tmp_path, start="[0.5, 0.2]", goal=goal)).problem.N == 20
+
+
+def test_a_goal_that_no_weight_asks_for_is_refused(tmp_path):
+    """Final weights only where start and goal are the same: nothing would move without weights on the way."""
+    keys = {"start": "[0.0, 0.0]", "goal": "[1.0, 0.0]"}
+    pole = "[weights]\nfinal_position = { pole = 1e4 }\n"
+    refuse(write(tmp_path, pole, **keys), "no weight is above 0 where start and goal differ")
+    assert load(write(tmp_path, pole + "position = { slider = 1.0 }\n", **keys)).problem.N == 20
+    none = "[weights]\nfinal_position = 0.0\nfinal_velocity = 0.0\n"
+    assert load(write(tmp_path, none, **keys)).problem.N == 20  # the proof says that nothing is asked of the goal
+
+
+# How files are named to the command line
+
+
+@pytest.mark.parametrize("command", ["run", "solve"])
+@pytest.mark.parametrize("name", ["lift.toml", "LIFT.TOML", "a/Lift.Toml"])
+def test_problem_files_are_known_by_their_ending(command, name):
+    arguments = parse([command, name])
+    assert (arguments.case, arguments.problem) == (PROBLEM_FILE, name)
+
+
+@pytest.mark.parametrize("name", ["model.xml", "Model.XML", "scene.mjcf"])
+def test_a_model_is_no_case(name):
+    with pytest.raises(PlannerError) as caught:
+        parse(["run", name])
+    for fragment in (f"{name} is a model", "two-link", PROBLEM_FILE, "names the model", "docs/own-machine.md"):
+        assert fragment in str(caught.value)

@@ -1,0 +1,305 @@
+"""The page of a plan: whole, in order, escaped, and seen by a browser without a network."""
+
+import base64
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_up import make_plan, make_proof, proof_of
+from PIL import Image
+
+from planner import cases
+from planner.encode import Encoder
+from planner.errors import FileError
+from planner.figures import Figure, Section
+from planner.plan import Start, Status
+from planner.plots import plot_plan, plot_proof
+from planner.problem_file import load
+from planner.refine import Refinement
+from planner.report import write_report
+from planner.report.reproduce import command, problem_text
+from planner.stage import Stage
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")
+
+
+@pytest.fixture
+def plan():
+    return make_plan()
+
+
+class Page(HTMLParser):
+    """Reads a page: its text, the sources of its media, its tags; fails when tags are not closed in order."""
+
+    VOID = frozenset({"meta", "img"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.sources, self.words = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+        self.text = re.sub(r"\s+", " ", " ".join(self.words))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.words.append(data)
+
+
+def page_of(plan, proof, folder, note=""):
+    return Page(write_report(plan, proof, folder, note).read_text(encoding="utf-8"))
+
+
+def test_the_verdict_comes_first_then_figures_pictures_video_parameters(plan, tmp_path):
+    Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
+    text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
+    expected = (
+        "PASS", "open-loop", "Within every bound.", "Proof", "Mass matrix", "3e-14", "≤ 1e-10", "pass",
+        "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Pictures", "Video",
+        "Not asked for.", "Solver", Status.CONVERGED.value, "Parameters of the case spring", "height", "20",
+        "rk4", "0.1.0", "<mujoco model='a & b'/>",
+    )  # fmt: skip
+    place = text.index("PASS", text.index("A mass on a spring"))
+    for words in expected:
+        place = text.index(words, place)
+    assert "FAIL" not in text
+
+
+def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
+    section = Section("goal", (Figure("height_error", math.inf, "%", 0.2), Figure("speed", math.nan, "", 1.0)))
+    page = write_report(plan, proof_of("FAIL", None, goal=section), tmp_path).read_text(encoding="utf-8")
+    assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both figures
+    assert '<div class="verdict fail"' in page
+    assert "∞\N{NO-BREAK SPACE}%" in page
+    assert "undefined" in page
+
+
+def test_a_plan_without_a_proof_fails_and_says_why(plan, tmp_path):
+    broken = replace(plan, status=Status.NOT_FINITE, cost=math.nan, gradient_norm=math.inf, history=())
+    text = page_of(broken, None, tmp_path).text
+    assert "FAIL" in text
+    assert "PASS" not in text
+    assert Status.NOT_FINITE.value in text
+    assert "nothing is proven" in page_of(plan, None, tmp_path).text
+
+
+def test_a_proof_of_a_plan_that_did_not_converge_says_both(plan, tmp_path):
+    text = page_of(replace(plan, status=Status.MAX_ITERATIONS), proof_of(), tmp_path).text
+    assert f"The solver did not converge: {Status.MAX_ITERATIONS.value}" in text
+
+
+def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
+    data = {"strip.png": b"strip", "plots.png": b"plots", "proof.png": b"proof", "video.mp4": bytes(range(256))}
+    for name, content in data.items():
+        (tmp_path / name).write_bytes(content)
+    page = page_of(plan, proof_of(), tmp_path, note="never shown")
+    embedded = [source.partition(";base64,") for source in page.sources]
+    assert [kind for kind, _, _ in embedded] == ["data:image/png"] * 3 + ["data:video/mp4"]
+    assert [base64.b64decode(text) for _, _, text in embedded] == list(data.values())
+    assert "never shown" not in page.text
+    assert "script" not in page.tags
+    assert "link" not in page.tags
+
+
+def test_all_text_is_escaped(plan, tmp_path):
+    evil = '<script>alert("1")</script>&amp;'
+    section = Section(evil, (Figure(evil, 1.0, evil, 2.0, evil),))
+    proof = proof_of("PASS", evil, goal=section, same_step=Section(evil, not_applicable=evil))
+    proof.reason = evil
+    marked = replace(
+        plan, case=evil, parameters={evil: evil, "list": [evil]}, made_with={evil: evil},
+        problem=SimpleNamespace(stage=Stage(evil)), twin=replace(plan.twin, mjcf=evil),
+    )  # fmt: skip
+    page = page_of(marked, proof, tmp_path, evil)
+    assert "script" not in page.tags
+    assert page.text.count(evil) >= 12
+
+
+def test_a_plan_read_without_its_problem(plan, tmp_path):
+    bare = replace(plan, problem=None, case=None, parameters={}, twin=None)
+    text = page_of(bare, proof_of(), tmp_path).text
+    assert "Parameters" not in text
+    assert "MJCF" not in text
+
+
+def test_a_name_that_is_no_unicode(plan, tmp_path):
+    assert page_of(replace(plan, parameters={"file": "a\udcffb"}), None, tmp_path)
+
+
+def test_a_missing_folder_is_one_sentence(plan, tmp_path):
+    with pytest.raises(FileError, match="missing' does not exist"):
+        write_report(plan, proof_of(), tmp_path / "missing")
+
+
+# How to make it again
+
+
+def of_case(plan, case, **parameters):
+    return replace(plan, case=case, parameters=cases.build(case, **parameters).parameters)
+
+
+@pytest.mark.parametrize(
+    ("case", "parameters", "line"),
+    [
+        ("acrobot", {}, "planner run acrobot"),
+        (
+            "acrobot", {"horizon": 150, "integrator": "semi-implicit-euler"},
+            "planner run acrobot --horizon 150 --integrator semi-implicit-euler",
+        ),
+        ("acrobot", {"start": "hanging", "mass1": 0.1 + 0.2},
+         "planner run acrobot --start hanging --mass1 0.30000000000000004"),
+        ("two-link", {"duration": 1.5}, "planner run two-link --duration 1.5"),
+    ],
+)  # fmt: skip
+def test_the_command_names_what_differs_from_the_defaults(plan, case, parameters, line):
+    assert command(of_case(plan, case, **parameters)) == line
+
+
+def test_the_command_makes_the_same_problem_again(plan):
+    from planner.commands.parser import parse
+
+    made = of_case(plan, "acrobot", start="hanging", horizon=123, position_weight=1 / 3)
+    arguments = parse(command(made).split()[1:])
+    given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
+    assert cases.build(arguments.case, **given).parameters == made.parameters
+
+
+def test_the_command_names_starts_and_the_options_that_were_given(plan):
+    starts = tuple(Start(k, Status.CONVERGED, 5.0 - k, 10, 5.0 - k) for k in range(4))
+    made = replace(of_case(plan, "acrobot"), starts=starts)
+    assert command(made) == "planner run acrobot --starts 4"
+    options = {"update": "open-loop", "seed": 3, "no_refine": True, "line_search": None}
+    assert command(made, (), options) == "planner run acrobot --update open-loop --seed 3 --no-refine --starts 4"
+
+
+def test_the_command_of_a_refined_plan_makes_the_plan_that_it_began_with(plan):
+    refined = of_case(plan, "acrobot", horizon=300)
+    first = of_case(plan, "acrobot", horizon=150, integrator="semi-implicit-euler")
+    path = [
+        Refinement("semi-implicit-euler", 0.02, 150, 9, 5.0, Status.CONVERGED, "FAIL", None, 6.2, math.nan),
+        Refinement("rk4", 0.01, 300, 4, 5.0, Status.CONVERGED, "PASS", "feedback", 1e-3, 2.0),
+    ]
+    assert command(refined, path) == command(first)
+    assert command(refined, path[1:]) == command(refined)
+
+
+def test_the_path_of_a_refinement_is_shown(plan, tmp_path):
+    path = [
+        Refinement("euler", 0.02, 150, 9, 5.0, Status.CONVERGED, "FAIL", None, 6.2, math.nan),
+        Refinement("rk4", 0.02, 150, 4, 4.0, Status.CONVERGED, "PASS", "feedback", 1e-3, 2.0),
+    ]
+    page = Page(write_report(plan, proof_of(), tmp_path, path=path).read_text(encoding="utf-8"))
+    for line in (Refinement.header(), *map(str, path)):
+        assert " ".join(line.split()) in page.text
+    assert "Refinement" not in page_of(plan, proof_of(), tmp_path).text
+
+
+MODEL = """<mujoco><worldbody><body><joint name="hinge 1" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body>
+</worldbody><actuator><motor joint="hinge 1"/></actuator></mujoco>"""
+
+
+def test_a_problem_file_is_shown_as_it_can_be_run_again(plan, tmp_path):
+    (tmp_path / "model.xml").write_text(MODEL)
+    written = """model = "model.xml"\nstart = [0.0]\ngoal = { "hinge 1" = 1.5 }\nduration = 2.0\nstarts = 3\n"""
+    (tmp_path / "mine.toml").write_text(written + "[weights]\neffort = 0.25\n")
+    problem = load(tmp_path / "mine.toml").problem
+    made = replace(plan, case=problem.case, parameters=problem.parameters)
+    assert command(made) == "planner run problem.toml"
+    (tmp_path / "problem.toml").write_text(problem_text(made))
+    assert load(tmp_path / "problem.toml").problem.parameters == problem.parameters
+    text = page_of(made, proof_of(), tmp_path).text
+    assert "planner run problem.toml" in text
+    assert 'goal = { "hinge 1" = 1.5 }' in text
+
+
+def test_a_plan_of_a_program_says_so(plan, tmp_path):
+    text = page_of(replace(plan, case=None, parameters={}), proof_of(), tmp_path).text
+    assert "planner run" not in text
+    assert "The plan was made by a program of its own." in text
+
+
+def test_seeds_are_named(plan, tmp_path):
+    text = page_of(plan, make_proof(plan), tmp_path).text
+    assert "Rollouts 40 in each mode; varied: mass 5 %" in text
+    assert "Seed of the rollouts 7" in text
+
+
+# In a browser
+
+
+def browse(page, *flags):
+    """What Chromium prints and logs; it cannot reach any network."""
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
+        "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={page.parent / 'profile'}", *flags, page.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
+    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+@pytest.fixture
+def page(plan, tmp_path):
+    """A whole page, with a film of three grey frames."""
+    proof = make_proof(plan)
+    plot_plan(plan, proof, tmp_path / "plots.png")
+    plot_proof(proof, tmp_path / "proof.png")
+    Image.new("RGB", (192, 54), "steelblue").save(tmp_path / "strip.png")
+    with Encoder(tmp_path / "video.mp4", 64, 36, 10, "video.mp4") as encoder:
+        for grey in (60, 120, 180):
+            encoder.write(np.full((36, 64, 3), grey, np.uint8))
+    return write_report(plan, proof, tmp_path)
+
+
+@with_browser
+def test_a_browser_shows_the_verdict_and_complains_of_nothing(page):
+    dom, console = browse(page, "--dump-dom")
+    assert console == []
+    assert re.search(r'<div class="verdict pass"[^>]*><strong>PASS</strong><span>open-loop</span>', dom)
+    assert dom.count("<img ") == 3
+    assert dom.count("<video ") == 1
+
+
+@with_browser
+def test_the_test_would_see_what_a_browser_complains_of(tmp_path):
+    (tmp_path / "broken.html").write_text("<script>console.error('broken'); nothing()</script>")
+    _, console = browse(tmp_path / "broken.html", "--dump-dom")
+    assert any("broken" in line for line in console)
+    assert any("nothing is not defined" in line for line in console)
+
+
+@with_browser
+@pytest.mark.parametrize(("width", "flag"), [(1100, ""), (390, "--force-dark-mode")])
+def test_the_verdict_is_seen_first_in_light_and_in_dark(page, tmp_path, width, flag):
+    shot = tmp_path / "shot.png"
+    _, console = browse(page, f"--window-size={width},4000", f"--screenshot={shot}", *filter(None, [flag]))
+    assert console == []
+    picture = np.asarray(Image.open(shot).convert("RGB")).astype(int)
+    assert picture.shape == (4000, width, 3)
+    tint, paper = ((22, 48, 31), (23, 25, 28)) if flag else ((229, 244, 234), (255, 255, 255))
+    tinted = np.abs(picture - tint).max(axis=-1) <= 2
+    assert tinted[:400].sum() > 0.15 * width * 100  # the card of the verdict
+    assert not tinted[600:].any()
+    assert (np.abs(picture - paper).max(axis=-1) <= 2).mean() > 0.2
+    assert picture[1000:].std() > 10  # there is more than the verdict
+
+
+def test_the_page_asks_for_nothing_outside_itself(page):
+    text = page.read_text(encoding="utf-8")
+    assert all(source.startswith("data:") for source in Page(text).sources)
+    assert not re.search(r"url\(|@import|<link|<script|srcset|<iframe", text)
