@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_discrete_are
 
 from planner.arguments import number
 from planner.cost import TrackingCost
@@ -62,6 +61,8 @@ def hold_gain(problem: Problem) -> Hold:
     Raises:
         PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be made stable.
     """
+    from scipy.linalg import LinAlgError, solve_discrete_are  # a fifth of a second that `import planner` does not pay
+
     x, free = _goal(problem)
     x, u = _equilibrium(problem, x, free)
     A, B, drift = _about(problem, x, u)
