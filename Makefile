@@ -31,9 +31,11 @@ gallery: setup ## make the committed pictures and videos again
 	    $(PLANNER) run $$case --out renders/$$case && \
 	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
 	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \
-	    cp renders/$$case/plots.png $(GALLERY)/$$case.plots.png || exit 1; \
+	    cp renders/$$case/plots.png $(GALLERY)/$$case.plots.png && \
+	    cp renders/$$case/proof.png $(GALLERY)/$$case.proof.png || exit 1; \
 	done
 	$(PLANNER) paper hopper --out $(GALLERY)/paper
+	$(PLANNER) paper --proofs --out $(GALLERY)/proofs
 
 clean: ## remove .venv and caches; results in renders/ stay
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

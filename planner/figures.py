@@ -29,7 +29,7 @@ class Figure:
     @property
     def passed(self) -> bool:
         """Whether the value is within the bound (a NaN never is)."""
-        return self.bound is None or self.value <= self.bound
+        return self.bound is None or bool(self.value <= self.bound)
 
     def __str__(self) -> str:
         bound = "" if self.bound is None else f" (bound {self.bound:.3g})"
@@ -40,7 +40,7 @@ class Figure:
         return {
             "value": finite(float(self.value)),
             "unit": self.unit,
-            "bound": self.bound,
+            "bound": None if self.bound is None else float(self.bound),
             "passed": self.passed,
             "note": self.note,
         }

@@ -99,7 +99,7 @@ EXHIBITS = (
 
 
 def proofs(
-    rollouts: int = 512, budget: float | None = BUDGET, progress: Callable[[str], object] = lambda _: None
+    rollouts: int = 256, budget: float | None = BUDGET, progress: Callable[[str], object] = lambda _: None
 ) -> list[dict[str, Any]]:
     """Plan and prove every exhibit.
 
@@ -146,7 +146,7 @@ def _cells(proof: Proof) -> list[str]:
         "none seen" if order is None else f"{order:.1f} of {proof.convergence.nominal:g}",
         _worst([figure for figure in proof.goal.figures if figure.name.startswith(("replayed", "final"))]),
         *rates,
-        "" if carlo is None or not carlo.done else f"{100.0 * carlo.margin['feedback']:g} %",
+        "" if carlo is None else _margin(carlo.margin.get("feedback", np.nan)),
     ]
 
 
@@ -157,6 +157,10 @@ def _worst(figures: Any) -> str:
 
 def _value(value: float) -> str:
     return f"{value:.1e}" if np.isfinite(value) else "runs away"
+
+
+def _margin(margin: float) -> str:
+    return f"{100.0 * margin:g} %" if np.isfinite(margin) else "no time"
 
 
 def _rate(rate: Rate | None) -> str:

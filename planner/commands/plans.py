@@ -131,15 +131,15 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     plan = Plan.load(arguments.plan)
     require_backend()
     if arguments.replay_case is not None:
-        run = _case(plan, arguments, _perturbation(arguments.perturb))
+        shown = _case(plan, arguments, _perturbation(arguments.perturb))
     else:
-        run = prove(plan, rollouts=0).replay
+        shown = prove(plan, rollouts=0)  # both of its replays, side by side
     size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))
     if out.suffix == ".png":
-        render_strip(run, out, **size)
+        render_strip(shown.replay if isinstance(shown, Proof) else shown, out, **size)
     else:
         render_video(
-            run, out, fps=arguments.fps, speed=arguments.speed,
+            shown, out, fps=arguments.fps, speed=arguments.speed,
             progress=lambda done, total: console.progress("video", done, total), **size,
         )  # fmt: skip
     console.say(str(out))
