@@ -72,10 +72,10 @@ def html(
     parts = [
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof),
-        _proof(proof),
+        _film(folder, video_note),  # people look before they read
         _pictures(folder),
-        _film(folder, video_note),
         _refinement(path),
+        _proof(proof),
         _solver(plan),
         _parameters(plan),
         _again(plan, proof, path, options or {}),
