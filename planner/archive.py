@@ -111,7 +111,7 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     _check_meta(named, meta)
     written = meta.pop("digests")
     content = {name: part for name, part in meta.items() if name != "format_version"}
-    meta["changed"] = changed(arrays, content, written) if written else ()
+    meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
     if meta["mjcf"] is not None:
         try:

@@ -64,17 +64,19 @@ class Checked:
         changes: What is not as stored.
         problem: Why nothing could be compared, "" when it could.
         proof: The new proof, None when there is none.
+        updated: Whether the new figures were stored.
     """
 
     plan: Path
     changes: tuple[Change, ...] = ()
     problem: str = ""
     proof: Proof | None = None
+    updated: bool = False
 
     @property
     def passed(self) -> bool:
-        """Whether nothing regressed."""
-        return not self.problem and not any(change.regressed for change in self.changes)
+        """Whether nothing regressed, or what did was accepted."""
+        return not self.problem and (self.updated or not any(change.regressed for change in self.changes))
 
     def __str__(self) -> str:
         what = self.problem or "; ".join(map(str, self.changes)) or "as stored"
@@ -138,13 +140,20 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
     except PlannerError as error:
         return Checked(path, problem=str(error))
     now = proof.to_dict()
-    changes = () if stored is None else tuple(_changes(stored, now, tolerance))
-    problem = "" if stored is not None else f"it has no stored figures, expected {file.name} beside it (--update)."
-    if update and (problem or changes):
-        with write_atomically(file) as unfinished:
-            unfinished.write_text(json_text(now), encoding="utf-8")
-        return Checked(path, proof=proof)
-    return Checked(path, changes, problem, proof)
+    if stored is None:
+        problem = f"it has no stored figures, expected {file.name} beside it (--update)."
+        if update:
+            _store(file, now)
+        return Checked(path, problem="" if update else problem, proof=proof)
+    changes = tuple(_changes(stored, now, tolerance))
+    if update and changes:
+        _store(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
+    return Checked(path, changes, proof=proof, updated=update and bool(changes))
+
+
+def _store(file: Path, proof: dict[str, Any]) -> None:
+    with write_atomically(file) as unfinished:
+        unfinished.write_text(json_text(proof), encoding="utf-8")
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -161,6 +170,8 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
     """The proof that was asked for when the figures were stored."""
     asked = (stored or {}).get("asked", {})
     try:
+        if asked.get("another_model"):
+            raise FileError("its figures are of another model (prove --mjcf), expected those of its own.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
     except (TypeError, AttributeError):

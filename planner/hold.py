@@ -21,14 +21,13 @@ from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.problem import Problem
-from planner.replay import MOST_STEPS, Replay, matching_model
+from planner.replay import MOST_STEPS, RUNAWAY, Replay, matching_model, unstable_at, warnings_of
 from planner.space import StateSpace, space_of
 
 BOUND = 0.01  # largest deviation over the last second, in rad, m, rad/s, m/s: what proofs ask of an end
 EQUILIBRIUM = 1e-3  # how far from the goal the nearest equilibrium may be, the same units: a tenth of the bound
 _WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
 _NEWTON = 20  # iterations
-_RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +150,7 @@ class Held:
         act: (M+1, na).
         ctrl: (M, nu) what was applied.
         xs: (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
-        warnings: How often MuJoCo complained.
+        warnings: What MuJoCo complained of, one sentence each.
     """
 
     hold: Hold
@@ -161,7 +160,7 @@ class Held:
     act: np.ndarray
     ctrl: np.ndarray
     xs: np.ndarray
-    warnings: int
+    warnings: tuple[str, ...]
 
     @property
     def deviation(self) -> np.ndarray:
@@ -197,14 +196,14 @@ def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
     w[0] = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])
     data.qpos[:], data.qvel[:], data.act[:] = replay.qpos[-1], replay.qvel[-1], replay.act[-1]
     for i in range(steps):
-        if not np.all(np.abs(w[i]) < _RUNAWAY):
+        if not np.all(np.abs(w[i]) < RUNAWAY):
             break
         data.ctrl[:] = ctrl[i] = hold.control(twin.x_of(w[i]))
         mujoco.mj_step(model, data)
         w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     t = replay.t[-1] + replay.timestep * np.arange(steps + 1)
-    warnings = sum(int(data.warning[k].number) for k in range(int(mujoco.mjtWarning.mjNWARNING)))
+    warnings = (*unstable_at(model, w, replay.t[-1]), *warnings_of(mujoco, data))
     return Held(hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
 
 
@@ -221,6 +220,6 @@ def hold_section(held: Held) -> Section:
             Figure("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
             Figure("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
             Figure("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
-            Figure("simulator_warnings", float(held.warnings), "", 0.0, "while the goal was held"),
+            Figure("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
         ),
     )

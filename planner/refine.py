@@ -62,9 +62,10 @@ class Refinement(NamedTuple):
 
     def __str__(self) -> str:
         verdict = f"{self.verdict} ({self.mode})" if self.mode else self.verdict
+        took = "" if math.isnan(self.seconds) else f"{self.seconds:.1f}"
         return (
             f"{self.integrator:>19}  {self.dt:9.4g}  {self.horizon:7d}  {self.iterations:10d}  {self.cost:13.6g}  "
-            f"{self.end_state_error:15.2e}  {self.seconds:7.1f}  {verdict:<16}  {self.status.name}"
+            f"{self.end_state_error:15.2e}  {took:>7}  {verdict:<16}  {self.status.name}"
         )
 
     @staticmethod

@@ -26,7 +26,7 @@ from planner.twin import Twin
 
 REFINEMENT = 20  # simulator steps per stage, at least
 MOST_STEPS = 5_000_000  # some minutes and 1 GB
-_RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
+RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +215,9 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
             touching = touching or _touching(model, probe, i * model.opt.timestep)
         mujoco.mj_step(model, data)
         w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
-        if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < _RUNAWAY):
+        if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < RUNAWAY):
             break
-    unstable = _unstable(model, w, substeps)
+    unstable = unstable_at(model, w)
     if probe is not None and not unstable:
         force[M], point[M] = contact_now(mujoco, model, data, probe)
     t = model.opt.timestep * np.arange(M + 1)
@@ -231,17 +231,17 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     )  # fmt: skip
 
 
-def _unstable(model: Any, w: np.ndarray, substeps: int) -> tuple[str, ...]:
-    """Where and when the states w (M+1, nq + nv + na) ran away, in a sentence; nothing when they did not."""
+def unstable_at(model: Any, w: np.ndarray, start: float = 0.0) -> tuple[str, ...]:
+    """Where and when the states w (M+1, nq + nv + na) ran away, in a sentence, and NaN from there; else nothing."""
     with np.errstate(invalid="ignore"):
-        bad = ~(np.abs(w) < _RUNAWAY)
+        bad = ~(np.abs(w) < RUNAWAY)
     if not bad.any():
         return ()
     first = int(np.argmax(bad.any(axis=1)))
     w[first:] = np.nan
     dofs = np.flatnonzero(bad[first, model.nq : model.nq + model.nv])
     where = f" at {named(model, 'joint', int(model.dof_jntid[dofs[0]]))}" if len(dofs) else ""
-    return (f"MuJoCo's simulation became unstable{where} at t = {first * model.opt.timestep:.4g} s.",)
+    return (f"MuJoCo's simulation became unstable{where} at t = {start + first * model.opt.timestep:.4g} s.",)
 
 
 def _touching(model: Any, probe: Any, t: float) -> str:

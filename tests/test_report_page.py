@@ -66,14 +66,14 @@ def page_of(plan, proof, folder, note=""):
     return Page(write_report(plan, proof, folder, note).read_text(encoding="utf-8"))
 
 
-def test_the_verdict_comes_first_then_figures_pictures_video_parameters(plan, tmp_path):
+def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path):
     Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
-        "PASS", "open-loop", "Within every bound.", "Proof", "Mass matrix", "3e-14", "≤ 1e-10", "pass",
-        "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Pictures", "Video",
-        "Not asked for.", "Solver", Status.CONVERGED.value, "Parameters of the case spring", "height", "20",
-        "rk4", "0.1.0", "<mujoco model='a & b'/>",
+        "PASS", "open-loop", "Within every bound.", "Video", "Not asked for.", "Pictures", "Proof", "Mass matrix",
+        "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Solver",
+        Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",
+        "<mujoco model='a & b'/>",
     )  # fmt: skip
     place = text.index("PASS", text.index("A mass on a spring"))
     for words in expected:
@@ -105,12 +105,12 @@ def test_a_proof_of_a_plan_that_did_not_converge_says_both(plan, tmp_path):
 
 
 def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
-    data = {"strip.png": b"strip", "plots.png": b"plots", "proof.png": b"proof", "video.mp4": bytes(range(256))}
+    data = {"video.mp4": bytes(range(256)), "strip.png": b"strip", "plots.png": b"plots", "proof.png": b"proof"}
     for name, content in data.items():
         (tmp_path / name).write_bytes(content)
     page = page_of(plan, proof_of(), tmp_path, note="never shown")
     embedded = [source.partition(";base64,") for source in page.sources]
-    assert [kind for kind, _, _ in embedded] == ["data:image/png"] * 3 + ["data:video/mp4"]
+    assert [kind for kind, _, _ in embedded] == ["data:video/mp4"] + ["data:image/png"] * 3
     assert [base64.b64decode(text) for _, _, text in embedded] == list(data.values())
     assert "never shown" not in page.text
     assert "script" not in page.tags

@@ -103,6 +103,32 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
     assert (tmp_path / "o" / "report.html").is_file()
 
 
+def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, capsys, monkeypatch):
+    words = [*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
+    with monkeypatch.context() as patch:
+        patch.setattr(run_command, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(words) == 130
+    capsys.readouterr()
+    assert main(words) == 0
+    said = document(capsys)
+    assert said["resumed"]
+    assert [line["verdict"] for line in said["refinement"]] == ["FAIL", "PASS"]
+
+
+def test_a_film_that_was_interrupted_is_made_by_the_next_run(tmp_path, capsys, monkeypatch):
+    words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
+    with monkeypatch.context() as patch:
+        patch.setattr("planner.commands.results.plot_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(words) == 130
+    assert (tmp_path / "o" / MARK).is_file()
+    before = (tmp_path / "o" / "plots.png").stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(words) == 0
+    assert document(capsys)["resumed"]
+    assert (tmp_path / "o" / "plots.png").stat().st_mtime_ns == before
+    assert (tmp_path / "o" / "proof.png").is_file()
+
+
 def test_another_problem_begins_anew(tmp_path):
     """The mark of an unfinished run is of that run alone."""
     outputs = ("plan.npz", "proof.json")

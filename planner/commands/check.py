@@ -29,8 +29,10 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
         console.table(("plan", "figure", "stored", "now", "bound", ""), rows)
     bad = sum(not one.passed for one in done)
     moved = sum(bool(one.changes) for one in done if one.passed)
-    how = "proved and stored" if arguments.update else "proved"
-    console.say(f"{len(done)} plans {how}: {bad} regressed, {moved} moved, {len(done) - bad - moved} as stored")
+    counts = {"proved": len(done), "regressed": bad, "moved": moved, "as stored": len(done) - bad - moved}
+    if arguments.update:
+        counts["updated"] = sum(one.updated for one in done)
+    console.say(f"plans {', '.join(f'{word}: {count}' for word, count in counts.items())}")
     code = REGRESSED if bad else UNCHANGED
     console.document(
         {

@@ -64,13 +64,18 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     plan = Plan.load(arguments.plan)
     perturbation = _perturbation(arguments.perturb)
     if arguments.replay_case is not None:
+        for flag in ("mjcf", "out"):
+            if getattr(arguments, flag) is not None:
+                raise PlannerError(
+                    f"--replay-case is of the plan's own model and prints, expected it without --{flag}."
+                )
         return _show_case(plan, arguments, perturbation, console)
 
     def judge() -> Proof:
         return prove(
             plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
             seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
-            progress=lambda done, total: console.progress("rollouts", done, total),
+            progress=lambda done, total: console.progress("perturbed simulations", done, total),
         )  # fmt: skip
 
     if arguments.out is None:
@@ -155,7 +160,7 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
         if np.isfinite(plan.xs).all() and np.isfinite(plan.cost):
             proof = prove(
                 plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold,
-                progress=lambda done, total: console.progress("rollouts", done, total),
+                progress=lambda done, total: console.progress("perturbed simulations", done, total),
             )  # fmt: skip
         write_results(plan, proof, staged.path, not arguments.no_video, console)
     if proof is not None:

@@ -139,11 +139,11 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def show_plan(plan: Plan, seconds: float, console: Console) -> None:
+def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
     """The solve in two lines."""
+    took = "" if seconds is None else f", {1e3 * seconds:.3g} ms"
     console.say(
-        f"{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, |gradient| {plan.gradient_norm:.2e}, "
-        f"{1e3 * seconds:.3g} ms"
+        f"{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, |gradient| {plan.gradient_norm:.2e}{took}"
     )
     if plan.starts:
         converged = sum(start.status is Status.CONVERGED for start in plan.starts)
@@ -154,17 +154,12 @@ def show_plan(plan: Plan, seconds: float, console: Console) -> None:
 
 def show_proof(proof: Proof, console: Console) -> None:
     """Every figure beside its bound, then the verdict."""
-    rows = []
-    for section in proof.sections.values():
-        for figure in section.figures:
-            bound = "" if figure.bound is None else f"{figure.bound:g}"
-            mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
-            value = f"{figure.value:.5g} {figure.unit}".rstrip()
-            rows.append((section.title, figure.name.replace("_", " "), value, bound, mark))
     console.say()
-    console.table(("step", "figure", "value", "bound", ""), rows)
+    console.table(("step", "figure", "value", "bound", ""), proof.rows())
     for section in proof.sections.values():
         if section.not_applicable:
             console.say(f"{section.title}: not applicable, {section.not_applicable}")
+    for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
+        console.say(line)
     mode = f" ({proof.mode})" if proof.mode else ""
     console.say(f"\n{proof.verdict}{mode}: {proof.reason}")

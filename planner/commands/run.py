@@ -15,6 +15,9 @@ import numpy as np
 from planner.arguments import count, number
 from planner.commands.problems import ProblemOf, asked_problem, name_of, solved
 from planner.commands.results import (
+    INTERRUPTED as UNFINISHED,
+)
+from planner.commands.results import (
     OUTPUTS,
     draw_results,
     plan_facts,
@@ -56,8 +59,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         except KeyboardInterrupt:
             if not folder.began:
                 raise
-            console.complain(f"interrupted; {', '.join(sorted(folder.finished))} in {place} are finished, and the "
-                             "same command goes on from there.")  # fmt: skip
+            finished = ", ".join(sorted(folder.finished))
+            console.complain(f"interrupted; {place} holds {finished}, and the same command goes on from there.")
             return INTERRUPTED
     console.document({"command": "run", **document, "folder": str(place), "exit_code": code})
     return code
@@ -77,21 +80,27 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 def _run(
     asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console
 ) -> tuple[int, dict[str, Any]]:
-    resumed = "plan.npz" in folder.finished
-    if resumed:
-        plan = Plan.load(folder.path / "plan.npz")
-        console.note(f"going on with {folder.path}: {', '.join(sorted(folder.finished))} are finished")
-        proof = _proved(plan, arguments.hold)
-        path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
-        seconds = float(folder.notes.get("seconds", 0.0))
-        show_plan(plan, seconds, console)
+    stored = Plan.load(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
+    if stored is None or stored.status is Status.INTERRUPTED:
+        resumed, path = False, ()
+        _check_model(asked.problem)
+        plan, seconds = solved(asked, arguments, console)
+        folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
-        plan, proof, path, seconds = _planned(asked, arguments, folder, console)
+        console.note(f"going on with {folder.path}, finished so far: {', '.join(sorted(folder.finished))}")
+        resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
+        path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
+    show_plan(plan, seconds, console)
+    proof = _proved(plan, arguments.hold)
+    if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
+        plan, proof, path = _refined(plan, proof, arguments, console)
+        if path:
+            folder.begin("plan.npz", plan.save, seconds=seconds, path=[refinement_row(line) for line in path])
     write_proof(plan, proof, folder.path, path)  # with all but the rollouts, which may be interrupted
     if proof is not None and arguments.rollouts:
         proof = with_rollouts(
             proof, arguments.rollouts, budget=BUDGET, partial=folder.path / PARTIAL,
-            progress=lambda done, total: console.progress("rollouts", done, total),
+            progress=lambda done, total: console.progress("perturbed simulations", done, total),
         )  # fmt: skip
         write_proof(plan, proof, folder.path, path)
     if proof is not None:
@@ -100,6 +109,8 @@ def _run(
         plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
         options=_flags(arguments),
     )  # fmt: skip
+    if note == UNFINISHED:
+        raise KeyboardInterrupt
     folder.end()
     files = [name for name in OUTPUTS if (folder.path / name).is_file()]
     console.say(f"\n{folder.path}: {', '.join(files)}")
@@ -110,25 +121,6 @@ def _run(
         "plan": plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [refinement_row(line) for line in path], "resumed": resumed, "files": files, "video_note": note,
     }  # fmt: skip
-
-
-def _planned(
-    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console
-) -> tuple[Plan, Proof | None, tuple[Refinement, ...], float]:
-    """A plan that was never interrupted is in the folder when this returns, refined where that was needed."""
-    _check_model(asked.problem)
-    plan, seconds = solved(asked, arguments, console)
-    show_plan(plan, seconds, console)
-    path: tuple[Refinement, ...] = ()
-    try:
-        proof = _proved(plan, arguments.hold)
-        if proof is not None and not proof.passed and plan.status is not Status.INTERRUPTED and not arguments.no_refine:
-            plan, proof, path = _refined(plan, proof, arguments, console)
-    except KeyboardInterrupt:
-        folder.begin("plan.npz", plan.save)
-        raise
-    folder.begin("plan.npz", plan.save, path=[refinement_row(line) for line in path], seconds=seconds)
-    return plan, proof, path, seconds
 
 
 def _refined(
@@ -151,8 +143,10 @@ def _refined(
                   max_iterations=arguments.max_iterations, prove=lambda p: _certain(p, arguments.hold))  # fmt: skip
     if len(done.path) == 1:
         return plan, proof, ()
-    console.say(f"refined {len(done.path) - 1} times in {time.perf_counter() - began:.1f} s: {done.reason}")
-    show_plan(done.plan, time.perf_counter() - began, console)
+    if done.plan.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt  # a refinement cut short is begun again
+    console.say(f"refinements: {len(done.path) - 1}, in {time.perf_counter() - began:.1f} s; {done.reason}")
+    show_plan(done.plan, None, console)
     return done.plan, done.proof, done.path
 
 

@@ -10,9 +10,9 @@ from planner.arguments import count
 from planner.gl import load_mujoco
 from planner.plan import Plan
 from planner.proof.perturbation import Perturbation, draw
-from planner.proof.rollouts import BAD, CONTROL_STEPS, MODES, Rollouts
+from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
 from planner.ranges import ranges_reached
-from planner.replay import Replay, between_knots, contact_now, may_touch, warnings_of
+from planner.replay import RUNAWAY, Replay, between_knots, contact_now, may_touch, warnings_of
 from planner.twin import Twin
 
 
@@ -60,7 +60,7 @@ def replay_case(
                 force[i], point[i] = contact_now(mujoco, model, data, probe)
             mujoco.mj_step(model, data)
             w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
-            if not np.all(np.abs(w[i + 1]) < BAD):
+            if not np.all(np.abs(w[i + 1]) < RUNAWAY):
                 w[i + 1] = np.nan
                 break
         if probe is not None and np.isfinite(w[M]).all():

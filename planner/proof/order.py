@@ -86,7 +86,7 @@ class Order:
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
             figures.append(Figure("observed_order", float("nan"), "", None, note))
-        return Section("order", tuple(figures))
+        return Section("order, open loop", tuple(figures))
 
 
 def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:

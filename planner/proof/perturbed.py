@@ -108,6 +108,15 @@ class Perturbed:
                 figures.append(Figure(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
         return Section("perturbed", tuple(figures))
 
+    def lines(self) -> list[str]:
+        """The rates with their intervals, and which rollouts ended farthest off."""
+        lines = [f"perturbed: {note}" for note in self.notes]
+        for mode, rate in self.rates.items() if self.done else ():
+            worst = ", ".join(map(str, self.worst[mode]))
+            how = "open loop" if mode == "open-loop" else "with gains"
+            lines.append(f"perturbed, {how}: {rate} succeed; farthest off (--replay-case): {worst}")
+        return lines
+
     def to_dict(self) -> dict[str, Any]:
         """All but the fans as JSON values; what is not finite becomes null."""
         return {

@@ -83,7 +83,7 @@ def rigid_parity(
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
         figures.append(Figure(names.get(term, f"{term}_error"), value, "", bound, note))
-    return Section("parity", (*figures, unmodelled))
+    return Section("parity", (*figures, unmodelled) if unmodelled.passed else (unmodelled, *figures))
 
 
 def _unmodelled(mechanism: Mechanism, model: Any) -> Figure:

@@ -23,13 +23,12 @@ from planner.errors import PlannerError
 from planner.gl import load_mujoco, load_rollout
 from planner.plan import Plan
 from planner.proof.perturbation import Draw, Nominal
-from planner.replay import MOST_STEPS, between_knots, matching_model, may_touch
+from planner.replay import MOST_STEPS, RUNAWAY, between_knots, matching_model, may_touch
 from planner.twin import Twin
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage
 MOST_KNOTS = 200  # at which states are kept
-BAD = 1e10  # MuJoCo's own: beyond, a simulation has exploded
 _SEGMENT = 16384  # numbers per rollout that MuJoCo hands back at a time
 _MEMORY = 256e6  # bytes that a batch's models may fill, and its states
 
@@ -177,7 +176,7 @@ class Rollouts:
             )
             row[:] = states[:, -1]
             # MuJoCo stops a simulation that explodes, and its time with it.
-            sound &= np.all(np.abs(row) < BAD, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)
+            sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)
             here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
             if here.start < here.stop:
                 xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])

@@ -38,12 +38,12 @@ from planner.proof.parity import parity
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, perturbed
 from planner.proof.refined import tracking
+from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.replay import Replay, replay
 from planner.twin import Twin
 
 ROLLOUTS = 512
-MODES = ("open-loop", "feedback")
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,8 @@ class Proof:
         rows = [("step", "figure", "value", "bound", ""), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        return "\n".join([*lines, str(self)])
+        more = [] if self.monte_carlo is None else self.monte_carlo.lines()
+        return "\n".join([*lines, *more, str(self)])
 
     def to_dict(self) -> dict[str, Any]:
         """The proof as JSON values: proof.json."""
@@ -226,7 +227,13 @@ def prove(
         replays=runs,
         errors=errors,
         convergence=convergence,
-        asked={"seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "perturbation": None},
+        asked={
+            "seed": seed,
+            "rollouts": rollouts,
+            "hold_seconds": hold_seconds,
+            "perturbation": None,
+            "another_model": twin is not plan.twin,
+        },
     )
     if hold_seconds:
         proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
@@ -264,7 +271,12 @@ def _held(proof: Proof, held: Held) -> Proof:
     proof = replace(proof, hold=section, held=held)
     if section.passed or not proof.passed:
         return proof
-    reason = f"hold: {'; '.join(map(str, section.failures))}."
+    plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
+    miss = float(np.abs(plan.space.difference(proof.replays["feedback"].xs[-1], held.hold.x_goal)).max())
+    reason = (
+        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends {miss:.2g} from the goal (largest "
+        "component), too far for the regulator; larger final weights end nearer."
+    )
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
 
 
@@ -277,7 +289,10 @@ def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section],
             return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}.{more}"
         if broken.title == "plan" and run.plan.changed:
             return f"plan: {broken.failures[-1].note}.{more}"
-        return f"{broken.title}: {'; '.join(map(str, broken.failures))}.{more}"
+        failures = "; ".join(map(str, broken.failures))
+        if run.reached and broken.title != "plan":  # what was reached is why the rest differs
+            return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
+        return f"{broken.title}: {failures}.{more}"
     figures = [figure for section in steps for figure in section.figures if figure.bound]
     worst = max(figures, key=lambda figure: figure.value / (figure.bound or 1.0))
     how = "with the plan's gains" if mode == "feedback" else "open loop"
