@@ -35,7 +35,7 @@ gallery: setup ## make the committed pictures and videos again
 	    cp renders/$$case/proof.png $(GALLERY)/$$case.proof.png || exit 1; \
 	done
 	$(PLANNER) paper hopper --out $(GALLERY)/paper
-	$(PLANNER) paper --proofs --out $(GALLERY)/proofs
+	$(PLANNER) paper --proofs --out renders/proofs
 
 clean: ## remove .venv and caches; results in renders/ stay
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
