@@ -385,18 +385,3 @@ def test_prove_does_not_overwrite_a_plan(finished, tmp_path):
     refused(run("prove", "p.npz", "--out", "p.npz", cwd=tmp_path), ".json")
     refused(run("prove", "p.npz", "--out", "nowhere/p.json", cwd=tmp_path), "nowhere")
     assert plan.read_bytes() == before
-
-
-@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGHUP])
-def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
-    words = ["run", "hopper", "--height", "50", "--smoothing", "1e-4", "--horizon", "4000", "--integrator", "euler",
-             "--max-iterations", "1000000", "--no-video", "--out", "o"]  # fmt: skip
-    child = subprocess.Popen([*PLANNER, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    assert child.stderr is not None
-    for line in child.stderr:
-        if line.strip().startswith("9 "):
-            break
-    child.send_signal(kill)
-    child.communicate(timeout=60)
-    assert child.returncode == 128 + kill
-    assert list(tmp_path.iterdir()) == []

@@ -22,10 +22,11 @@ def refused(model, words):
     assert "\n" not in text
 
 
+pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+
+
 @pytest.fixture
 def pipe(tmp_path):
-    if not hasattr(os, "mkfifo"):
-        pytest.skip("no pipes with names here")
     os.mkfifo(tmp_path / "pipe")
     return tmp_path / "pipe"
 
@@ -41,6 +42,7 @@ def pipe(tmp_path):
         '<mujoco><asset><model name="m" file="{}"/></asset></mujoco>',
     ],
 )
+@pipes
 def test_pipes_devices_and_folders_are_not_read(pipe, tmp_path, text):
     for place, words in ((pipe, "a device or pipe"), ("/dev/zero", "a device or pipe"), (tmp_path, "Is a directory")):
         model = place

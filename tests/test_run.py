@@ -211,3 +211,18 @@ def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGHUP])
+def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
+    words = ["run", "hopper", "--height", "50", "--smoothing", "1e-4", "--horizon", "4000", "--integrator", "euler",
+             "--max-iterations", "1000000", "--no-video", "--out", "o"]  # fmt: skip
+    child = subprocess.Popen([sys.executable, "-m", "planner", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert child.stderr is not None
+    for line in child.stderr:
+        if line.strip().startswith("9 "):
+            break
+    child.send_signal(kill)
+    child.communicate(timeout=60)
+    assert child.returncode == 128 + kill
+    assert list(tmp_path.iterdir()) == []

@@ -172,7 +172,7 @@ def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
     dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts")
     axes.set_xlabel(f"end error, {ERROR}")
     ends = {mode: positive(errors) for mode, errors in rollouts.end_error.items()}
-    found = np.concatenate([*ends.values(), [rollouts.tolerance]])
+    found = np.concatenate([*ends.values(), [rollouts.tolerance], [1.0] if math.isnan(rollouts.tolerance) else []])
     found = found[np.isfinite(found)]
     low = max(float(found.min()), float(found.max()) / 10.0**_DECADES)
     bins = np.geomspace(0.8 * low, 1.25 * float(found.max()), _BINS + 1)
@@ -190,7 +190,10 @@ def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
         colour = MODE_COLOURS[mode]
         axes.hist(shown, bins=list(bins), color=colour, alpha=0.35, label=words)
         axes.hist(shown, bins=list(bins), histtype="step", color=colour, lw=1.2)
-    axes.axvline(rollouts.tolerance, color=RED, lw=1.1, label=f"tolerance {rollouts.tolerance:g}")
+    if math.isfinite(rollouts.tolerance):
+        axes.axvline(rollouts.tolerance, color=RED, lw=1.1, label=f"tolerance {rollouts.tolerance:g}")
+    else:
+        axes.plot([], [], " ", label="success by the machine's own rule")
     axes.set_xscale("log")
     axes.locator_params(axis="y", integer=True)
     _, highest_bar = axes.get_ylim()

@@ -49,7 +49,7 @@ class Perturbed:
         done: Rollouts that were run; with a budget it may be fewer.
         step: The simulator's step, s.
         control_step: How often the gains act, s.
-        tolerance: On the end state, rad, m, rad/s, m/s.
+        tolerance: On the end state, rad, m, rad/s, m/s; NaN where the machine has a rule of its own.
         end_error: Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for
             a simulation that exploded.
         success: Per mode (done,), whether the rollout counts as one.
@@ -95,12 +95,13 @@ class Perturbed:
         if not self.done:
             return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
         varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
+        rule = f"ends within {self.tolerance:g} of the plan's" if math.isfinite(self.tolerance) else "by its own rule"
         figures = [Figure("rollouts", float(self.done), "", None, varied)]
         for mode, rate in self.rates.items():
             name = mode.replace("-", "_")
             median = float(np.median(self.end_error[mode]))
             figures += [
-                Figure(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson)"),
+                Figure(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {rule}"),
                 Figure(f"{name}_median_end_error", median, "", None, "largest component, rad, m, rad/s, m/s"),
             ]
             if math.isfinite(self.margin[mode]):
@@ -125,7 +126,7 @@ class Perturbed:
             "rollouts": {"asked": self.asked, "done": self.done},
             "timestep": self.step,
             "control_step": self.control_step,
-            "tolerance": self.tolerance,
+            "tolerance": finite(self.tolerance),
             "notes": list(self.notes),
             "modes": {
                 mode: {
@@ -256,6 +257,8 @@ def _result(
         _, kept = _judged(plan, levels[:, m], tolerance)
         margin[mode] = _margin(kept.reshape(per_level, len(LEVELS)))
         fans[mode] = _percentiles(deviations[:wanted, m])
+    if _own_rule(plan) is not None:
+        tolerance = math.nan
     return Perturbed(
         perturbation=perturbation, seed=seed, asked=asked, done=len(ends), step=simulator.step,
         control_step=simulator.control_step, tolerance=tolerance, end_error=end_error, success=success, margin=margin,
@@ -263,12 +266,17 @@ def _result(
     )  # fmt: skip
 
 
+def _own_rule(plan: Plan) -> Callable[[np.ndarray], np.ndarray] | None:
+    """How the machine says which ends are successes, None for the general rule."""
+    return None if plan.problem is None else getattr(plan.problem.requirements, "success", None)
+
+
 def _judged(plan: Plan, ends: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """End errors (K,) and successes (K,) of end states (K, nx)."""
     sound = np.isfinite(ends).all(axis=1)
     error, won = np.full(len(ends), np.inf), np.zeros(len(ends), dtype=bool)
     error[sound] = np.abs(plan.space.difference(ends[sound], plan.xs[-1])).max(axis=1, initial=0.0)
-    own = None if plan.problem is None else getattr(plan.problem.requirements, "success", None)
+    own = _own_rule(plan)
     won[sound] = error[sound] <= tolerance if own is None else own(ends[sound])
     return error, won
 
