@@ -45,6 +45,7 @@ from planner.rigid_body import (
 )
 from planner.slq import solve
 from planner.space import StateSpace
+from planner.spline import SplineMotion, minimize_effort
 from planner.twin import Twin
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ __all__ = [
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
+    "SplineMotion",
     "Start",
     "StateSpace",
     "Status",
@@ -108,6 +110,7 @@ __all__ = [
     "jacobian_derivatives",
     "mass_matrix",
     "mass_matrix_derivatives",
+    "minimize_effort",
     "parity",
     "prove",
     "proven_cost",

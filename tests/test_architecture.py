@@ -41,7 +41,7 @@ ORDER = [
     ["engine"],
     ["multistart"],
     ["slq"],
-    ["guess"],
+    ["guess", "spline"],
     ["cases"],
     ["problem_file"],
     ["ranges"],
