@@ -27,7 +27,7 @@ def main() -> int:
     problem = planner.Problem(dynamics, cost, x0=crane.home, twin=planner.Twin.of(crane))
 
     plan = planner.solve(problem, callback=print)
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=64)  # 512 perturbed rollouts by default
     print(plan, proof, f"ends at {proof.replay.xs[-1].round(4)}", sep="\n")
 
     plan.save("crane.npz")
