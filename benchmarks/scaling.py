@@ -32,7 +32,7 @@ PHASES = {"linearise": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n ea
 JOINTS = (2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40)
 STAGES = (50, 100, 200, 400, 800)
 BURST = 3  # turns of a point at a time: the first wakes the caches up
-FIT_FROM = 12  # joints; below, what a call costs and padding to whole lanes hide the growth
+FIT_FROM = (2, 12)  # joints; below 12, what a call costs and padding to whole lanes hide some of the growth
 ARM = 7  # joints of the arm whose stages are varied
 LINEAR = 1.1  # of N: caches hold fewer of many stages
 SOLVES, SETTLED = 1000, 100
@@ -97,16 +97,17 @@ def growth(integrator: str, seconds: float) -> tuple[list[dict[str, Any]], list[
             print(json.dumps(point), flush=True)
         points.extend(new)
         for phase, bound in PHASES.items():
-            used = [p for p in new if over == "N" or p["value"] >= FIT_FROM]
-            slope = power([p["value"] for p in used], [p[phase] for p in used])
-            limit = LINEAR if over == "N" else bound
-            slopes.append(
-                {
-                    "slope_of": phase, "kind": kind, "over": over, "integrator": integrator, "slope": slope,
-                    "limit": limit, "met": slope <= limit,
-                }
-            )  # fmt: skip
-            print(json.dumps(slopes[-1]), flush=True)
+            for least in FIT_FROM if over == "n" else (0,):
+                used = [p for p in new if p["value"] >= least]
+                slope = power([p["value"] for p in used], [p[phase] for p in used])
+                limit = LINEAR if over == "N" else bound
+                slopes.append(
+                    {
+                        "slope_of": phase, "kind": kind, "over": over, "from": used[0]["value"],
+                        "integrator": integrator, "slope": slope, "limit": limit, "met": slope <= limit,
+                    }
+                )  # fmt: skip
+                print(json.dumps(slopes[-1]), flush=True)
 
     for kind, make in KINDS.items():
         series(kind, "n", JOINTS, lambda n, make=make: (make(n), 100))
@@ -159,7 +160,7 @@ def draw(points: list[dict[str, Any]], path: Path) -> None:
                     ax.loglog(x, y, style, color=colours[phase], ms=3.5, label=f"{phase}, {SHORT[integrator]}")
             shown = [p for p in points if (p["kind"], p["over"], p["integrator"]) == (kind, over, EULER)]
             if shown:
-                x, last = np.array([p["value"] for p in shown if over == "N" or p["value"] >= FIT_FROM]), shown[-1]
+                x, last = np.array([p["value"] for p in shown if over == "N" or p["value"] >= FIT_FROM[-1]]), shown[-1]
                 exponent = 1.0 if over == "N" else bound
                 guide = 1.6 * last[phase] * (x / last["value"]) ** exponent
                 ax.loglog(x, guide, ":", color=colours[phase], lw=1.0)
@@ -190,12 +191,12 @@ def main() -> None:
     kept = memory()
     draw(points, arguments.out)
 
-    print(f"\nslopes in logarithms (over n from {FIT_FROM} joints on)")
+    print("\nslopes in logarithms")
     word = {True: "met", False: "MISSED"}
     for s in slopes:
         print(
-            f"{s['kind']:<13} {SHORT[s['integrator']]:<6} {s['slope_of']:<10} {s['over']}^{s['slope']:.2f} "
-            f"<= {s['over']}^{s['limit']:g}: {word[s['met']]}"
+            f"{s['kind']:<13} {SHORT[s['integrator']]:<6} {s['slope_of']:<10} {s['over']} >= {s['from']:<3} "
+            f"{s['over']}^{s['slope']:.2f} <= {s['over']}^{s['limit']:g}: {word[s['met']]}"
         )
     print(
         f"memory from solve {SETTLED} to {SOLVES}: {kept['kept_bytes'] / 1024:+.1f} KiB kept, process "
