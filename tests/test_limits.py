@@ -19,10 +19,10 @@ def two_link(limits=None, horizon=100, **parameters):
 
 
 def bounded():
-    """A two-link whose both motors are at a bound for a part of the motion, as the unbounded plan asks for more."""
+    """A two-link whose both motors are at a bound for a part of the motion: four fifths of what it would ask for."""
     free = planner.solve(two_link())
-    most = 0.7 * np.abs(free.us).max(axis=0)
-    return two_link(Limits(control=(-most, most)))
+    most = 0.8 * np.abs(free.us).max(axis=0)
+    return replace(two_link(Limits(control=(-most, most))), us=free.us)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_bounds_far_away_change_nothing():
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 @pytest.mark.parametrize("feedback", [True, False])
 def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
-    problem = two_link(Limits(control=[5.0, 4.0] and (-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
+    problem = two_link(Limits(control=(-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
     engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
     rng, N = np.random.default_rng(1), problem.N
     hinges = problem.ranges.free()
@@ -146,8 +146,6 @@ def test_the_hinge_and_its_derivatives():
             ends.append((ranges.value(hinges, moved), ranges.added(hinges, zero, moved).q[n] - zero.q[n]))
         slopes = (ends[0][0] - ends[1][0]) / (2 * step)
         assert model.q[n, i] == pytest.approx(slopes, rel=1e-5, abs=1e-6)
-        moved_q = problem.cost.Q[n] @ np.eye(4)[i]  # of the tracking cost, which moves with xs and not with `zero`
-        assert moved_q is not None
         curvature = (ends[0][1] - ends[1][1]) / (2 * step)
         np.testing.assert_allclose(model.Q[n, i], curvature, atol=1e-4)
 
@@ -162,13 +160,13 @@ def pendulum(limits, N=20):
 
 
 def test_an_augmented_lagrangian_against_slsqp():
-    limits = Limits(control=8.5, state={1: (-0.1, 1.6)}, final="exact", tolerance=1e-6)
+    limits = Limits(control=4.9, state={1: (-0.1, 1.4)}, final="exact", tolerance=1e-6)
     problem = pendulum(limits)
     plan = planner.solve(problem)
     assert plan.success
     assert np.abs(plan.xs[-1] - [1.0, 0.0]).max() <= 1e-6
-    assert plan.xs[:, 1].max() <= 1.6 + 1e-6
-    assert (plan.us == 8.5).any()
+    assert plan.xs[:, 1].max() == pytest.approx(1.4, abs=1e-6)
+    assert (plan.us == 4.9).any()
 
     def xs(us):
         found = [problem.x0]
@@ -178,10 +176,10 @@ def test_an_augmented_lagrangian_against_slsqp():
 
     scipy = minimize(
         lambda us: problem.cost.value(xs(us), us.reshape(-1, 1)), plan.us.ravel() * 0.9, method="SLSQP",
-        bounds=Bounds(-8.5, 8.5), options={"maxiter": 300, "ftol": 1e-10},
+        bounds=Bounds(-4.9, 4.9), options={"maxiter": 300, "ftol": 1e-10},
         constraints=[
             NonlinearConstraint(lambda us: xs(us)[-1], [1.0, 0.0], [1.0, 0.0]),
-            NonlinearConstraint(lambda us: xs(us)[1:, 1], -0.1, 1.6),
+            NonlinearConstraint(lambda us: xs(us)[1:, 1], -0.1, 1.4),
         ],
     )  # fmt: skip
     assert scipy.success
