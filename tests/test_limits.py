@@ -1,16 +1,18 @@
-"""Limits: the minimum over a box, bounded solves, ranges and exact goals by augmented Lagrangian, and their refusals."""
+"""Limits: the minimum over a box, bounded solves, ranges and exact goals by augmented Lagrangian, refusals."""
 
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
+from carts import refuse, write
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 import planner
 from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, cases, lq
 from planner.box import box_minimum
 from planner.engine import CompiledEngine, NumpyEngine
+from planner.problem_file import load
 from planner.proof.consistency import consistency
 
 
@@ -263,3 +265,36 @@ def test_limits_of_the_hopper():
 def test_limits_that_are_refused(limits, words):
     with pytest.raises(PlannerError, match=words):
         two_link(Limits(**limits))
+
+
+LIMITS = """
+[limits]
+control = { push = 6.0 }
+velocity = { slider = [-1.0, 3.0] }
+position = { pole = [-0.5, 0.5] }
+final = "exact"
+"""
+
+
+def test_limits_of_a_problem_file(tmp_path):
+    plan = planner.solve(load(write(tmp_path, LIMITS, duration="2.0")).problem)
+    assert plan.success
+    assert np.abs(plan.us).max() <= 6.0
+    assert np.abs(plan.xs[:, 1]).max() <= 0.5 + 1e-4
+    assert np.abs(plan.xs[-1] - [1.0, 0.0, 0.0, 0.0]).max() <= 1e-4
+    again = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    assert again.problem.limits.to_dict() == plan.problem.limits.to_dict()
+    refuse(write(tmp_path, "[limits]\nspeed = 1.0"), "[limits]", "'speed'", "velocity")
+    refuse(write(tmp_path, "[limits]\ncontrol = {pull = 1.0}"), "'pull'", "push")
+    refuse(write(tmp_path, "[limits]\nvelocity = 'fast'"), "velocity", "'fast'")
+
+
+def test_the_figure_shows_bounds(tmp_path, plan):
+    """Two dotted bounds for each control, and a shade for each time that it is at one."""
+    from planner.plots.plan import draw_plan
+
+    figure = draw_plan(plan, None)
+    dotted = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == ":"]
+    assert len(dotted) == 4
+    shades = sum(len(axes.patches) for axes in figure.axes)
+    assert shades > 0
