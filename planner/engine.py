@@ -62,6 +62,10 @@ class Engine(Protocol):
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         ...
 
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        ...
+
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
         ...
@@ -122,6 +126,10 @@ class CompiledEngine:
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        return self._w.gradient.copy() if self._numpy is None else self._numpy.gradient()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
@@ -198,7 +206,8 @@ class NumpyEngine:
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._cost.quadratize(xs0, us0)
-            self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
+            self._gradient = lq.gradient(self._A, self._B, self._model)
+            self._norm = float(np.linalg.norm(self._gradient))
         sweep = lq.riccati(self._A, self._B, self._model, mu)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
@@ -228,6 +237,10 @@ class NumpyEngine:
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        return self._gradient.copy()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
