@@ -30,7 +30,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "acrobot": cases.acrobot,
 }
 # Each method of the figure: a line here is all that another one needs.
-SLQ: dict[str, dict[str, str]] = {
+SLQ: dict[str, dict[str, Any]] = {
     "SLQ, feedback update": {"update": "feedback"},
     "SLQ, open-loop update": {"update": "open-loop"},
 }
@@ -81,7 +81,7 @@ def gradient_error(problem: Problem, directions: int = 5) -> float:
     return worst
 
 
-def _by_slq(problem: Problem, limit: int, options: dict[str, str]) -> dict[str, Any]:
+def _by_slq(problem: Problem, limit: int, options: dict[str, Any]) -> dict[str, Any]:
     times = [0.0]
     began = time.perf_counter()
 
