@@ -19,6 +19,7 @@ from planner.slq import solve
 FRAMES = 14  # as many as Fig. 3 has
 STATES = 50  # random ones per arm, for Fig. 2
 STARTS = 8  # first guesses of the better local minimum
+LIMIT = 300  # iterations of each; those that need more end higher
 
 
 def motion_results() -> dict[str, Any]:
@@ -54,7 +55,7 @@ def _motion(title: str, case: str, starts: int) -> dict[str, Any]:
     problem = cases.build(case)
     first = problem.dynamics.dt * 0.5 * float(np.sum(problem.first_guess**2))
     began = time.perf_counter()
-    plan = solve(problem, starts=starts)
+    plan = solve(problem, starts=starts, max_iterations=LIMIT)
     seconds = time.perf_counter() - began
     q, qd = plan.xs[:, :2], plan.xs[:, 2:]
     chosen = np.linspace(0, plan.N, FRAMES).round().astype(int)
@@ -149,21 +150,22 @@ def draw_motions(results: dict[str, Any], path: Path) -> None:
     from matplotlib.figure import Figure
 
     rows = results["motions"]
-    figure = Figure(figsize=(13.0, 2.1 * len(rows)), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(14.0, 1.75 * len(rows)), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), FRAMES, squeeze=False)
-    for axes_of_row, motion in zip(grid, rows, strict=True):
+    for axes, motion in zip(figure.subplots(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
         a, b = motion["lengths"]
         reach = 1.05 * (a + b)
-        for axes, (q1, q2), t in zip(axes_of_row, motion["frames"], motion["t_s"], strict=True):
-            x = np.cumsum([0.0, a * np.cos(q1), b * np.cos(q1 + q2)])
+        for frame, ((q1, q2), t) in enumerate(zip(motion["frames"], motion["t_s"], strict=True)):
+            place = 2.1 * reach * frame
+            x = place + np.cumsum([0.0, a * np.cos(q1), b * np.cos(q1 + q2)])
             y = np.cumsum([0.0, a * np.sin(q1), b * np.sin(q1 + q2)])
-            axes.plot(*np.array(motion["path"]).T, color="#d9d9d9", lw=0.8)
+            hand = np.array(motion["path"])
+            axes.plot(place + hand[:, 0], hand[:, 1], color="#d9d9d9", lw=0.8)
             axes.plot(x[:2], y[:2], color="#08306b", lw=3.0, solid_capstyle="round")
             axes.plot(x[1:], y[1:], color="#c1570a", lw=3.0, solid_capstyle="round")
             axes.plot(x[:2], y[:2], ".", color=INK, ms=4)
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-            axes.set_axis_off()
-            axes.text(0.5, -0.02, f"{t:.2f} s", transform=axes.transAxes, ha="center", fontsize=7, color=SOFT)
-        axes_of_row[0].set_title(f"{motion['title']}: effort {motion['effort']:.2f}", fontsize=9, loc="left", color=INK)
+            axes.text(place, -1.3 * reach, f"{t:.2f} s", ha="center", fontsize=7.5, color=SOFT)
+        axes.set(xlim=(-1.1 * reach, 2.1 * reach * FRAMES - reach), ylim=(-1.4 * reach, 1.1 * reach), aspect="equal")
+        axes.set_axis_off()
+        axes.set_title(f"{motion['title']}: effort {motion['effort']:.2f}", fontsize=9.5, loc="left", color=INK)
     save(figure, path)
