@@ -30,7 +30,9 @@ METHODS = ("l-bfgs", "steepest-descent")
 
 _SHORTEST = 2.0**-60  # of the first trial step: below it, rounding decides
 _CORRECTIONS = 10  # gradients that L-BFGS remembers, SciPy's own default
-_WORST = 1e100  # stands for an infinite cost where SciPy interpolates: finite, and above every cost of use
+_STEEP = (
+    4.0  # times the steepest rise from here: an infinite cost, told so that interpolation takes a tenth of the step
+)
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0  # of a sweep, as in solve(); the gradient does not depend on it
 
 
@@ -243,8 +245,11 @@ def _l_bfgs(walk: _Walk, limit: int) -> Status:
         us = flat.reshape(shape).copy()
         if not np.array_equal(us, last[0]):
             cost = walk.objective.cost(us)
-            finite = -math.inf < cost < _WORST
-            last = us, cost if finite else _WORST, walk.objective.gradient() if finite else np.zeros(shape)
+            if math.isfinite(cost):
+                last = us, cost, walk.objective.gradient()
+            else:  # SciPy's interpolation needs a number, and of a size that does not shrink the step to nothing
+                rise = _STEEP * walk.norm * float(np.linalg.norm(us - walk.us))
+                last = us, walk.cost + rise, np.zeros(shape)
         return last[1], last[2].ravel()
 
     def heed(intermediate_result: OptimizeResult) -> None:
