@@ -263,7 +263,8 @@ def theorem_markdown(results: dict[str, Any]) -> str:
         "",
         "Open-loop is Eq. 43 as printed. MAX_ITERATIONS is slow convergence, not divergence: every step lowers the",
         "cost, but the LQ problem leaves out the curvature of the dynamics, and where that is large (a final state far",
-        "from the goal, arms that whirl) it promises too much and only short steps are taken. Median of the last",
+        "from the goal, arms that whirl) it promises too much and only short steps are taken; that this is the whole",
+        "reason is not shown here, exact second derivatives would tell. Median of the last",
         f"{LAST} step lengths of the starts that failed, where 1 is the LQ problem's own, with the feedback update: "
         + "; ".join(_steps(case, "feedback") for case in results["cases"])
         + "; open-loop: "
@@ -326,6 +327,8 @@ def draw_theorems(results: dict[str, Any], path: Path) -> None:
         along, entry = case["along"], case["feedback"]
         dress(top, f"{case['case']}: Eq. 42 along a solve", "relative difference" if first else "")
         top.semilogy(np.maximum(along["errors"], 1e-17), ".", color="#0b5aa6", ms=4)
+        top.set_ylim(1e-17, 1.0)  # from rounding to nothing in common
+        top.locator_params(axis="x", integer=True)
         top.set_xlabel("iteration")
         dress(middle, f"{_share(entry)} random starts converged", "starts" if first else "")
         if entry["iterations"]:
@@ -337,7 +340,7 @@ def draw_theorems(results: dict[str, Any], path: Path) -> None:
             far = max(finite) > 2.0 * min(finite)
             bins = (np.geomspace if far else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
             sets, colours = [entry["costs"], entry["failed_costs"]], ["#0b5aa6", RED]
-            bottom.hist(sets, bins=list(bins), stacked=True, color=colours, label=["converged", "limit reached"])
+            bottom.hist(sets, bins=list(bins), stacked=True, color=colours, label=["converged", "not converged"])
             bottom.set_xscale("log" if far else "linear")
             bottom.legend(frameon=False, fontsize=8, labelcolor=SOFT)
         bottom.set_xlabel("final cost J")
