@@ -34,7 +34,7 @@ gallery: setup ## make the committed pictures and videos again
 	    cp renders/$$case/plots.png $(GALLERY)/$$case.plots.png && \
 	    cp renders/$$case/proof.png $(GALLERY)/$$case.proof.png || exit 1; \
 	done
-	$(PLANNER) paper hopper --out $(GALLERY)/paper
+	$(PLANNER) paper
 	$(PLANNER) paper --proofs --out renders/proofs
 
 clean: ## remove .venv and caches; results in renders/ stay

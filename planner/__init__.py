@@ -16,6 +16,7 @@ from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
+from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
 from planner.hold import hold_gain
 from planner.limits import Limits
 from planner.mechanism import Mechanism
@@ -69,6 +70,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "Checked",
     "Cost",
+    "Descended",
     "Dynamics",
     "FileError",
     "FrameCost",
@@ -100,6 +102,7 @@ __all__ = [
     "bias_derivatives",
     "cases",
     "check",
+    "cost_and_gradient",
     "forward_dynamics",
     "forward_dynamics_derivatives",
     "forward_kinematics",
@@ -112,6 +115,7 @@ __all__ = [
     "jacobian_derivatives",
     "mass_matrix",
     "mass_matrix_derivatives",
+    "minimize_by_gradient",
     "minimize_effort",
     "parity",
     "prove",

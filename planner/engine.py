@@ -68,6 +68,10 @@ class Engine(Protocol):
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         ...
 
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        ...
+
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
         ...
@@ -162,6 +166,10 @@ class CompiledEngine:
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        return self._w.gradient.copy() if self._numpy is None else self._numpy.gradient()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
@@ -266,8 +274,8 @@ class NumpyEngine:
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._quadratized(xs0, us0)
-            gradient = lq.gradient(self._A, self._B, self._model)
-            self._norm = float(np.linalg.norm(lq.projected(gradient, self._moves(us0))))
+            self._gradient = lq.gradient(self._A, self._B, self._model)
+            self._norm = float(np.linalg.norm(lq.projected(self._gradient, self._moves(us0))))
         moves = self._moves(us0)
         sweep = lq.riccati(self._A, self._B, self._model, mu, moves)
         if sweep is None:
@@ -301,6 +309,10 @@ class NumpyEngine:
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        return self._gradient.copy()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""

@@ -13,6 +13,7 @@ from planner import problem_file
 from planner.cases import CASES
 from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
+from planner.paper_studies.catalogue import STUDIES
 from planner.slq import LINE_SEARCHES, UPDATES
 
 PROBLEM_FILE = "PROBLEM.toml"
@@ -223,10 +224,17 @@ def build() -> argparse.ArgumentParser:
         "--tolerance", type=_number, default=0.05, metavar="X", help="Relative change that counts. Default: 0.05."
     )
     _add_output(parser)
-    parser = command("paper", "Reproduce the paper's own numbers beside ours.")
-    parser.add_argument("case", metavar="CASE", nargs="?", default="hopper", choices=("hopper",), help="hopper.")
+    parser = command("paper", "Every figure and number of the paper beside ours.")
+    names = ", ".join(study.name for study in STUDIES)
+    parser.add_argument(
+        "studies", metavar="STUDY", nargs="*", help=f"Some studies, each on a page of its own: {names}. Default: all."
+    )
     parser.add_argument("--proofs", action="store_true", help="The table of proofs of all machines instead.")
-    parser.add_argument("--out", default=None, metavar="DIR", help="Folder of the results. Default: renders/paper.")
+    parser.add_argument(
+        "--out", default=None, metavar="DIR",
+        help="Folder of the results. Default: in a checkout docs and renders/gallery/paper, elsewhere paper; for some "
+        "studies and for --proofs renders/paper.",
+    )  # fmt: skip
     _add_output(parser)
     _add_output(command("warmup", "Compile the numerical core, once."))
     return top
