@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.check import Checked, check
+from planner.control_spline import SplineControls, solve_by_splines
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
@@ -43,10 +44,12 @@ from planner.rigid_body import (
     rnea,
     rnea_derivatives,
 )
+from planner.shooting import Extremal, shoot
 from planner.slq import solve
 from planner.space import StateSpace
 from planner.spline import SplineMotion, minimize_effort
 from planner.twin import Twin
+from planner.underactuated import DrivenMotion, minimize_effort_underactuated
 
 if TYPE_CHECKING:
     from planner.render import render_frame, render_strip, render_video
@@ -68,7 +71,9 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "Checked",
     "Cost",
+    "DrivenMotion",
     "Dynamics",
+    "Extremal",
     "FileError",
     "FrameCost",
     "FunctionDynamics",
@@ -87,6 +92,7 @@ __all__ = [
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
+    "SplineControls",
     "SplineMotion",
     "Start",
     "StateSpace",
@@ -111,6 +117,7 @@ __all__ = [
     "mass_matrix",
     "mass_matrix_derivatives",
     "minimize_effort",
+    "minimize_effort_underactuated",
     "parity",
     "prove",
     "proven_cost",
@@ -121,5 +128,7 @@ __all__ = [
     "replay",
     "rnea",
     "rnea_derivatives",
+    "shoot",
     "solve",
+    "solve_by_splines",
 ]
