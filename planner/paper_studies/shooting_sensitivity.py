@@ -172,9 +172,11 @@ def draw_shooting(results: dict[str, Any], path: Path) -> None:
     ):  # fmt: skip
         horizons.semilogy(durations, [h[name] for h in results["horizons"]], marker="o", ms=4, label=label)
     for a in results["from_zero"]:
-        mark = {"marker": "o", "color": "green"} if a["success"] else {"marker": "x", "color": "red"}
-        horizons.plot(a["duration"], 1.0, ls="", ms=8, **mark)
-    horizons.text(durations[-1], 1.0, "shooting from zero: green found, red not", ha="right", va="center", fontsize=7.5)
+        marker, colour = ("o", "green") if a["success"] else ("x", "red")
+        horizons.plot(a["duration"], 1.0, ls="", ms=8, marker=marker, color=colour)
+    horizons.text(
+        durations[-1], 1.0, "shooting from zero: circle found, cross not", ha="right", va="center", fontsize=7.5
+    )
     horizons.set_xlabel("t_f, s")
-    horizons.legend(frameon=False, fontsize=8)
+    horizons.legend(frameon=False, fontsize=8, loc="center right", bbox_to_anchor=(1.0, 0.3))
     save(figure, path)
