@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.check import Checked, check
+from planner.control_spline import SplineControls, solve_by_splines
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
@@ -45,10 +46,12 @@ from planner.rigid_body import (
     rnea,
     rnea_derivatives,
 )
+from planner.shooting import Extremal, shoot
 from planner.slq import solve
 from planner.space import StateSpace
 from planner.spline import SplineMotion, minimize_effort
 from planner.twin import Twin
+from planner.underactuated import DrivenMotion, minimize_effort_underactuated
 
 if TYPE_CHECKING:
     from planner.render import render_frame, render_strip, render_video
@@ -71,7 +74,9 @@ __all__ = [
     "Checked",
     "Cost",
     "Descended",
+    "DrivenMotion",
     "Dynamics",
+    "Extremal",
     "FileError",
     "FrameCost",
     "FunctionDynamics",
@@ -91,6 +96,7 @@ __all__ = [
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
+    "SplineControls",
     "SplineMotion",
     "Start",
     "StateSpace",
@@ -117,6 +123,7 @@ __all__ = [
     "mass_matrix_derivatives",
     "minimize_by_gradient",
     "minimize_effort",
+    "minimize_effort_underactuated",
     "parity",
     "prove",
     "proven_cost",
@@ -127,5 +134,7 @@ __all__ = [
     "replay",
     "rnea",
     "rnea_derivatives",
+    "shoot",
     "solve",
+    "solve_by_splines",
 ]

@@ -68,6 +68,10 @@ class FunctionDynamics:
             return False
         return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
 
+    def with_step(self, dt: float, integrator: str) -> FunctionDynamics:
+        """The same machine with another stage and integrator."""
+        return FunctionDynamics(self._f, self.nx, self.nu, dt, integrator, self._jacobian)
+
     def _rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         if self.batched:
             return np.asarray(self._f(xs, us), dtype=float)
