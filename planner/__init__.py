@@ -18,6 +18,7 @@ from planner.errors import FileError, ModelError, PlannerError, RenderingUnavail
 from planner.frame_cost import FrameCost
 from planner.hold import hold_gain
 from planner.mechanism import Mechanism
+from planner.payload import largest_payload, static_limit
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -108,6 +109,7 @@ __all__ = [
     "hybrid_dynamics_derivatives",
     "jacobian",
     "jacobian_derivatives",
+    "largest_payload",
     "mass_matrix",
     "mass_matrix_derivatives",
     "minimize_effort",
@@ -122,4 +124,5 @@ __all__ = [
     "rnea",
     "rnea_derivatives",
     "solve",
+    "static_limit",
 ]

@@ -1,18 +1,18 @@
-"""The largest payload of the weightlifter (reference [20]): by a slow lift in closed form, by a planned swing by bisection.
+"""The largest payload of the weightlifter (reference [20]): of a slow lift in closed form, of a swing by bisection.
 
 Held still, an arm needs the torques of gravity, and these are linear in the payload m:
 
     g(q, m) = g0(q) + m g1(q),     |g0 + m g1| <= limit    for every joint and every pose of the way,
 
 so the largest m is a minimum of quotients. A swing has no such formula. A payload counts as lifted when a plan was
-found that converged, ends at its goal and keeps every torque within its limit; then a larger one is tried. What comes out
-is a lower bound: SLQ finds local minima, and a payload that was not lifted from these first guesses may be from others.
+found that converged, ends at its goal and keeps every torque within its limit; then a larger one is tried. What comes
+out is a lower bound: SLQ finds local minima, and what was not lifted from these first guesses may be from others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -22,7 +22,6 @@ from planner.cases.puma import HEAVIEST, JOINTS, LIGHTEST, RATED, TOLERANCE, Sty
 from planner.cases.puma import torque_limits as puma_limits
 from planner.errors import PlannerError
 from planner.plan import Plan, Status
-from planner.problem import Problem
 from planner.rigid_body import bias
 from planner.slq import solve
 from planner.warm_start import warm_start
@@ -160,11 +159,11 @@ def largest_payload(
 
     def lift(payload: float, last: Plan | None) -> Plan | None:
         """A plan that lifts the payload, from the first guess that leads to one."""
-        for guess in ([] if last is None else [FOLLOWED]) + list(get_args(Style)):
-            style = "tucked" if guess == FOLLOWED else guess
-            problem = puma(payload, duration, horizon, guess=style, **parameters)
+        for guess in (FOLLOWED, *get_args(Style)) if last is not None else get_args(Style):
+            styled = {} if guess == FOLLOWED else {"guess": guess}
+            problem = puma(payload, duration, horizon, **styled, **parameters)
             if guess == FOLLOWED and last is not None:
-                problem = with_guess(problem, warm_start(last, problem))
+                problem = replace(problem, us=warm_start(last, problem))
             plan = solve(problem, max_iterations=_ITERATIONS)
             attempts.append(_judged(plan, payload, guess, limits))
             if callback is not None:
@@ -187,13 +186,6 @@ def largest_payload(
     assert best is not None
     held = static_limit(best.xs[:, :6], limits)
     return LargestPayload(low, float(high), static, held, best, tuple(attempts))
-
-
-def with_guess(problem: Problem, us: np.ndarray) -> Problem:
-    """The problem from another first guess (N, nu)."""
-    from dataclasses import replace
-
-    return replace(problem, us=us)
 
 
 def _judged(plan: Plan, payload: float, guess: str, limits: np.ndarray) -> Attempt:

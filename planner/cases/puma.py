@@ -119,7 +119,10 @@ def puma_mechanism(payload: float) -> Mechanism:
     radius = ball_radius(payload)
     inertia = written(0.4 * payload * radius**2)
     edits = {
-        ".//body[@name='payload']/inertial": {"mass": written(payload), "diaginertia": f"{inertia} {inertia} {inertia}"},
+        ".//body[@name='payload']/inertial": {
+            "mass": written(payload),
+            "diaginertia": f"{inertia} {inertia} {inertia}",
+        },
         ".//geom[@name='payload']": {"size": written(radius)},
         ".//site[@name='target']": {"size": written(1.25 * radius)},
     }
