@@ -12,10 +12,12 @@ slow lift must hold the load wherever it goes, so the outstretched arm decides; 
     start, goal         hanging and upright, arm straight, at rest          ours: [20] has other poses
     t_f                 2.5 s    ours
     cost                1/2 sum of (torque over its limit)^2, integrated    the paper's effort, motors made comparable
+    bounds              every torque within its limit, exactly              [20] has soft ones
     first guess         the straight lift with the elbow tucked in, by inverse dynamics     ours
     tolerance of goal   0.01     ours, rad and rad/s: see TOLERANCE
 
-Not modelled, and in [20]: limits of joint speeds, friction.
+Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without them a
+swing is faster than the real arm. Friction is left out.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from planner.cost import TrackingCost
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.figures import Figure, Section
 from planner.guess import follow, quintic
+from planner.limits import Limits
 from planner.mechanism import Mechanism
 from planner.mjcf import edited, model_path, model_text, written
 from planner.problem import Problem, Requirements
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
     from planner.replay import Replay
 
 Style = Literal["straight", "tucked", "swung", "swung-tucked"]
+Torques = Literal["bounded", "free"]
 
 RATED = 20.0  # kg, the manufacturer's figure for the Puma 762
 LIGHTEST, HEAVIEST = 0.1, 1000.0  # kg, of a payload
@@ -66,7 +70,7 @@ def puma(
     payload: float = 60.0, duration: float = 2.5, horizon: int | None = None, integrator: str = "rk4",
     guess: Style = "tucked", rated: float = RATED,
     position_weight: float = 1e4, velocity_weight: float = 1e4, effort_weight: float = 1.0,
-    wrist_weight: float = 0.05,
+    wrist_weight: float = 0.05, torques: Torques = "bounded", speed_limit: float | None = None,
 ) -> Problem:  # fmt: skip
     """Lift a load with a Puma-like arm, from hanging to upright, with least effort of its motors.
 
@@ -82,6 +86,8 @@ def puma(
         velocity_weight: On the final |dq|^2 / 2, rad/s.
         effort_weight: On |torque over its limit|^2 / 2, times dt.
         wrist_weight: On |q|^2 / 2 of the three wrist joints on the way, rad, times dt: they need not wind up.
+        torques: "bounded" (every motor within its limit) or "free" (the limits only scale the effort).
+        speed_limit: Of every joint, rad/s; by default none.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.
@@ -106,11 +112,16 @@ def puma(
     us = first_lift(mechanism, choice("guess", guess, get_args(Style)), duration, N)
     parameters: dict[str, Any] = {
         "payload": payload, "duration": duration, "horizon": N, "integrator": integrator, "guess": guess,
-        "rated": rated, **weights,
+        "rated": rated, **weights, "torques": torques, "speed_limit": speed_limit,
     }  # fmt: skip
+    bounds = (-limits, limits) if choice("torques", torques, get_args(Torques)) == "bounded" else None
+    if speed_limit is not None:
+        speed_limit = number("speed_limit", speed_limit, above=0.0)
+    limited = bounds is not None or speed_limit is not None
     return Problem(
         dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), case="puma", stage=_stage(payload),
         parameters=parameters, requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
+        limits=Limits(control=bounds, velocity=speed_limit) if limited else None,
     )  # fmt: skip
 
 
