@@ -17,6 +17,7 @@ from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBo
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
 from planner.hold import hold_gain
+from planner.limits import Limits
 from planner.mechanism import Mechanism
 from planner.payload import largest_payload, static_limit
 from planner.plan import Iteration, Plan, Start, Status
@@ -75,6 +76,7 @@ __all__ = [
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "Limits",
     "Mechanism",
     "ModelError",
     "Perturbation",
