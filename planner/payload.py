@@ -19,7 +19,18 @@ from typing import Any, get_args
 import numpy as np
 
 from planner.arguments import array, count, number
-from planner.cases.puma import HEAVIEST, JOINTS, LIGHTEST, RATED, TOLERANCE, Style, puma, puma_mechanism, straight_lift
+from planner.cases.puma import (
+    HEAVIEST,
+    JOINTS,
+    LIGHTEST,
+    RATED,
+    ROUNDING,
+    TOLERANCE,
+    Style,
+    puma,
+    puma_mechanism,
+    straight_lift,
+)
 from planner.cases.puma import torque_limits as puma_limits
 from planner.errors import PlannerError
 from planner.plan import Plan, Status
@@ -197,5 +208,5 @@ def _judged(plan: Plan, payload: float, guess: str, limits: np.ndarray) -> Attem
     with np.errstate(invalid="ignore"):
         share = float(np.max(np.abs(plan.us) / limits))
         miss = float(np.max(np.abs(plan.xs[-1] - plan.problem.cost.x_ref[-1])))  # type: ignore[attr-defined]
-    lifted = plan.success and share <= 1.0 and miss <= TOLERANCE
+    lifted = plan.success and share <= 1.0 + ROUNDING and miss <= TOLERANCE
     return Attempt(payload, guess, plan.status, plan.nit, plan.cost, share, miss, lifted)

@@ -16,8 +16,10 @@ slow lift must hold the load wherever it goes, so the outstretched arm decides; 
     first guess         the straight lift with the elbow tucked in, by inverse dynamics     ours
     tolerance of goal   0.01     ours, rad and rad/s: see TOLERANCE
 
-Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without them a
-swing is faster than the real arm. Friction is left out.
+Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without
+them a swing is faster than the real arm. Friction is left out.
+
+Heavy loads need a first guess near their lift: planner.largest_payload comes to them from lighter ones.
 """
 
 from __future__ import annotations
@@ -57,6 +59,8 @@ TOLERANCE = 0.01
 """rad and rad/s. At an optimum the miss times the final weight is what one more radian would cost: with a weight of
 1e4, 0.01 is a price of 100 per rad, some hundred times the cost of the whole lift. A lift that is not possible misses
 by far more."""
+
+ROUNDING = 1e-12  # of a torque at its limit, over that limit
 
 _BULGES: dict[str, dict[str, float]] = {  # rad, by how much the middle of a first guess leaves the straight lift
     "straight": {},
@@ -185,7 +189,9 @@ def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
         figures += [
             Figure(f"{who}_angle_miss", float(miss[:6].max()), "rad", TOLERANCE, f"{whose}, largest joint; {why}"),
             Figure(f"{who}_rate_miss", float(miss[6:].max()), "rad/s", TOLERANCE, f"{whose}, largest joint"),
-            Figure(f"{who}_torque_share", float(share.max()), "", 1.0, f"{whose}, of the limit: at {strained}"),
+            Figure(
+                f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, f"{whose}, of the limit: at {strained}"
+            ),
         ]
     return Section("goal", tuple(figures))
 
