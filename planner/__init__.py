@@ -21,6 +21,7 @@ from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_g
 from planner.hold import hold_gain
 from planner.limits import Limits
 from planner.mechanism import Mechanism
+from planner.payload import largest_payload, static_limit
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -119,6 +120,7 @@ __all__ = [
     "hybrid_dynamics_derivatives",
     "jacobian",
     "jacobian_derivatives",
+    "largest_payload",
     "mass_matrix",
     "mass_matrix_derivatives",
     "minimize_by_gradient",
@@ -137,4 +139,5 @@ __all__ = [
     "shoot",
     "solve",
     "solve_by_splines",
+    "static_limit",
 ]

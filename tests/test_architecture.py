@@ -56,7 +56,7 @@ ORDER = [
     ["hold"],
     ["proof"],
     ["finer", "warm_start"],
-    ["refine"],
+    ["refine", "payload"],
     ["check", "run_folder"],
     ["camera", "film", "drawing", "overlay", "scene", "encode", "render"],
     ["plots"],

@@ -9,13 +9,16 @@ from typing import Any
 from planner.arguments import choice
 from planner.cases.acrobot import acrobot
 from planner.cases.hopper import hopper
+from planner.cases.puma import puma
 from planner.cases.two_link import two_link
 from planner.errors import PlannerError
 from planner.problem import Problem
 
-CASES: dict[str, Callable[..., Problem]] = {"two-link": two_link, "acrobot": acrobot, "hopper": hopper}
+CASES: dict[str, Callable[..., Problem]] = {
+    "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma,
+}  # fmt: skip
 
-__all__ = ["CASES", "acrobot", "build", "hopper", "two_link"]
+__all__ = ["CASES", "acrobot", "build", "hopper", "puma", "two_link"]
 
 
 def build(name: str, /, **parameters: Any) -> Problem:

@@ -1,0 +1,218 @@
+"""Weightlifting with a Puma: minimum effort from hanging to upright with a load in the hand (reference [20]).
+
+The paper says of [20], Wang, Timoszyk and Bobrow: "we tripled the payload above the manufacturers specifications". A
+slow lift must hold the load wherever it goes, so the outstretched arm decides; a swing need not.
+
+    number              value    from
+    arm                 a 560 of 1.25 m reach         ../mjcf/puma: a 762's inertias are not published
+    rated payload       20 kg    the manufacturer's figure for the 762, whose reach is 1.25 m
+    torque limits       the 560's (97.6, 186.4, 89.4, 24.2, 20.1, 21.3 N m: Armstrong, Khatib, Burdick 1986) times one
+                        factor, 2.63     ours: so that along the straight lift the rated payload can just be held
+    payload             iron ball, its centre 0.22 m beyond the wrist       ours
+    start, goal         hanging and upright, arm straight, at rest          ours: [20] has other poses
+    t_f                 2.5 s    ours
+    cost                1/2 sum of (torque over its limit)^2, integrated    the paper's effort, motors made comparable
+    bounds              every torque within its limit, exactly              [20] has soft ones
+    first guess         the straight lift with the elbow tucked in, by inverse dynamics     ours
+    tolerance of goal   0.01     ours, rad and rad/s: see TOLERANCE
+
+Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without
+them a swing is faster than the real arm. Friction is left out.
+
+Heavy loads need a first guess near their lift: planner.largest_payload comes to them from lighter ones.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from planner.arguments import choice, number
+from planner.cases.planar_arm import LARGEST, stages
+from planner.cost import TrackingCost
+from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner.figures import Figure, Section
+from planner.guess import follow, quintic
+from planner.limits import Limits
+from planner.mechanism import Mechanism
+from planner.mjcf import edited, model_path, model_text, written
+from planner.problem import Problem, Requirements
+from planner.rigid_body import bias
+from planner.stage import Panel, Readout, Stage
+from planner.twin import Twin
+
+if TYPE_CHECKING:
+    from planner.replay import Replay
+
+Style = Literal["straight", "tucked", "swung", "swung-tucked"]
+Torques = Literal["bounded", "free"]
+
+RATED = 20.0  # kg, the manufacturer's figure for the Puma 762
+LIGHTEST, HEAVIEST = 0.1, 1000.0  # kg, of a payload
+IRON = 7870.0  # kg/m^3
+JOINTS = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_bend", "hand_roll")
+PEAK_560 = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])  # N m at the joints, Armstrong, Khatib, Burdick 1986
+
+TOLERANCE = 0.01
+"""rad and rad/s. At an optimum the miss times the final weight is what one more radian would cost: with a weight of
+1e4, 0.01 is a price of 100 per rad, some hundred times the cost of the whole lift. A lift that is not possible misses
+by far more."""
+
+ROUNDING = 1e-12  # of a torque at its limit, over that limit
+
+_BULGES: dict[str, dict[str, float]] = {  # rad, by how much the middle of a first guess leaves the straight lift
+    "straight": {},
+    "tucked": {"elbow": -2.0},
+    "swung": {"shoulder": -1.5},
+    "swung-tucked": {"shoulder": -1.5, "elbow": 1.5},
+}
+
+
+def puma(
+    payload: float = 60.0, duration: float = 2.5, horizon: int | None = None, integrator: str = "rk4",
+    guess: Style = "tucked", rated: float = RATED,
+    position_weight: float = 1e4, velocity_weight: float = 1e4, effort_weight: float = 1.0,
+    wrist_weight: float = 0.05, torques: Torques = "bounded", speed_limit: float | None = None,
+) -> Problem:  # fmt: skip
+    """Lift a load with a Puma-like arm, from hanging to upright, with least effort of its motors.
+
+    Args:
+        payload: In the hand, kg.
+        duration: t_f, s.
+        horizon: N, stages; by default 100 a second.
+        integrator: "euler", "semi-implicit-euler" or "rk4".
+        guess: First controls, by inverse dynamics: "straight" (every joint smoothly along the straight line), "tucked"
+            (elbow bent on the way), "swung" (back first), or "swung-tucked".
+        rated: kg, what the torque limits can just hold everywhere along the straight lift.
+        position_weight: On the final |q - q_d|^2 / 2, q in rad.
+        velocity_weight: On the final |dq|^2 / 2, rad/s.
+        effort_weight: On |torque over its limit|^2 / 2, times dt.
+        wrist_weight: On |q|^2 / 2 of the three wrist joints on the way, rad, times dt: they need not wind up.
+        torques: "bounded" (every motor within its limit) or "free" (the limits only scale the effort).
+        speed_limit: Of every joint, rad/s; by default none.
+
+    Raises:
+        PlannerError: A parameter that is not finite or out of range.
+    """
+    payload, rated = (number(k, v, least=LIGHTEST, most=HEAVIEST) for k, v in (("payload", payload), ("rated", rated)))
+    duration, N = stages(duration, horizon)
+    mechanism = puma_mechanism(payload)
+    limits = torque_limits(rated)
+    dynamics = RigidBodyDynamics(mechanism, duration / N, choice("integrator", integrator, INTEGRATORS))
+    weights = {
+        "position_weight": number("position_weight", position_weight, least=0.0, most=LARGEST),
+        "velocity_weight": number("velocity_weight", velocity_weight, least=0.0, most=LARGEST),
+        "effort_weight": number("effort_weight", effort_weight, above=0.0, most=LARGEST),
+        "wrist_weight": number("wrist_weight", wrist_weight, least=0.0, most=LARGEST),
+    }
+    start, goal = mechanism.keyframe("start"), mechanism.keyframe("goal")
+    cost = TrackingCost.joints(
+        dynamics, goal, N, final_position=weights["position_weight"], final_velocity=weights["velocity_weight"],
+        effort=weights["effort_weight"] / limits**2,
+        position=dict.fromkeys(JOINTS[3:], weights["wrist_weight"]),
+    )  # fmt: skip
+    us = first_lift(mechanism, choice("guess", guess, get_args(Style)), duration, N)
+    parameters: dict[str, Any] = {
+        "payload": payload, "duration": duration, "horizon": N, "integrator": integrator, "guess": guess,
+        "rated": rated, **weights, "torques": torques, "speed_limit": speed_limit,
+    }  # fmt: skip
+    bounds = (-limits, limits) if choice("torques", torques, get_args(Torques)) == "bounded" else None
+    if speed_limit is not None:
+        speed_limit = number("speed_limit", speed_limit, above=0.0)
+    limited = bounds is not None or speed_limit is not None
+    return Problem(
+        dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), case="puma", stage=_stage(payload),
+        parameters=parameters, requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
+        limits=Limits(control=bounds, velocity=speed_limit) if limited else None,
+    )  # fmt: skip
+
+
+def puma_mechanism(payload: float) -> Mechanism:
+    """The arm with this payload in its hand, kg, read from the very text that a replay uses."""
+    radius = ball_radius(payload)
+    inertia = written(0.4 * payload * radius**2)
+    edits = {
+        ".//body[@name='payload']/inertial": {
+            "mass": written(payload),
+            "diaginertia": f"{inertia} {inertia} {inertia}",
+        },
+        ".//geom[@name='payload']": {"size": written(radius)},
+        ".//site[@name='target']": {"size": written(1.25 * radius)},
+    }
+    return Mechanism.from_mjcf(edited(model_text(model_path("puma") / "scene.xml"), edits))
+
+
+def ball_radius(mass: float) -> float:
+    """Of an iron ball, m."""
+    return float(np.cbrt(0.75 * mass / (np.pi * IRON)))
+
+
+def straight_lift(poses: int = 721) -> np.ndarray:
+    """The slow lift, all joints along the straight line from start to goal: (poses, 6) rad."""
+    mechanism = puma_mechanism(RATED)
+    start, goal = mechanism.keyframe("start")[:6], mechanism.keyframe("goal")[:6]
+    return start + np.linspace(0.0, 1.0, poses)[:, None] * (goal - start)
+
+
+def torque_limits(rated: float = RATED) -> np.ndarray:
+    """(6,) N m: the 560's, times the one factor with which the straight lift can just hold the rated payload."""
+    path = straight_lift()
+    held = np.abs(bias(puma_mechanism(rated), path, np.zeros_like(path)))
+    return PEAK_560 * float(np.max(held / PEAK_560))
+
+
+def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.ndarray:
+    """Torques (N, 6) of the straight lift with a bulge in the middle, by inverse dynamics."""
+    q, qd, qdd = quintic(mechanism.keyframe("start")[:6], mechanism.keyframe("goal")[:6], duration, N)
+    s = (np.arange(N)[:, None] + 0.5) / N
+    bulge = Polynomial([0.0, 0.0, 0.0, 64.0, -192.0, 192.0, -64.0])  # (4 s (1 - s))^3: at rest at both ends
+    size = np.array([_BULGES[style].get(joint, 0.0) for joint in JOINTS])
+    return follow(
+        mechanism, q + bulge(s) * size, qd + bulge.deriv()(s) * size / duration,
+        qdd + bulge.deriv(2)(s) * size / duration**2,
+    )  # fmt: skip
+
+
+def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
+    """Whether the payload comes to rest where it should, and what of the torques was used."""
+    why = "a lift that is not possible misses by far more than the price of effort"
+    figures = []
+    for who, x, us, whose in (
+        ("planned", replay.plan.xs[-1], replay.plan.us, "the plan"),
+        ("replayed", replay.xs[-1], replay.ctrl, "MuJoCo"),
+    ):
+        miss = np.abs(x - goal)
+        share = np.max(np.abs(us) / limits, axis=0)
+        strained = JOINTS[int(np.argmax(share))]
+        figures += [
+            Figure(f"{who}_angle_miss", float(miss[:6].max()), "rad", TOLERANCE, f"{whose}, largest joint; {why}"),
+            Figure(f"{who}_rate_miss", float(miss[6:].max()), "rad/s", TOLERANCE, f"{whose}, largest joint"),
+            Figure(
+                f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, f"{whose}, of the limit: at {strained}"
+            ),
+        ]
+    return Section("goal", tuple(figures))
+
+
+def _stage(payload: float) -> Stage:
+    """Machine and ghost side by side, the path of the payload, and where it should come to rest."""
+    arm, wrist = tuple(enumerate(JOINTS[:3])), tuple((i + 3, name) for i, name in enumerate(JOINTS[3:]))
+    return Stage(
+        title=f"Puma-like arm lifts {payload:.3g} kg (rated {RATED:g})",
+        readouts=(Readout("shoulder", 1, "rad"), Readout("elbow", 2, "rad"), Readout("wrist", 4, "rad")),
+        ghost_offset=(-2.6, 0.0, 0.0),
+        goal_line=((-0.3, -0.217, 1.47), (0.3, -0.217, 1.47)),
+        goal_label="goal",
+        azimuth=90.0,
+        elevation=-5.0,
+        speed=0.5,
+        plots=(
+            Panel("Arm", "angle, rad", states=arm),
+            Panel("Wrist", "angle, rad", states=wrist),
+            Panel("Motors of the arm", "torque, N m", controls=arm),
+            Panel("Motors of the wrist", "torque, N m", controls=wrist),
+        ),
+        trail="tip",
+    )
