@@ -18,6 +18,7 @@ from planner.errors import FileError, ModelError, PlannerError, RenderingUnavail
 from planner.frame_cost import FrameCost
 from planner.hold import hold_gain
 from planner.mechanism import Mechanism
+from planner.momentum import angular_momentum, center_of_mass
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -94,9 +95,11 @@ __all__ = [
     "SumCost",
     "TrackingCost",
     "Twin",
+    "angular_momentum",
     "bias",
     "bias_derivatives",
     "cases",
+    "center_of_mass",
     "check",
     "forward_dynamics",
     "forward_dynamics_derivatives",

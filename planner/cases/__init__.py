@@ -1,4 +1,4 @@
-"""The machines of the paper, one file each. A case is a function of plain numbers that returns a Problem."""
+"""The machines of the paper, and what they need. A case is a function of plain numbers that returns a Problem."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from typing import Any
 
 from planner.arguments import choice
 from planner.cases.acrobot import acrobot
+from planner.cases.high_dive import high_dive
 from planner.cases.hopper import hopper
 from planner.cases.two_link import two_link
 from planner.errors import PlannerError
 from planner.problem import Problem
 
-CASES: dict[str, Callable[..., Problem]] = {"two-link": two_link, "acrobot": acrobot, "hopper": hopper}
+CASES: dict[str, Callable[..., Problem]] = {
+    "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "high-dive": high_dive,
+}  # fmt: skip
 
-__all__ = ["CASES", "acrobot", "build", "hopper", "two_link"]
+__all__ = ["CASES", "acrobot", "build", "high_dive", "hopper", "two_link"]
 
 
 def build(name: str, /, **parameters: Any) -> Problem:
