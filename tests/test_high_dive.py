@@ -7,6 +7,7 @@ import planner
 from planner.cases import anthropometry, dive
 from planner.cases.diver import Diver
 from planner.cases.high_dive import enters, misses, momentum_drift, rotated_up
+from planner.film import Film
 from planner.gl import load_mujoco
 from planner.mechanism import Mechanism
 from planner.mjcf import model_path
@@ -185,3 +186,10 @@ def test_built_twice_it_is_the_same():
 def test_bad_input_is_refused(given, said):
     with pytest.raises(planner.PlannerError, match=said):
         planner.cases.high_dive(**given)
+
+
+def test_the_camera_goes_with_the_diver(plan):
+    """All three coordinates of the hips move the camera's point."""
+    run = planner.replay(plan, substeps=1)
+    film = Film.of(run, run.t)
+    np.testing.assert_allclose(film.shift, run.xs[:, :3])
