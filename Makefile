@@ -27,7 +27,7 @@ lint: ## check style and types
 
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)
-	@for case in hopper two-link acrobot puma; do \
+	@for case in hopper two-link acrobot puma high-dive; do \
 	    $(PLANNER) run $$case --out renders/$$case && \
 	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
 	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \

@@ -21,6 +21,7 @@ from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_g
 from planner.hold import hold_gain
 from planner.limits import Limits
 from planner.mechanism import Mechanism
+from planner.momentum import angular_momentum, center_of_mass
 from planner.payload import largest_payload, static_limit
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
@@ -105,9 +106,11 @@ __all__ = [
     "SumCost",
     "TrackingCost",
     "Twin",
+    "angular_momentum",
     "bias",
     "bias_derivatives",
     "cases",
+    "center_of_mass",
     "check",
     "cost_and_gradient",
     "forward_dynamics",

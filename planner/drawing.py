@@ -134,8 +134,9 @@ class _View:
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
     gap = max(1, round(job.height / 270))
-    # One camera for all poses, so that their heights compare.
-    film = replace(film, rise=np.full(len(film), 0.5 * (film.rise.min() + film.rise.max())))
+    if film.stage is None or film.stage.accompany is None:  # one camera for all poses, so that their heights compare
+        middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
+        film = replace(film, shift=np.tile(middle, (len(film), 1)))
     rows = best_rows(film, job.width, job.height)
     columns = math.ceil(len(film) / rows)
     tile = (job.width - gap * (columns - 1)) // columns

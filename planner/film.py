@@ -30,7 +30,7 @@ _EXPOSURE = 0.01
 _PATH = 240
 
 _ARRAYS = (
-    "t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise",
+    "t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "shift",
     "path_t", "path_qpos", "path_ghost_qpos",
 )  # fmt: skip
 
@@ -63,7 +63,7 @@ class Film:
         point: (F, 3) where it acts; NaN without contact.
         readings: (F, R, 2) the readouts, in the simulation and in the plan.
         largest: (R,) largest magnitude of each readout in the whole replay.
-        rise: (F,) how far the camera's point is raised.
+        shift: (F, 3) how far the camera's point is moved.
         path_t: (P,) s, times along the whole replay, whatever the frames are.
         path_qpos: (P, nq) of the simulated machine.
         path_ghost_qpos: (P, nq) of the plan.
@@ -81,7 +81,7 @@ class Film:
     point: np.ndarray
     readings: np.ndarray
     largest: np.ndarray
-    rise: np.ndarray
+    shift: np.ndarray
     path_t: np.ndarray
     path_qpos: np.ndarray
     path_ghost_qpos: np.ndarray
@@ -113,7 +113,6 @@ class Film:
         xs = _interpolate(t, sampled, replay.xs[:known])
         plan_xs = _interpolate(t, replay.t, replay.plan_xs)
         indices = [readout.index for readout in shown.readouts]
-        index, fraction = shown.follow or (0, 0.0)
         nq = replay.qpos.shape[1]
         path = np.linspace(replay.t[0], replay.t[-1], _PATH)
         return cls(
@@ -126,7 +125,7 @@ class Film:
             point=_last_known(t, replay.t, replay.contact_point),
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
             largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
-            rise=fraction * xs[:, index],
+            shift=_shift(shown, xs),
             path_t=path,
             path_qpos=_interpolate(path, sampled, replay.qpos[:known]),
             path_ghost_qpos=replay.twin.sim_of(_interpolate(path, replay.t, replay.plan_xs))[:, :nq],
@@ -165,6 +164,14 @@ class Film:
         caption = None if meta["caption"] is None else Caption(*meta["caption"])
         film = cls(mjcf=meta["mjcf"], stage=stage, **arrays, unstable=unstable, caption=caption, assets=assets)
         return film, meta["extra"]
+
+
+def _shift(stage: Stage, xs: np.ndarray) -> np.ndarray:
+    """How far the camera's point is moved, (F, 3), at states (F, nx)."""
+    if stage.accompany is not None:
+        return xs[:, list(stage.accompany)]
+    index, fraction = stage.follow or (0, 0.0)
+    return fraction * xs[:, [index]] * np.array([0.0, 0.0, 1.0])
 
 
 def _known(replay: Replay) -> int:

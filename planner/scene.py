@@ -82,7 +82,8 @@ class Scene:
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
         self._option, self._perturb = _option(model), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
-        self._fixed = self._stage.distance is not None and not beside  # a stage's own camera is for wide pictures
+        # A stage's own camera is for wide pictures, unless it goes with the machine.
+        self._fixed = self._stage.distance is not None and (not beside or self._stage.accompany is not None)
         self._look_at, self._distance = self._place(width / height, beside)
         self._trails = self._paths()
         try:
@@ -102,7 +103,7 @@ class Scene:
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame` of the film: (height, width, 3) uint8."""
         self._pose(self._data, self._film.qpos[frame])
-        self._aim(self._film.rise[frame])
+        self._aim(self._film.shift[frame])
         self._renderer.update_scene(self._data, self._camera, self._option)
         scene = self._renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
@@ -150,11 +151,11 @@ class Scene:
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
 
-    def _aim(self, rise: float) -> None:
+    def _aim(self, shift: np.ndarray) -> None:
         stage = self._stage
         self._camera.lookat[:] = self._look_at
         if self._fixed:
-            self._camera.lookat[2] += rise
+            self._camera.lookat[:] += shift
         self._camera.distance = self._distance
         self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
 

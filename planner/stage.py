@@ -34,6 +34,8 @@ class Stage:
         goal_label: Written beside that line.
         look_at: The point the camera looks at.
         follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
+        accompany: Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside
+            a machine that goes a long way; look_at is then relative to that place. None uses follow.
         distance: From the camera to its point; None looks at the whole motion instead of look_at and follow.
         azimuth: Of the camera, degrees (MuJoCo's convention).
         elevation: Of the camera, degrees (negative looks down).
@@ -52,6 +54,7 @@ class Stage:
     goal_label: str = "goal"
     look_at: Point = (0.0, 0.0, 0.0)
     follow: tuple[int, float] | None = None
+    accompany: tuple[int, int, int] | None = None
     distance: float | None = None
     azimuth: float = 90.0
     elevation: float = -10.0

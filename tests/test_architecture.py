@@ -30,6 +30,7 @@ ORDER = [
     ["poe_sensitivities"],
     ["kernels"],
     ["rigid_body"],
+    ["momentum"],
     ["dynamics"],
     ["rates"],
     ["weights"],

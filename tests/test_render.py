@@ -79,7 +79,7 @@ def test_film_interpolates_linearly_and_maps_the_plan():
     assert abs(film.qpos[1, 0] - middle[0]) < 0.1
     np.testing.assert_allclose(film.ghost_qpos[:, 0], film.qpos[:, 0] + 1.0)
     np.testing.assert_allclose(film.readings[:, 0, 1] - film.readings[:, 0, 0], 1.0)
-    np.testing.assert_allclose(film.rise, 0.5 * film.qpos[:, 0])
+    np.testing.assert_allclose(film.shift[:, 2], 0.5 * film.qpos[:, 0])
     assert film.force[0] == pytest.approx(400.0)  # the mean over an exposure of a constant
     assert film.force[1] == 0.0
     assert np.all(np.isnan(film.point[1]))
@@ -94,7 +94,7 @@ def test_film_survives_its_file(tmp_path):
     assert again.stage is not None
     assert again.stage.readouts == STAGE.readouts
     assert again.stage.distance == STAGE.distance
-    for name in ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "rise"):
+    for name in ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 
 

@@ -1,4 +1,4 @@
-"""The machines of the paper, one file each. A case is a function of plain numbers that returns a Problem."""
+"""The machines of the paper, and what they need. A case is a function of plain numbers that returns a Problem."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from planner.arguments import choice
 from planner.cases.acrobot import acrobot
+from planner.cases.high_dive import high_dive
 from planner.cases.hopper import hopper
 from planner.cases.puma import puma
 from planner.cases.two_link import two_link
@@ -15,10 +16,10 @@ from planner.errors import PlannerError
 from planner.problem import Problem
 
 CASES: dict[str, Callable[..., Problem]] = {
-    "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma,
+    "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma, "high-dive": high_dive,
 }  # fmt: skip
 
-__all__ = ["CASES", "acrobot", "build", "hopper", "puma", "two_link"]
+__all__ = ["CASES", "acrobot", "build", "high_dive", "hopper", "puma", "two_link"]
 
 
 def build(name: str, /, **parameters: Any) -> Problem:
