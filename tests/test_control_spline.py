@@ -10,7 +10,7 @@ from planner.cases.hopper import PAPER
 from planner.continuous import ContinuousProblem
 from planner.control_spline import SplineCost, solve_by_splines
 from planner.dynamics import FunctionDynamics
-from planner.paper_studies.hopper_splines import hessian
+from planner.paper_studies.hopper_splines_study import hessian
 from planner.spline_basis import SplineBasis
 
 

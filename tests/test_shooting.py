@@ -7,7 +7,7 @@ import planner
 from planner.cases import hopper, two_link
 from planner.dynamics import FunctionDynamics
 from planner.lq import costates
-from planner.paper_studies.shooting_sensitivity import shooting_jacobian
+from planner.paper_studies.shooting_study import shooting_jacobian
 from planner.rates import Rates
 from planner.shooting import HamiltonianFlow, shoot
 

@@ -5,10 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planner.arguments import choice
+from planner.paper_studies.dive_study import dive_markdown, dive_results, dive_rows, draw_dive
+from planner.paper_studies.elbow_study import draw_elbow, elbow_markdown, elbow_results, elbow_rows
 from planner.paper_studies.gradient_study import draw_gradients, gradient_markdown, gradient_results, gradient_rows
+from planner.paper_studies.hopper_splines_study import (
+    draw_hopper_splines,
+    hopper_splines_markdown,
+    hopper_splines_results,
+    hopper_splines_rows,
+)
 from planner.paper_studies.hopper_study import draw_hopper, hopper_markdown, hopper_results, hopper_rows
+from planner.paper_studies.masses_study import draw_masses, masses_markdown, masses_results, masses_rows
 from planner.paper_studies.motion_study import draw_motions, motion_markdown, motion_results, motion_rows
 from planner.paper_studies.page import Row, Study
+from planner.paper_studies.puma_study import draw_puma, puma_markdown, puma_results, puma_rows
+from planner.paper_studies.shooting_study import draw_shooting, shooting_markdown, shooting_results, shooting_rows
 from planner.paper_studies.table_study import table_markdown, table_results, table_rows
 from planner.paper_studies.theorem_study import draw_theorems, theorem_markdown, theorem_results, theorem_rows
 
@@ -16,6 +27,23 @@ STUDIES: tuple[Study, ...] = (
     Study(
         "motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
         motion_results, motion_markdown, motion_rows, {"motions.png": draw_motions},
+    ),
+    Study(
+        "masses", "the direct method, and which arm has the paper's efforts (2.1)",
+        masses_results, masses_markdown, masses_rows, {"masses.png": draw_masses},
+    ),
+    Study(
+        "shooting", "indirect shooting, and why it fails (2.1)",
+        shooting_results, shooting_markdown, shooting_rows, {"shooting_sensitivity.png": draw_shooting},
+    ),
+    Study(
+        "elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
+        elbow_results, elbow_markdown, elbow_rows, {"elbow_gradient.png": draw_elbow},
+    ),
+    Study(
+        "hopper-splines", "the hopper by B-splines (2.4)",
+        hopper_splines_results, hopper_splines_markdown, hopper_splines_rows,
+        {"hopper_splines.png": draw_hopper_splines},
     ),
     Study("table", "Table 1 as printed", table_results, table_markdown, table_rows),
     Study(
@@ -30,40 +58,32 @@ STUDIES: tuple[Study, ...] = (
         "hopper", "the numerical example (section 4)",
         hopper_results, hopper_markdown, hopper_rows, {"hopper.png": draw_hopper},
     ),
+    Study(
+        "puma", "weightlifting with a Puma-like arm (reference 20)",
+        puma_results, puma_markdown, puma_rows, {"puma.png": draw_puma},
+    ),
+    Study(
+        "dive", "a high dive (reference 16)",
+        dive_results, dive_markdown, dive_rows, {"dive.png": draw_dive},
+    ),
 )  # fmt: skip
 
 
-def _pending(where: str, paper: str, why: str) -> Row:
-    return {"where": where, "paper": paper, "why": why}
-
-
-_METHOD = "the study of this method of the paper is not built yet"
 _STEP = "contact on trees and the human step come next"
+
+
+def _pending(where: str, paper: str) -> Row:
+    return {"where": where, "paper": paper, "why": _STEP}
+
 
 # Rows of studies that do not exist yet, by the name that the study will have: with it in STUDIES they are gone.
 PENDING: dict[str, tuple[Row, ...]] = {
-    "spline": (
-        _pending("2.1", "Quintic B-splines, 12 knot intervals, BFGS: effort from 73.6 to 9.9", _METHOD),
-        _pending("2.1", "No masses, lengths or gravity are given", _METHOD),
-        _pending("2.1", "About 2 minutes on a PIII-800", _METHOD),
-    ),
-    "shooting": (_pending("2.1", "The shooting method failed: the costate equations are too sensitive", _METHOD),),
-    "puma": (_pending("2.1, ref. 20", "Puma 762: three times the payload of the manufacturer's figure", _METHOD),),
-    "adjoint": (
-        _pending("2.2, Eq. 7", "Elbow motion as splines, gradient by the costate: swing-up from q1 = -1.0", _METHOD),
-        _pending("2.2", "Round-off leads to large relative errors of the gradient near convergence", _METHOD),
-        _pending("2.2", "About 5 minutes on a PIII-800, with tolerances adjusted", _METHOD),
-    ),
-    "dive": (_pending("2.2, ref. 16", "High dives of a human-like diver by the same approach", _METHOD),),
     "step": (
-        _pending("2.3", "Human step: 32 B-spline parameters for the swing hip", _STEP),
-        _pending("2.3, Fig. 5", "The pelvis alone moves a paralysed leg through a step near the recorded gait", _STEP),
-        _pending("2.3", "Approximately 4 hours to converge (PIII-800)", _STEP),
-        _pending("2.3", "Stance and swing together were unstable and did not converge", _STEP),
-        _pending("2.3", '"In just a few minutes" with the new algorithm, stance and swing together', _STEP),
-    ),
-    "hopper-splines": (
-        _pending("2.4", "The hopper by B-splines would not converge, with much tweaking of tolerances", _METHOD),
+        _pending("2.3", "Human step: 32 B-spline parameters for the swing hip"),
+        _pending("2.3, Fig. 5", "The pelvis alone moves a paralysed leg through a step near the recorded gait"),
+        _pending("2.3", "Approximately 4 hours to converge (PIII-800)"),
+        _pending("2.3", "Stance and swing together were unstable and did not converge"),
+        _pending("2.3", '"In just a few minutes" with the new algorithm, stance and swing together'),
     ),
 }
 

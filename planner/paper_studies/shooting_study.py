@@ -143,11 +143,11 @@ def shooting_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     """Rows of the table: the paper says, we get, why it differs."""
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     return [
-        {"paper": "indirect shooting on the fully actuated arm", "where": "2.1", "says": "failed",
+        {"where": "2.1", "paper": "Indirect shooting on the fully actuated arm failed",
          "ours": f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
                  f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
          "why": _said(results)},
-        {"paper": "costate equations highly sensitive to the initial conditions", "where": "2.1", "says": "no number",
+        {"where": "2.1", "paper": "The costate equations are highly sensitive to the initial conditions (no number)",
          "ours": f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
                  f"condition up to {max(results['condition']):.0e}",
          "why": "the flow preserves volume: what it contracts in one direction it stretches in another"},

@@ -224,13 +224,13 @@ def masses_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     why = "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)
     return [
-        {"paper": "effort 73.6 to 9.9 by BFGS on quintic B-splines", "where": "2.1",
-         "says": f"{FIRST} to {LAST}", "ours": best, "why": why},
-        {"paper": "the same on our own arm (rods of 0.5 kg and 1 m)", "where": "2.1", "says": f"{FIRST} to {LAST}",
+        {"where": "2.1", "paper": f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given",
+         "ours": best, "why": why},
+        {"where": "2.1", "paper": f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
          "ours": f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
                  f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
          "why": "another arm, and the nearest of many local minima"},
-        {"paper": "computation time of the direct method", "where": "2.1", "says": "about 2 minutes on a PIII-800",
+        {"where": "2.1", "paper": "The direct method takes about 2 minutes on a PIII-800",
          "ours": f"{ours['seconds']:.2f} s, {ours['iterations']} iterations",
          "why": "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes"},
     ]  # fmt: skip
