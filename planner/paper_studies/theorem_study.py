@@ -108,7 +108,7 @@ def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) 
         step: What a sweep made of them. What regularises it counts as part of R.
     """
     ndx, nu = B.shape[1:]
-    sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope)
+    sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope, 0.5 * step.slope)
     dxs, dus = lq.direction(A, B, sweep)
     R = model.R + step.regularisation * np.eye(nu)
     right = -float(np.einsum("ni,nij,nj->", dxs, model.Q, dxs) + np.einsum("ni,nij,nj->", dus, R, dus))
