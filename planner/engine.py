@@ -7,7 +7,7 @@ dynamics and cost, for a user's own Python. Both use the line search of kernels.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -22,6 +22,7 @@ from planner.kernels.lanes import WIDTH
 from planner.kernels.precompile import compile_together
 from planner.kernels.quadratic import gradients
 from planner.kernels.riccati import direction, riccati_dense, riccati_structured
+from planner.kernels.second_order import costates
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
 from planner.problem import Problem
 from planner.space import space_of
@@ -47,8 +48,8 @@ class Engine(Protocol):
 
     largest_control_weight: float
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
-        """Roll out the first guess; its cost."""
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+        """Roll out the first guess; its cost. With `exact` the Hessians have the dynamics' second-order terms."""
         ...
 
     def iterate(
@@ -79,13 +80,19 @@ class CompiledEngine:
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured)
         self._memory = dynamics.memory(problem.N)
         self.largest_control_weight = float(np.abs(cost.R).max())
+        self._second: Any = None
+        self._exact = False
         self._numpy: NumpyEngine | None = None  # goes on where rollouts give no slopes for the Wolfe rule
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess; its cost."""
-        self._numpy = None
+        self._numpy, self._exact = None, exact
+        if exact and self._second is None:
+            self._second = self._dynamics.second_order_memory()
+        self._w.use_second_order(exact)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
-        compile_together((sweep, "gradients", *self._dynamics.kernels))
+        more = self._dynamics.second_order_kernels if exact else ()
+        compile_together((sweep, "gradients", *self._dynamics.kernels, *more))
         self._w.xs[0] = x0
         self._w.us[:] = us
         self._w.dus[:] = 0.0
@@ -99,13 +106,16 @@ class CompiledEngine:
         if rule == search.WOLFE and not self._dynamics.has_slopes and self._numpy is None:
             xs, us = self.trajectory()
             self._numpy = NumpyEngine(self._problem)
-            self._numpy.start(xs[0], us)
+            self._numpy.start(xs[0], us, self._exact)
         if self._numpy is not None:
             return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         w, dynamics = self._w, self._dynamics
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
             gradients(w.table)
+            if self._exact:
+                costates(w.table, dynamics.dt)
+                dynamics.second_order_nominal(w, self._memory, self._second)
         riccati = riccati_structured if dynamics.structured else riccati_dense
         norm, slope, definite = riccati(w.table, mu, dynamics.dt)
         if not definite:
@@ -146,13 +156,20 @@ class NumpyEngine:
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
         self._sweep: lq.Sweep | None = None
+        self._exact, self._second = False, None
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess; its cost."""
+        if exact and not callable(getattr(self._dynamics, "second_order", None)):
+            raise PlannerError(
+                'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
+                "second_order(xs, us, costates) (see planner.Dynamics)."
+            )
+        self._exact = exact
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
         if np.isfinite(J[0]):
@@ -188,6 +205,16 @@ class NumpyEngine:
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
 
+    def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
+        N, nu, ndx = self._gains
+        dynamics: Any = self._dynamics
+        T = np.asarray(dynamics.second_order(xs, us, lq.costates(self._A, self._model)))
+        if T.shape != (N, ndx + nu, ndx + nu):
+            expected = (N, ndx + nu, ndx + nu)
+            raise PlannerError(f"the dynamics' second_order gives an array of shape {T.shape}, expected {expected}.")
+        return T
+
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
@@ -199,7 +226,8 @@ class NumpyEngine:
             _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._cost.quadratize(xs0, us0)
             self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
-        sweep = lq.riccati(self._A, self._B, self._model, mu)
+            self._second = self._second_order(xs0, us0) if self._exact else None
+        sweep = lq.riccati(self._A, self._B, self._model, mu, self._second)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope

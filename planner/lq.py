@@ -42,7 +42,9 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
     return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
 
 
-def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0) -> Sweep | None:
+def riccati(
+    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0, second: np.ndarray | None = None
+) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
     Args:
@@ -50,27 +52,29 @@ def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0)
         B: (N, ndx, nu).
         quadratic: Of the cost.
         mu: Regularisation, added to R.
+        second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
 
     Returns:
-        The solution, or None when R + B'PB + mu I is not positive definite.
+        The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
     """
     N, ndx, nu = B.shape
     K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
-    slope = 0.0
+    slope, none = 0.0, np.zeros((ndx + nu, ndx + nu))
     for n in reversed(range(N)):
         BtP = B[n].T @ P[n + 1]
+        T = none if second is None else second[n]
         try:
-            U = np.linalg.cholesky(quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu)).T
+            U = np.linalg.cholesky(quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu)).T
         except np.linalg.LinAlgError:
             return None
         if np.isnan(U).any():  # NumPy lets a NaN through
             return None
-        Y = np.linalg.solve(U.T, BtP @ A[n])
+        Y = np.linalg.solve(U.T, BtP @ A[n] + T[ndx:, :ndx])
         y = np.linalg.solve(U.T, quadratic.r[n] + B[n].T @ s[n + 1])
         K[n], k[n] = -np.linalg.solve(U, Y), -np.linalg.solve(U, y)
-        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] - Y.T @ Y  # Eq. 33
+        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = quadratic.q[n] + A[n].T @ s[n + 1] - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42

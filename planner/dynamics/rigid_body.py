@@ -56,6 +56,7 @@ class RigidBodyDynamics:
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
+        self.second_order_kernels = ("tree second order", "costates")
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         us = array("us", us, ("K", self.nu), any_value=True)
@@ -105,12 +106,8 @@ class RigidBodyDynamics:
         N, ndx, first = len(us), self.ndx, padded(self.nu)
         costates = array("costates", costates, (N + 1, ndx))
         T, memory, second = np.zeros((N, *[first + padded(ndx)] * 2)), self.memory(N), self.second_order_memory()
-        tree_step.steps(
-            self._model.table, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True
-        )
-        tree_second.second_order(
-            self._model.table, memory.table, second.table, self.dt, xs, us, costates, 0, T
-        )
+        tree_step.steps(self._model.table, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True)
+        tree_second.second_order(self._model.table, memory.table, second.table, self.dt, xs, us, costates, 0, T)
         order = np.r_[first : first + ndx, : self.nu]
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
@@ -165,9 +162,7 @@ class RigidBodyDynamics:
             w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope
         )
 
-    def second_order_nominal(
-        self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory
-    ) -> None:
+    def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""
         tree_second.second_order(
             self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.first, w.T

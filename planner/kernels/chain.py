@@ -210,6 +210,7 @@ def _sum_activations(m, Xa, weight):
 
 @inline
 def begin_activations(m, Xa):
+    """(own, given) of the first stage's activations, and sums of zero behind them."""
     na = m[NA]
     for k in range(na):
         store(Xa, 2 * k, 1.0)

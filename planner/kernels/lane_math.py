@@ -1,4 +1,4 @@
-"""Functions of floats and of V4 alike, but for the square root of D4 too: rounding, square root, sine and cosine, and the transpose of four V4."""
+"""Functions of floats, V4 and (but for the square root) D4 alike: rounding, square root, sines, transposes."""
 
 from __future__ import annotations
 

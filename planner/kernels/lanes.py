@@ -88,10 +88,12 @@ class PointerType(types.Type):
 
     @property
     def lanes(self) -> bool:
+        """Whether an entry is a V4."""
         return self.kind == "Lane"
 
     @property
     def entry(self) -> Any:
+        """The type of an entry."""
         return {"Lane": V4, "Float": types.float64, "Integer": types.int64}[self.kind]
 
     def takes(self, value: Any) -> Any:

@@ -28,7 +28,19 @@ import numpy as np
 from planner.kernels.chain import begin_activations, stage_activations
 from planner.kernels.duals import duals
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lane_array, lanes, load, pointer, spread, store
+from planner.kernels.lanes import (
+    WIDTH,
+    as_floats,
+    at,
+    floats,
+    integers,
+    lane_array,
+    lanes,
+    load,
+    pointer,
+    spread,
+    store,
+)
 from planner.kernels.model import ACTIVATION_INPUT, NA, NQ, NU, NV, PRESCRIBED, Q_ADDRESS
 from planner.kernels.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree import RECORD
@@ -51,7 +63,7 @@ from planner.kernels.tree_memory import (
     X_LANES,
     XA,
 )  # fmt: skip
-from planner.kernels.tree_step import gather, stage_state
+from planner.kernels.tree_step import stage_state
 
 _ARRAYS = (
     "costate", "q", "D", "inverse", "mu", "eta", "carried", "Sq", "Svv", "Xq", "Xv", "A", "Wq", "Wv", "T",
