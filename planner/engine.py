@@ -7,7 +7,7 @@ dynamics and cost, for a user's own Python. Both use the line search of kernels.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,6 +23,7 @@ from planner.kernels.lanes import WIDTH
 from planner.kernels.precompile import compile_together
 from planner.kernels.quadratic import gradients
 from planner.kernels.riccati import direction, riccati_dense, riccati_structured
+from planner.kernels.second_order import costates
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
 from planner.problem import Problem
 from planner.space import space_of
@@ -53,8 +54,11 @@ class Engine(Protocol):
         """Have these hinges added to the cost from the next start on; None for none."""
         ...
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
-        """Roll out the first guess, within its bounds; its cost."""
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+        """Roll out the first guess, within its bounds; its cost.
+
+        With `exact` the Hessians have the dynamics' second-order terms.
+        """
         ...
 
     def iterate(
@@ -65,7 +69,7 @@ class Engine(Protocol):
         ...
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
         ...
 
     def gradient(self) -> np.ndarray:
@@ -91,6 +95,8 @@ class CompiledEngine:
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured, problem.bounds, hinges)
         self._memory = dynamics.memory(problem.N)
         self.largest_control_weight = float(np.abs(cost.R).max())
+        self._second: Any = None
+        self._exact = False
         self._numpy: NumpyEngine | None = None  # goes on where rollouts give no slopes for the Wolfe rule
         self._hinges: Hinges | None = None
 
@@ -102,12 +108,16 @@ class CompiledEngine:
         else:
             self._w.hinge_lower[:], self._w.hinge_upper[:], self._w.hinge_weight[:] = hinges
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._numpy = None
+        self._numpy, self._exact = None, exact
+        if exact and self._second is None:
+            self._second = self._dynamics.second_order_memory()
+        self._w.use_second_order(exact)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._problem.bounds is None else " bounded"
-        compile_together((sweep, "gradients", *self._dynamics.kernels))
+        more = self._dynamics.second_order_kernels if exact else ()
+        compile_together((sweep, "gradients", *self._dynamics.kernels, *more))
         self._w.xs[0] = x0
         self._w.us[:] = self._problem.clipped(us)
         self._w.dus[:] = 0.0
@@ -124,13 +134,16 @@ class CompiledEngine:
             xs, us = self.trajectory()
             self._numpy = NumpyEngine(self._problem)
             self._numpy.hinge(self._hinges)
-            self._numpy.start(xs[0], us)
+            self._numpy.start(xs[0], us, self._exact)
         if self._numpy is not None:
             return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         w, dynamics = self._w, self._dynamics
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
             gradients(w.table)
+            if self._exact:
+                costates(w.table, dynamics.dt)
+                dynamics.second_order_nominal(w, self._memory, self._second)
         if self._problem.bounds is not None:
             return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
         riccati = riccati_structured if dynamics.structured else riccati_dense
@@ -164,7 +177,11 @@ class CompiledEngine:
         return Outcome(ACCEPTED, norm, slope, step, _promised(slope, value, step), after)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
+        if self._numpy is not None:
+            return self._numpy.sweep(mu, fresh)
+        self._exact = False
+        self._w.use_second_order(False)
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
@@ -201,6 +218,7 @@ class NumpyEngine:
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
         self._sweep: lq.Sweep | None = None
+        self._exact, self._second = False, None
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
@@ -222,8 +240,14 @@ class NumpyEngine:
         """How far each control may change from us (N, nu)."""
         return None if self._bounds is None else (self._bounds[0] - us, self._bounds[1] - us)
 
-    def start(self, x0: np.ndarray, us: np.ndarray) -> float:
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
+        if exact and not callable(getattr(self._dynamics, "second_order", None)):
+            raise PlannerError(
+                'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
+                "second_order(xs, us, costates) (see planner.Dynamics)."
+            )
+        self._exact = exact
         us = self._clipped(us)
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
@@ -264,6 +288,16 @@ class NumpyEngine:
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
 
+    def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
+        N, nu, ndx = self._gains
+        dynamics: Any = self._dynamics
+        T = np.asarray(dynamics.second_order(xs, us, lq.costates(self._A, self._model)))
+        if T.shape != (N, ndx + nu, ndx + nu):
+            expected = (N, ndx + nu, ndx + nu)
+            raise PlannerError(f"the dynamics' second_order gives an array of shape {T.shape}, expected {expected}.")
+        return T
+
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
@@ -276,8 +310,9 @@ class NumpyEngine:
             self._model = self._quadratized(xs0, us0)
             self._gradient = lq.gradient(self._A, self._B, self._model)
             self._norm = float(np.linalg.norm(lq.projected(self._gradient, self._moves(us0))))
+            self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(us0)
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
@@ -307,7 +342,8 @@ class NumpyEngine:
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
+        self._exact, self._second = False, None
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:

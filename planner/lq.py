@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.box import box_minimum
 from planner.cost import Quadratic
+from planner.kernels.bounded import AT_BOUND
 
 Bounds = tuple[np.ndarray, np.ndarray]  # of the change of each control, (N, nu) each: at most 0, at least 0
 
@@ -51,11 +52,16 @@ def projected(gradient: np.ndarray, bounds: Bounds | None) -> np.ndarray:
     if bounds is None:
         return gradient
     lower, upper = bounds
-    return np.where(((lower >= 0.0) & (gradient > 0.0)) | ((upper <= 0.0) & (gradient < 0.0)), 0.0, gradient)
+    return np.where(((lower >= -AT_BOUND) & (gradient > 0.0)) | ((upper <= AT_BOUND) & (gradient < 0.0)), 0.0, gradient)
 
 
 def riccati(
-    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0, bounds: Bounds | None = None
+    A: np.ndarray,
+    B: np.ndarray,
+    quadratic: Quadratic,
+    mu: float = 0.0,
+    bounds: Bounds | None = None,
+    second: np.ndarray | None = None,
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
@@ -67,18 +73,21 @@ def riccati(
         quadratic: Of the cost.
         mu: Regularisation, added to R.
         bounds: Of k.
+        second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
 
     Returns:
-        The solution, or None when R + B'PB + mu I is not positive definite.
+        The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
     """
     N, ndx, nu = B.shape
     K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
-    slope, value = 0.0, 0.0
+    slope, value, none = 0.0, 0.0, np.zeros((ndx + nu, ndx + nu))
     for n in reversed(range(N)):
         BtP = B[n].T @ P[n + 1]
-        H, h, H_ux = quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu), quadratic.r[n] + B[n].T @ s[n + 1], BtP @ A[n]
+        T = none if second is None else second[n]
+        H, H_ux = quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu), BtP @ A[n] + T[ndx:, :ndx]
+        h = quadratic.r[n] + B[n].T @ s[n + 1]
         s_x = quadratic.q[n] + A[n].T @ s[n + 1]
         try:
             if bounds is not None:
@@ -98,7 +107,7 @@ def riccati(
         K[n] = -np.linalg.solve(U, Y)
         if bounds is None:
             k[n] = -np.linalg.solve(U, y)
-        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] - Y.T @ Y  # Eq. 33
+        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = s_x - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42
@@ -120,7 +129,7 @@ def direction(
     for n in range(N):
         dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
         if bounds is not None:
-            outward = ((bounds[0][n] >= 0.0) & (dus[n] < 0.0)) | ((bounds[1][n] <= 0.0) & (dus[n] > 0.0))
+            outward = ((bounds[0][n] >= -AT_BOUND) & (dus[n] < 0.0)) | ((bounds[1][n] <= AT_BOUND) & (dus[n] > 0.0))
             dus[n, outward] = 0.0
         dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
     return dxs, dus

@@ -38,6 +38,7 @@ from planner.space import space_of
 from planner.state_ranges import Hinges
 
 UPDATES = ("feedback", "open-loop")
+HESSIANS = ("gauss-newton", "exact")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
 
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
@@ -50,6 +51,7 @@ def solve(
     *,
     update: str = "feedback",
     line_search: str = "armijo",
+    hessian: str = "gauss-newton",
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float = 1e-10,
@@ -65,6 +67,9 @@ def solve(
         problem: What to solve.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
+        hessian: "gauss-newton" (default, the paper's) or "exact": with the second derivatives of the dynamics, which
+            makes it differential dynamic programming. Far fewer iterations where the end is hard to reach and the
+            cost is small against the curvature; each takes longer, and many sweeps of it are indefinite.
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J).
@@ -89,6 +94,7 @@ def solve(
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
     feedback = choice("update", update, UPDATES) == "feedback"
     rule = LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES))
+    exact = choice("hessian", hessian, HESSIANS) == "exact"
     count("max_iterations", max_iterations)
     number("gradient_tolerance", gradient_tolerance, least=0.0)
     number("decrease_tolerance", decrease_tolerance, least=0.0)
@@ -99,9 +105,9 @@ def solve(
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
-    descend = partial(_descend, problem, feedback, rule, gradient_tolerance, decrease_tolerance)
+    descend = partial(_descend, problem, feedback, rule, exact, gradient_tolerance, decrease_tolerance)
     options: dict[str, Any] = {
-        "update": update, "line_search": line_search, "max_iterations": max_iterations,
+        "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance, "starts": starts,
     }  # fmt: skip
     if starts > 1:
@@ -112,18 +118,18 @@ def solve(
 
 
 def _descend(
-    problem: Problem, feedback: bool, rule: int, gradient_tolerance: float, decrease_tolerance: float,
+    problem: Problem, feedback: bool, rule: int, exact: bool, gradient_tolerance: float, decrease_tolerance: float,
     first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu)."""
-    minimise = partial(_minimise, problem, feedback, rule, gradient_tolerance, decrease_tolerance, callback)
+    minimise = partial(_minimise, problem, feedback, rule, exact, gradient_tolerance, decrease_tolerance, callback)
     if problem.ranges is None or problem.limits is None:
         return minimise(first_guess, None, max_iterations, 0)
     return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
 
 
 def _minimise(
-    problem: Problem, feedback: bool, rule: int, gradient_tolerance: float, decrease_tolerance: float,
+    problem: Problem, feedback: bool, rule: int, exact: bool, gradient_tolerance: float, decrease_tolerance: float,
     callback: Callable[[Iteration], object] | None, first_guess: np.ndarray, hinges: Hinges | None,
     max_iterations: int, first_line: int,
 ) -> Plan:  # fmt: skip
@@ -132,7 +138,7 @@ def _minimise(
     if problem.ranges is not None:
         engine.hinge(hinges)
     history: list[Iteration] = []
-    cost = engine.start(problem.x0, first_guess)
+    cost = engine.start(problem.x0, first_guess, exact)
     if not math.isfinite(cost):
         return _not_finite(problem, engine, cost)
 
@@ -171,7 +177,7 @@ def _minimise(
         cost = problem.cost.value(xs, us)
         gradient_norm = _sweep(engine, largest)
         history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
-    elif mu > 0.0:  # the gains belong to a regularised model
+    elif exact or mu > 0.0:  # the gains of a plan are those of the plain model of Eq. 31
         _sweep(engine, largest)
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
@@ -181,7 +187,7 @@ def _minimise(
 
 
 def _sweep(engine: Engine, largest: float) -> float:
-    """Linearise and sweep without a search, as little regularised as it goes; the gradient norm."""
+    """Linearise and sweep without a search, by Gauss and Newton, as little regularised as it goes; the gradient norm."""
     mu, fresh = 0.0, True
     while True:
         done = engine.sweep(mu * largest, fresh)

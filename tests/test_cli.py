@@ -93,6 +93,7 @@ def test_json_is_one_document(tmp_path):
         ("--line-search", "exact"),
         ("--line-search", "wolfe"),
         ("--line-search", "goldstein"),
+        ("--hessian", "exact"),
         ("--duration", 1.5, "--smoothing", 0.05, "--stiffness", 120, "--gravity", 300),
     ],
     ids=str,

@@ -48,12 +48,16 @@ class Body:
 
 
 @st.composite
-def structures(draw, max_dofs=40, max_bodies=12):
-    """A list of bodies, parents first, with at least one joint and at most max_dofs degrees of freedom."""
+def structures(draw, max_dofs=40, max_bodies=12, plain=False):
+    """A list of bodies, parents first, with at least one joint and at most max_dofs degrees of freedom.
+
+    Plain ones have hinges and slides only.
+    """
     bodies, dofs = [], 0
+    several = [row for row in ROWS if not (plain and "ball" in row)]
     for i in range(draw(st.integers(1, max_bodies))):
         parent = draw(st.integers(max(-1, i - 4), i - 1))
-        rows = [*ROWS, ("free",), ("free",)] if parent < 0 else ROWS
+        rows = [*several, ("free",), ("free",)] if parent < 0 and not plain else several
         joints = draw(st.sampled_from(rows))
         if dofs + sum(DOFS[kind] for kind in joints) > max_dofs:
             joints = ()
@@ -124,20 +128,20 @@ def tree_xml(bodies, rng):
     )
 
 
-def mechanism_texts(max_dofs=40, max_bodies=12):
+def mechanism_texts(max_dofs=40, max_bodies=12, plain=False):
     """Strategy for MJCF texts of random trees."""
     return st.builds(
         lambda bodies, seed: tree_xml(bodies, np.random.default_rng(seed)),
-        structures(max_dofs, max_bodies),
+        structures(max_dofs, max_bodies, plain),
         st.integers(0, 2**32 - 1),
     )
 
 
-def machines(examples, max_dofs=40, max_bodies=12, **more):
+def machines(examples, max_dofs=40, max_bodies=12, plain=False, **more):
     """Decorator: a test of (text, seed, ...) on that many random machines, the same ones in every run."""
 
     def decorate(test):
-        texts = mechanism_texts(max_dofs, max_bodies)
+        texts = mechanism_texts(max_dofs, max_bodies, plain)
         whole = given(text=texts, seed=st.integers(0, 2**32 - 1), **more)(test)
         checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]
         return settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=checks)(whole)

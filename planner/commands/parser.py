@@ -14,7 +14,7 @@ from planner.cases import CASES
 from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
 from planner.paper_studies.catalogue import STUDIES
-from planner.slq import LINE_SEARCHES, UPDATES
+from planner.slq import HESSIANS, LINE_SEARCHES, UPDATES
 
 PROBLEM_FILE = "PROBLEM.toml"
 """Stands for any file of that kind where a case may be named."""
@@ -100,6 +100,10 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
         help="feedback: us + step k + K (x - xs); open-loop: the paper's Eq. 36. Default: feedback.",
     )  # fmt: skip
     parser.add_argument("--line-search", choices=LINE_SEARCHES, default="armijo", help="Default: armijo.")
+    parser.add_argument(
+        "--hessian", choices=HESSIANS, default="gauss-newton",
+        help="exact: with the second derivatives of the dynamics (hinges, slides, hopper). Default: gauss-newton.",
+    )  # fmt: skip
     parser.add_argument(
         "--max-iterations", type=_whole, default=1000, metavar="N", help="Limit of the solver. Default: 1000."
     )

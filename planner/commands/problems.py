@@ -39,13 +39,14 @@ def name_of(arguments: argparse.Namespace) -> str:
 def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
     """The plan, and the seconds that the solve took."""
     problem = asked.problem
-    solve(problem, max_iterations=1)  # what a first run compiles is not the solve's time
+    solve(problem, hessian=arguments.hessian, max_iterations=1)  # what a first run compiles is not the solve's time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
     began = time.perf_counter()
     plan = solve(
-        problem, update=arguments.update, line_search=arguments.line_search, starts=asked.starts, seed=asked.seed,
-        max_iterations=arguments.max_iterations, callback=console.iteration if asked.starts == 1 else console.start,
+        problem, update=arguments.update, line_search=arguments.line_search, hessian=arguments.hessian,
+        starts=asked.starts, seed=asked.seed, max_iterations=arguments.max_iterations,
+        callback=console.iteration if asked.starts == 1 else console.start,
         rank=RANKS[arguments.rank],
     )  # fmt: skip
     return plan, time.perf_counter() - began

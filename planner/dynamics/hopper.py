@@ -7,6 +7,7 @@ import numpy as np
 from planner.arguments import array, choice, number
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels import hopper as kernel
+from planner.kernels import hopper_second
 from planner.kernels.lanes import WIDTH, lane_array
 from planner.kernels.workspace import Workspace
 
@@ -31,6 +32,7 @@ class HopperDynamics:
     has_slopes = True
     has_ranges = False  # of states: its own rollout computes its own cost, so NumPy does a solve with ranges
     kernels = ("hopper search", "hopper linearize")
+    second_order_kernels = ("hopper second order", "costates")
 
     def __init__(
         self, dt: float, integrator: str = "rk4", *, stiffness: float = 100.0, smoothing: float = 0.1,
@@ -69,8 +71,28 @@ class HopperDynamics:
         kernel.linearize_arrays(self._code, self.dt, self._parameters, xs, us, F, lane_array(7, WIDTH))
         return F[:, :, 1:4].copy(), F[:, :, :1].copy()
 
+    def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
+        """T (N, 4, 4) = sum_k costate_k d2 f_k / dz2 with z = (x, u); see Dynamics.second_order.
+
+        The spring's second derivative is that of its parabola, zero elsewhere; where they meet it jumps.
+        """
+        us = array("us", us, ("N", 1), any_value=True)
+        xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
+        costates = array("costates", costates, xs.shape, any_value=True)
+        T = np.zeros((len(us), 2 * WIDTH, 2 * WIDTH))
+        hopper_second.second_order(self._code, self.dt, self._parameters, xs, us, costates, 0, T)
+        order = np.array([WIDTH, WIDTH + 1, WIDTH + 2, 0])
+        return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
+
     def memory(self, N: int) -> None:
         """Scratch of one solve of N stages: none."""
+
+    def second_order_memory(self) -> None:
+        """Scratch of second_order_nominal: none."""
+
+    def second_order_nominal(self, w: Workspace, memory: None, second: None) -> None:
+        """Fill w.T along w.xs, w.us for w.costates."""
+        hopper_second.second_order(self._code, self.dt, self._parameters, w.xs, w.us, w.costates, w.first, w.T)
 
     def linearize_nominal(self, w: Workspace, memory: None) -> None:
         """Fill w.F along w.xs, w.us."""

@@ -19,6 +19,9 @@ class Dynamics(Protocol):
     States that are not plain vectors (orientations as unit quaternions) come with one more attribute, `space`, a
     StateSpace: then A, B and a plan's gains act on its deviations, ndx numbers. Without it ndx is nx.
 
+    For solve(hessian="exact") they have one more method, second_order(xs, us, costates): with costates (N+1, ndx) of
+    Eq. 16 the symmetric T (N, ndx+nu, ndx+nu) = sum_k costates[n+1, k] d2 f_k / dz2 in z = (x, u).
+
     Attributes:
         nx: Size of the state.
         nu: Size of the control.
@@ -58,6 +61,7 @@ class CompiledDynamics(Protocol):
         structured: Whether F holds accelerations only (see Workspace).
         has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
         kernels: What it is compiled of, names of kernels.precompile.
+        second_order_kernels: What second_order_nominal is compiled of.
     """
 
     @property
@@ -66,6 +70,8 @@ class CompiledDynamics(Protocol):
     def has_slopes(self) -> bool: ...  # noqa: D102
     @property
     def kernels(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def second_order_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
     @property
     def dt(self) -> float: ...  # noqa: D102
 
@@ -81,4 +87,12 @@ class CompiledDynamics(Protocol):
         self, w: Workspace, memory: Any, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
         """Line search (see kernels.search) from w.xs, w.us; takes the step there; (step or 0, cost after)."""
+        ...
+
+    def second_order_memory(self) -> Any:
+        """Scratch of second_order_nominal. Raises PlannerError where there are no second-order terms."""
+        ...
+
+    def second_order_nominal(self, w: Workspace, memory: Any, second: Any) -> None:
+        """Fill w.T along w.xs, w.us for w.costates; after linearize_nominal."""
         ...

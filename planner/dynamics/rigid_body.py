@@ -9,7 +9,7 @@ import numpy as np
 from planner.arguments import array, choice, number, shown
 from planner.dynamics.protocol import INTEGRATORS
 from planner.errors import PlannerError
-from planner.kernels import tree_linearize, tree_solve, tree_step
+from planner.kernels import tree_linearize, tree_second, tree_solve, tree_step
 from planner.kernels.jit import announce
 from planner.kernels.lanes import padded
 from planner.kernels.model import Model
@@ -56,6 +56,7 @@ class RigidBodyDynamics:
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
+        self.second_order_kernels = ("tree second order", "costates")
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         us = array("us", us, ("K", self.nu), any_value=True)
@@ -95,6 +96,21 @@ class RigidBodyDynamics:
         tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F)
         return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
 
+    def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
+        """T (N, ndx+nu, ndx+nu) = sum_k costate_k d2 f_k / dz2 with z = (x, u), exact; see Dynamics.second_order.
+
+        Raises:
+            PlannerError: The mechanism has a ball or free joint.
+        """
+        xs, us = self._checked(np.asarray(xs)[: len(us)], us)
+        N, ndx, first = len(us), self.ndx, padded(self.nu)
+        costates = array("costates", costates, (N + 1, ndx))
+        T, memory, second = np.zeros((N, *[first + padded(ndx)] * 2)), self.memory(N), self.second_order_memory()
+        tree_step.steps(self._model.table, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True)
+        tree_second.second_order(self._model.table, memory.table, second.table, self.dt, xs, us, costates, 0, T)
+        order = np.r_[first : first + ndx, : self.nu]
+        return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
+
     def _turns(self, transport: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """T and J (N, nv, nv) of dq+ = T dq + dt J dv+: the identity but for rotations."""
         nv = self.mechanism.nv
@@ -121,6 +137,15 @@ class RigidBodyDynamics:
         """Scratch of one solve of N stages."""
         return TreeMemory(self._model, self._code, N)
 
+    def second_order_memory(self) -> tree_second.SecondOrderMemory:
+        """Scratch of second_order_nominal; refuses balls and free joints."""
+        if self.space.quaternions:
+            raise PlannerError(
+                'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
+                'hessian="gauss-newton".'
+            )
+        return tree_second.SecondOrderMemory(self._model, self._code)
+
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Fill w.F along w.xs, w.us."""
         m, r = self._model.table, memory.table
@@ -135,4 +160,10 @@ class RigidBodyDynamics:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
         return tree_solve.search_step(
             w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope
+        )
+
+    def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
+        """Fill w.T along w.xs, w.us for w.costates."""
+        tree_second.second_order(
+            self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.first, w.T
         )

@@ -18,7 +18,22 @@ from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import at, floats, load, pointer, store
 from planner.kernels.quadratic import add_weights
 from planner.kernels.riccati import advance, begin, factorize, gains, next_value
+from planner.kernels.second_order import add_second
 from planner.kernels.stage_hessian import dense_stage, structured_stage
+
+AT_BOUND = 1e-11  # a step can end a few roundings inside a bound
+
+
+@inline
+def at_lower(us, lower, i):
+    """Whether a control is at its lower bound, but for rounding."""
+    return load(us, i) - load(lower, i) <= AT_BOUND
+
+
+@inline
+def at_upper(us, upper, i):
+    """Whether a control is at its upper bound, but for rounding."""
+    return load(upper, i) - load(us, i) <= AT_BOUND
 
 
 @inline
@@ -30,7 +45,7 @@ def _projected(w, n):
     for a in range(nu):
         i, g = n * nu + a, load(c, a)
         store(gradient, i, g)
-        pushes = (load(us, i) <= load(lower, i) and g > 0.0) or (load(us, i) >= load(upper, i) and g < 0.0)
+        pushes = (at_lower(us, lower, i) and g > 0.0) or (at_upper(us, upper, i) and g < 0.0)
         if not pushes:
             norm2 += g * g
     return norm2
@@ -62,6 +77,8 @@ def _finish_bounded(w, mu, n):
     """As riccati's, with the controls of stage n in their box; the model's value in place of the slope."""
     nu = w[W.NU]
     add_weights(w, floats(w, W.H), n)
+    if w[W.EXACT]:
+        add_second(w, floats(w, W.H), n)
     norm2 = _projected(w, n)
     value, definite = box_minimum(w, mu, n)
     if definite:
@@ -133,7 +150,7 @@ def bounded_direction(w, dt):
             du = load(k, i)
             for j in range(ndx):
                 du += load(K, i * width + first + j) * load(dx, j)
-            if (load(us, i) <= load(lower, i) and du < 0.0) or (load(us, i) >= load(upper, i) and du > 0.0):
+            if (at_lower(us, lower, i) and du < 0.0) or (at_upper(us, upper, i) and du > 0.0):
                 du = 0.0
             store(dus, i, du)
             slope += load(gradient, i) * du

@@ -1,4 +1,4 @@
-"""Functions of floats and of V4 alike: rounding, square root, sine and cosine, and the transpose of four V4."""
+"""Functions of floats, V4 and (but for the square root) D4 alike: rounding, square root, sines, transposes."""
 
 from __future__ import annotations
 
@@ -9,27 +9,33 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
+from planner.kernels.duals import D4, value_of
 from planner.kernels.jit import inline
 from planner.kernels.lanes import V4, WIDTH, intrinsic
 
 
-def _define_function(name: str) -> Any:
-    """An LLVM intrinsic of one argument."""
+def _define_function(name: str, steps: bool) -> Any:
+    """An LLVM intrinsic of one argument. A function of steps takes duals too, and gives lanes: it has no slope."""
 
     @intrinsic
     def function(typingctx: Any, x: Any) -> Any:
-        suffix = f"v{WIDTH}f64" if x is V4 else "f64"
+        if x is D4 and not steps:
+            return None
+        result = V4 if x is D4 else x
+        suffix = f"v{WIDTH}f64" if result is V4 else "f64"
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            kind = ir.FunctionType(args[0].type, [args[0].type])
-            return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{suffix}"), args)
+            value = value_of(context, builder, args[0]) if sig.args[0] is D4 else args[0]
+            kind = ir.FunctionType(value.type, [value.type])
+            called = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{suffix}")
+            return builder.call(called, [value])
 
-        return x(x), lower
+        return result(x), lower
 
     return function
 
 
-rint, floor, sqrt = (_define_function(name) for name in ("rint", "floor", "sqrt"))
+rint, floor, sqrt = _define_function("rint", True), _define_function("floor", True), _define_function("sqrt", False)
 
 # pi in two parts, so that subtracting multiples of it loses nothing.
 _PI, _PI_REST, _INVERSE_PI = math.pi, 1.2246467991473532e-16, 1.0 / math.pi

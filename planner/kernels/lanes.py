@@ -30,6 +30,7 @@ import numpy as np
 from llvmlite import ir
 from numba import extending, types
 from numba.core.imputils import lower_builtin
+from numba.core.typeconv import Conversion
 from numba.core.typing import templates
 from numba.core.typing.templates import AbstractTemplate, signature
 from numba.extending import models, register_model
@@ -40,8 +41,8 @@ infer_global: Any = templates.infer_global
 
 WIDTH = 4
 _LINE = 8  # doubles of a cache line
-_FLAGS = ("contract", "nsz", "arcp")
-_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+FLAGS = ("contract", "nsz", "arcp")
+VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _INT32 = ir.IntType(32)
 
 
@@ -58,57 +59,81 @@ def lane_array(*shape: int) -> np.ndarray:
     return buffer[start : start + count].reshape(shape)
 
 
-class _LaneType(types.Type):
+class LaneType(types.Type):
+    """Four doubles."""
+
     def __init__(self) -> None:
         super().__init__(name="V4")
 
+    def can_convert_to(self, typingctx: Any, other: Any) -> Any:
+        """Where two branches meet, lanes become what holds more (see duals)."""
+        return Conversion.safe if getattr(other, "holds_lanes", False) else None
 
-V4 = _LaneType()
+
+V4 = LaneType()
 
 
-@register_model(_LaneType)
+@register_model(LaneType)
 class _LaneModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _VECTOR)
+        super().__init__(dmm, fe_type, VECTOR)
 
 
-class _PointerType(types.Type):
+class PointerType(types.Type):
+    """A raw pointer, by the kind of its entries."""
+
     def __init__(self, kind: str) -> None:
         self.kind = kind
         super().__init__(name=f"{kind}Pointer")
 
     @property
     def lanes(self) -> bool:
+        """Whether an entry is a V4."""
         return self.kind == "Lane"
 
     @property
     def entry(self) -> Any:
+        """The type of an entry."""
         return {"Lane": V4, "Float": types.float64, "Integer": types.int64}[self.kind]
 
+    def takes(self, value: Any) -> Any:
+        """The type that `store` is to be given for a value of this type."""
+        return value if self.lanes else self.entry
 
-_LANES, _FLOATS, _INTEGERS = _PointerType("Lane"), _PointerType("Float"), _PointerType("Integer")
-_ENTRY = {"Lane": _VECTOR, "Float": ir.DoubleType(), "Integer": ir.IntType(64)}
+    def read(self, builder: Any, address: Any) -> Any:
+        """An entry's value."""
+        value = builder.load(address, align=8)
+        return _constant(builder, value) if self.kind == "Integer" else value
+
+    def write(self, context: Any, builder: Any, address: Any, value: Any, numba_type: Any) -> None:
+        """Set an entry."""
+        builder.store(as_lanes(context, builder, value, numba_type) if self.lanes else value, address, align=8)
 
 
-@register_model(_PointerType)
+_LANES, _FLOATS, _INTEGERS = PointerType("Lane"), PointerType("Float"), PointerType("Integer")
+_ENTRY = {"Lane": VECTOR, "Float": ir.DoubleType(), "Integer": ir.IntType(64)}
+
+
+@register_model(PointerType)
 class _PointerModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, ir.PointerType(_ENTRY[fe_type.kind]))
 
 
 def _spread(builder: Any, x: Any) -> Any:
-    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    undefined = ir.Constant(VECTOR, ir.Undefined)
     first = builder.insert_element(undefined, x, ir.Constant(_INT32, 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_INT32, WIDTH), [0] * WIDTH))
 
 
-def _as_lanes(context: Any, builder: Any, value: Any, numba_type: Any) -> Any:
-    if isinstance(numba_type, _LaneType):
+def as_lanes(context: Any, builder: Any, value: Any, numba_type: Any) -> Any:
+    """A number of any type, in all four lanes."""
+    if isinstance(numba_type, LaneType):
         return value
     return _spread(builder, context.cast(builder, value, numba_type, types.float64))
 
 
-_OPERANDS = (_LaneType, types.Float, types.Integer)
+OPERANDS = (LaneType, types.Float, types.Integer)
 
 
 def _define_operator(function: Any, instruction: str) -> None:
@@ -116,20 +141,20 @@ def _define_operator(function: Any, instruction: str) -> None:
         key = function
 
         def generic(self, args: Any, kws: Any) -> Any:
-            lanes = any(isinstance(a, _LaneType) for a in args)
-            if len(args) == 2 and lanes and all(isinstance(a, _OPERANDS) for a in args):
+            lanes = any(isinstance(a, LaneType) for a in args)
+            if len(args) == 2 and lanes and all(isinstance(a, OPERANDS) for a in args):
                 return signature(V4, *args)
             return None
 
     infer_global(function)(Template)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        a, b = (_as_lanes(context, builder, x, t) for x, t in zip(args, sig.args, strict=True))
-        return getattr(builder, instruction)(a, b, flags=_FLAGS)
+        a, b = (as_lanes(context, builder, x, t) for x, t in zip(args, sig.args, strict=True))
+        return getattr(builder, instruction)(a, b, flags=FLAGS)
 
-    for left in _OPERANDS:
-        for right in _OPERANDS:
-            if _LaneType in (left, right):
+    for left in OPERANDS:
+        for right in OPERANDS:
+            if LaneType in (left, right):
                 lower_builtin(function, left, right)(lower)
 
 
@@ -163,8 +188,7 @@ def load(typingctx: Any, p: Any, k: Any) -> Any:
     """Entry k of a pointer: V4, float64 or int64."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value = builder.load(builder.gep(args[0], [args[1]]), align=8)
-        return _constant(builder, value) if sig.args[0] == _INTEGERS else value
+        return sig.args[0].read(builder, builder.gep(args[0], [args[1]]))
 
     return p.entry(p, types.intp), lower
 
@@ -174,13 +198,10 @@ def store(typingctx: Any, p: Any, k: Any, value: Any) -> Any:
     """Write entry k of a pointer; a float is spread over the lanes."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        v = args[2]
-        if sig.args[0].lanes:
-            v = _as_lanes(context, builder, v, sig.args[2])
-        builder.store(v, builder.gep(args[0], [args[1]]), align=8)
+        sig.args[0].write(context, builder, builder.gep(args[0], [args[1]]), args[2], sig.args[2])
         return context.get_dummy_value()
 
-    return types.void(p, types.intp, value if p.lanes else p.entry), lower
+    return types.void(p, types.intp, p.takes(value)), lower
 
 
 @intrinsic
@@ -211,12 +232,14 @@ class _GetItem(AbstractTemplate):
         return None
 
 
-@lower_builtin(operator.getitem, _PointerType, types.Integer)
+@lower_builtin(operator.getitem, PointerType, types.Integer)
 def _get_item(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return _constant(builder, builder.load(builder.gep(args[0], [args[1]]), align=8))
 
 
-def _define_entry(result: _PointerType) -> Any:
+def define_entry(result: PointerType) -> Any:
+    """The intrinsic that makes a pointer of a table's address."""
+
     @intrinsic
     def entry(typingctx: Any, table: Any, k: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -231,11 +254,11 @@ def _define_entry(result: _PointerType) -> Any:
     return entry
 
 
-lanes, floats, integers = (_define_entry(kind) for kind in (_LANES, _FLOATS, _INTEGERS))
+lanes, floats, integers = (define_entry(kind) for kind in (_LANES, _FLOATS, _INTEGERS))
 
 
 def _wide(builder: Any, args: Any) -> Any:
-    return builder.bitcast(builder.gep(args[0], [args[1]]), ir.PointerType(_VECTOR))
+    return builder.bitcast(builder.gep(args[0], [args[1]]), ir.PointerType(VECTOR))
 
 
 @intrinsic
@@ -264,7 +287,7 @@ def spread(typingctx: Any, x: Any) -> Any:
     """A float in all four lanes."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _as_lanes(context, builder, args[0], sig.args[0])
+        return as_lanes(context, builder, args[0], sig.args[0])
 
     return V4(x), lower
 
@@ -278,7 +301,7 @@ def _define_choice(comparison: str) -> Any:
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             if result is V4:
-                x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
+                x, y = (as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
             else:
                 x, y = (context.cast(builder, v, t, types.float64) for v, t in zip(args, sig.args, strict=True))
             return builder.select(builder.fcmp_ordered(comparison, x, y), y, x)

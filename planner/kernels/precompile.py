@@ -17,7 +17,19 @@ from typing import Any
 
 from numba.core.sigutils import normalize_signature
 
-from planner.kernels import bounded, hopper, quadratic, riccati, tree_batch, tree_linearize, tree_solve, tree_step
+from planner.kernels import (
+    bounded,
+    hopper,
+    hopper_second,
+    quadratic,
+    riccati,
+    second_order,
+    tree_batch,
+    tree_linearize,
+    tree_second,
+    tree_solve,
+    tree_step,
+)
 from planner.kernels.jit import announce, cache_is_shared, is_warm
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
@@ -31,6 +43,11 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64")),
     "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64")),
     "gradients": (quadratic.gradients, (_TABLE,)),
+    "costates": (second_order.costates, (_TABLE, "float64")),
+    "tree second order": (
+        tree_second.second_order,
+        (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, "int64", _BLOCKS),
+    ),
     "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (
         tree_linearize.linearize_structured,
@@ -46,6 +63,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
         (*_HOPPER, _TABLE, _ROWS, "int64", "boolean", "float64", "float64"),
     ),
     "hopper linearize": (hopper.linearize_nominal, (*_HOPPER, _TABLE)),
+    "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, "int64", _BLOCKS)),
 }
 
 # Kernels that have parts in common: one process compiles them, and the parts once.
@@ -54,6 +72,8 @@ _FAMILIES = (
     ("tree search", "tree steps", "tree forward", "tree inverse"),
     ("tree structured", "tree dense", "tree derivatives"),
     ("hopper search", "hopper linearize"),
+    ("tree second order", "costates"),
+    ("hopper second order",),
 )
 
 

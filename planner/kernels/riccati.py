@@ -13,6 +13,7 @@ from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, pointer, spread, store, store4
 from planner.kernels.quadratic import add_weights
+from planner.kernels.second_order import add_second
 from planner.kernels.stage_hessian import dense_stage, structured_stage
 from planner.kernels.tiles import four_rows, mirror, weighted_rows
 
@@ -184,6 +185,8 @@ def _finish(w, mu, n):
     """Weights, gradient (Eq. 18), gains and value of stage n; the gradient's square, the slope's part, definite."""
     nu, c, gradient = w[W.NU], floats(w, W.COSTATE), floats(w, W.GRADIENT)
     add_weights(w, floats(w, W.H), n)
+    if w[W.EXACT]:
+        add_second(w, floats(w, W.H), n)
     norm2 = 0.0
     for a in range(nu):
         g = load(c, a)

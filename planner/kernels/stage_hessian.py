@@ -124,7 +124,7 @@ def _times_E(w, n, dt):
 
 
 @inline
-def _times_E_vector(w, n, dt, s, t):
+def times_E_vector(w, n, dt, s, t):
     """E' s of a value gradient s (ndx), into t."""
     ndx = w[W.NDX]
     nv = ndx // 2
@@ -152,8 +152,8 @@ def structured_stage(w, n, dt):
     F, M, Y, S = at(floats(w, W.LINEAR), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
     h, c = floats(w, W.h), floats(w, W.COSTATE)
     ld = _times_E(w, n, dt)
-    _times_E_vector(w, n, dt, at(h, first), at(h, width + first))
-    _times_E_vector(w, n, dt, at(c, first), at(c, width + first))
+    times_E_vector(w, n, dt, at(h, first), at(h, width + first))
+    times_E_vector(w, n, dt, at(c, first), at(c, width + first))
     _pull_back(w, n, F, nv, dt, first + nv, True)
     for i in range(0, ndx, WIDTH):  # Y = S (0 | 1) + S_xv D; of the position rows only what lies above
         j = 0 if i + WIDTH > nv else first + i

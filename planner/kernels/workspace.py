@@ -19,24 +19,25 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 _SIZES = (
     "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
-    "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges",
+    "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges", "exact",
 )  # fmt: skip
 _ARRAYS = (
     "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
     "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
     "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
     "costate", "dx", "trial_x", "trial_u", "deviations", "lower", "upper", "box", "hinge_dx", "hinge_lower",
-    "hinge_upper", "hinge_weight", "hinge_active",
+    "hinge_upper", "hinge_weight", "hinge_active", "T", "costates",
 )  # fmt: skip
 (
     N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
-    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES,
+    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES, EXACT,
 ) = range(len(_SIZES))  # fmt: skip
 (
     XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
     STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
     STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
     TRIAL_U, DEVIATIONS, LOWER, UPPER, BOX, HINGE_DX, HINGE_LOWER, HINGE_UPPER, HINGE_WEIGHT, HINGE_ACTIVE,
+    SECOND_ORDER, COSTATES,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
 ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
@@ -70,6 +71,8 @@ class Workspace:
         hinge_lower: (N+1, hinges) of the deviation from x_ref.
         hinge_upper: (N+1, hinges).
         hinge_weight: (N+1, hinges) zero until a solve sets them.
+        T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
+        costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
     """
 
     def __init__(
@@ -122,13 +125,25 @@ class Workspace:
             "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
         }  # fmt: skip
+        self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
+        self._arrays |= {"T": self.T, "costates": self.costates}
         sizes = (
             N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
             stage[3], len(final[0]), final[3], len(control[0]), int(bounds is not None), len(hinge_dx) - at_end,
-            len(hinge_dx),
+            len(hinge_dx), 0,
         )  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the sweep adds T, whose memory is taken when it is first asked for."""
+        self.table[EXACT] = exact
+        if exact and not len(self.T):
+            N, width = len(self.us), self.T.shape[1]
+            rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
+            self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
+            self._arrays |= {"T": self.T, "costates": self.costates}
+            self.table[[SECOND_ORDER, COSTATES]] = self.T.ctypes.data, self.costates.ctypes.data
 
 
 def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
