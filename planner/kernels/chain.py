@@ -188,7 +188,7 @@ def _activation_rows(m, Xa, F, f, width, at_q):
 
 
 @inline
-def stage_activations(m, Xa, factor):
+def _stage_activations(m, Xa, factor):
     """(own, given) of the next stage's activations, from those of the stage before."""
     gain, decay = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
     for k in range(m[NA]):
@@ -209,8 +209,7 @@ def _sum_activations(m, Xa, weight):
 
 
 @inline
-def begin_activations(m, Xa):
-    """(own, given) of the first stage's activations, and sums of zero behind them."""
+def _begin_activations(m, Xa):
     na = m[NA]
     for k in range(na):
         store(Xa, 2 * k, 1.0)
@@ -277,7 +276,7 @@ def runge_kutta(m, r, dt, lane, width, F, f):
     D, A0, Xa = floats(r, DIRECT), floats(r, CHAINED), floats(r, XA)
     at_q = r[FIRST_X]
     at_v = at_q + nv
-    begin_activations(m, Xa)
+    _begin_activations(m, Xa)
     _sum_activations(m, Xa, 1.0)
     for i in range(4):
         d, A = (i * WIDTH + lane) * block, at(A0, i * block)
@@ -287,7 +286,7 @@ def runge_kutta(m, r, dt, lane, width, F, f):
             continue
         if balls > 0:
             _turn_columns(m, r, i, lane, factor, 0.25 * dt if i == 2 else 0.0, D, d, A, width, at_q)
-        stage_activations(m, Xa, factor)
+        _stage_activations(m, Xa, factor)
         _sum_activations(m, Xa, 1.0 if i == 3 else 2.0)
         _add_activations(m, Xa, A, width, at_q)
         _add_product(A, D, d, at_v, at(A0, (i - 1) * block), factor, nv, width)
@@ -329,6 +328,6 @@ def euler(m, r, dt, lane, width, F, f):
         _add_unit(F, v + at_v + i, 1.0)
     _turn_balls(m, r, 0, lane, width, F, f)
     _add_unit_rows(m, F, f, width, at_q)
-    begin_activations(m, Xa)
-    stage_activations(m, Xa, dt)
+    _begin_activations(m, Xa)
+    _stage_activations(m, Xa, dt)
     _activation_rows(m, Xa, F, f + 2 * nv * width, width, at_q)

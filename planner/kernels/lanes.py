@@ -30,7 +30,7 @@ import numpy as np
 from llvmlite import ir
 from numba import extending, types
 from numba.core.imputils import lower_builtin
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing import templates
 from numba.core.typing.templates import AbstractTemplate, signature
 from numba.extending import models, register_model

@@ -74,7 +74,7 @@ def _transport(m, r, x, a, dt, transport, first, count):
 
 
 @inline
-def gathered(m, r, xs, us, first, count):
+def _gathered(m, r, xs, us, first, count):
     """States, controls and the rollout's accelerations of four stages onto lanes."""
     gather(pointer(xs.reshape(-1)), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
     gather(pointer(us.reshape(-1)), first, count, m[NU], lanes(r, U_LANES))
@@ -93,7 +93,7 @@ def linearize_structured(m, r, dt, xs, us, F, transport):
     flat, blocks, stride = pointer(F.reshape(-1)), pointer(transport.reshape(-1)), nv * width
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
-        gathered(m, r, xs, us, first, count)
+        _gathered(m, r, xs, us, first, count)
         acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA)
         for i in range(nv):
             _scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
@@ -118,7 +118,7 @@ def linearize_dense(m, r, dt, xs, us, F):
     flat, stride, length = pointer(F.reshape(-1)), (2 * nv + m[NA]) * width, spread(dt)
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
-        gathered(m, r, xs, us, first, count)
+        _gathered(m, r, xs, us, first, count)
         v = at(x, m[NQ])
         for i in range(r[STAGES]):
             if i == 0:

@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.kernels.chain import begin_activations, stage_activations
 from planner.kernels.duals import duals
 from planner.kernels.jit import inline, jit
 from planner.kernels.lanes import (
@@ -41,13 +40,23 @@ from planner.kernels.lanes import (
     spread,
     store,
 )
-from planner.kernels.model import ACTIVATION_INPUT, NA, NQ, NU, NV, PRESCRIBED, Q_ADDRESS
+from planner.kernels.model import (
+    ACTIVATION_GAIN,
+    ACTIVATION_INPUT,
+    ACTIVATION_RATE,
+    NA,
+    NQ,
+    NU,
+    NV,
+    PRESCRIBED,
+    Q_ADDRESS,
+)
 from planner.kernels.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree import RECORD
 from planner.kernels.tree_derivatives import acceleration_derivatives
-from planner.kernels.tree_linearize import gathered
 from planner.kernels.tree_memory import (
     A_LANES,
+    ACCELERATIONS,
     COLUMNS,
     FIRST_X,
     INTEGRATOR,
@@ -59,11 +68,12 @@ from planner.kernels.tree_memory import (
     SEMI_IMPLICIT_EULER,
     STAGES,
     TAU,
+    U_LANES,
     V_STAGES,
     X_LANES,
     XA,
 )  # fmt: skip
-from planner.kernels.tree_step import stage_state
+from planner.kernels.tree_step import gather, stage_state
 
 _ARRAYS = (
     "costate", "q", "D", "inverse", "mu", "eta", "carried", "Sq", "Svv", "Xq", "Xv", "A", "Wq", "Wv", "T",
@@ -246,6 +256,16 @@ def _column(i, nu, x0):
 
 
 @inline
+def _move_activations(m, r, i, length):
+    """How far the activations of stage i have come on their own, and by their input, from those of the stage before."""
+    gain, rate, Xa = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE), floats(r, XA)
+    for k in range(m[NA]):
+        own, given = (load(Xa, 2 * k), load(Xa, 2 * k + 1)) if i > 0 else (0.0, 0.0)
+        store(Xa, 2 * k, 1.0 + length * load(rate, k) * own)
+        store(Xa, 2 * k + 1, length * (load(gain, k) + load(rate, k) * given) if i > 0 else 0.0)
+
+
+@inline
 def _move_states(m, r, s, i, length):
     """Xq = dq/dz and Xv = dv/dz of stage i, from those of the stage before."""
     nv, columns, x0, nz = m[NV], r[COLUMNS], r[FIRST_X], m[NU] + 2 * m[NV] + m[NA]
@@ -326,9 +346,11 @@ def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
     ndx, row = 2 * nv + m[NA], costates.shape[1]
     x, T_lanes, l = lanes(r, X_LANES), lanes(s, T_LANES), lanes(s, COSTATE)
     T_flat, to = as_floats(T_lanes), pointer(T.reshape(-1))
-    costate, l_flat, Xa = pointer(costates.reshape(-1)), as_floats(l), floats(r, XA)
+    costate, l_flat = pointer(costates.reshape(-1)), as_floats(l)
     for first in range(0, count, WIDTH):
-        gathered(m, r, xs, us, first, count)
+        gather(pointer(xs.reshape(-1)), first, count, xs.shape[1], x)
+        gather(pointer(us.reshape(-1)), first, count, nu, lanes(r, U_LANES))
+        gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * nv, lanes(r, A_LANES))
         for lane in range(WIDTH):
             o = (min(first + lane, count - 1) + 1) * row + first_costate
             for k in range(ndx):
@@ -338,11 +360,9 @@ def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
         for i in range(nu + ndx):
             for j in range(i, nu + ndx):
                 store(T_lanes, _column(i, nu, x0) * columns + _column(j, nu, x0), spread(0.0))
-        begin_activations(m, Xa)
         for i in range(r[STAGES]):
             length = dt if i == 3 else 0.5 * dt
-            if i > 0:
-                stage_activations(m, Xa, length)
+            _move_activations(m, r, i, length)
             _eta(m, r, s, i)
             _along_positions(m, r, s, i, x)
             _along_velocities(m, r, s, i)
