@@ -187,7 +187,7 @@ def _minimise(
 
 
 def _sweep(engine: Engine, largest: float) -> float:
-    """Linearise and sweep without a search, by Gauss and Newton, as little regularised as it goes; the gradient norm."""
+    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes; gradient norm."""
     mu, fresh = 0.0, True
     while True:
         done = engine.sweep(mu * largest, fresh)

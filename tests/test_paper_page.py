@@ -35,6 +35,18 @@ def draw(results, path):
     path.write_text(f"picture of {results['number']}")
 
 
+def seven():
+    return {"number": 7}
+
+
+def sentence(results):
+    return f"### Number {results['number']}"
+
+
+def one_row(results):
+    return [ROW]
+
+
 def study(name="one", rows=(ROW,), results=lambda: {"number": 7}):
     text = "### Head\n\n#### Below\n\n![p](one.png)"
     return Study(name, f"about {name}", results, lambda _: text, lambda _: list(rows), {f"{name}.png": draw})
@@ -57,9 +69,21 @@ def test_rows_are_sorted_by_section_and_pending_ones_go_where_the_study_ran(tmp_
     assert not complete(done, [*rows, {**ROW, "why": " "}])
 
 
+def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_path):
+    short = Study("short", "about", seven, sentence, one_row, {"short.png": draw}, seconds=1.0)
+    failed = Study("failed", "about", fails, sentence, one_row, seconds=2.0)
+    lines = []
+    done = run_studies([short, failed], tmp_path, lines.append, processes=2)
+    assert [(one.study.name, one.results, one.problem) for one in done] == [
+        ("short", {"number": 7}, ""), ("failed", None, "no data, expected some."),
+    ]  # fmt: skip
+    assert (tmp_path / "short.png").exists()
+    assert len(lines) == 3
+
+
 def test_page_has_headings_links_and_cells_in_order(tmp_path):
     done = run_studies([study(), study("two")], tmp_path)
-    text = page(done, table_rows(done, {}), "../pictures/")
+    text = page(done, table_rows(done, {}), "../pictures/", 2.0)
     assert "10 \\| 11" in text
     assert text.count("\n## Head\n\n### Below\n") == 2
     assert "](../pictures/one.png)" in text
@@ -73,7 +97,7 @@ def test_a_study_that_fails_is_a_row(tmp_path):
     rows = table_rows(done, {})
     assert {"where": "one", "paper": "about one", "ours": "failed", "why": "no data, expected some."} in rows
     assert not complete(done, rows)
-    assert "no data" in page(done, rows, "")
+    assert "no data" in page(done, rows, "", 2.0)
     assert any("no data" in line for line in lines)
 
 
@@ -98,6 +122,7 @@ def small(monkeypatch):
     def use(*studies):
         for module in (command, catalogue):
             monkeypatch.setattr(module, "STUDIES", studies)
+        monkeypatch.setattr(command.os, "cpu_count", lambda: 1)  # lambdas cannot go to another process
 
     return use
 

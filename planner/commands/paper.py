@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -60,10 +61,11 @@ def _all(at: Path, pictures: Path, console: Console) -> int:
     files = [name for study in STUDIES for name in (f"{study.name}.json", *study.pictures)]
     stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
-        done = run_studies(STUDIES, shown.path, console.note)
+        began = time.perf_counter()
+        done = run_studies(STUDIES, shown.path, console.note, os.cpu_count() or 1)
         rows = table_rows(done, PENDING)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
-        (text.path / PAGE).write_text(page(done, rows, way), encoding="utf-8")
+        (text.path / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
         for one in done:
             _write_results(one, shown.path)
         summary = {"rows": rows, "studies": {one.study.name: _summary(one) for one in done}}

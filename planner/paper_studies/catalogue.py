@@ -30,41 +30,41 @@ STUDIES: tuple[Study, ...] = (
     ),
     Study(
         "masses", "the direct method, and which arm has the paper's efforts (2.1)",
-        masses_results, masses_markdown, masses_rows, {"masses.png": draw_masses},
+        masses_results, masses_markdown, masses_rows, {"masses.png": draw_masses}, seconds=20,
     ),
     Study(
         "shooting", "indirect shooting, and why it fails (2.1)",
-        shooting_results, shooting_markdown, shooting_rows, {"shooting_sensitivity.png": draw_shooting},
+        shooting_results, shooting_markdown, shooting_rows, {"shooting_sensitivity.png": draw_shooting}, seconds=35,
     ),
     Study(
         "elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
-        elbow_results, elbow_markdown, elbow_rows, {"elbow_gradient.png": draw_elbow},
+        elbow_results, elbow_markdown, elbow_rows, {"elbow_gradient.png": draw_elbow}, seconds=25,
     ),
     Study(
         "hopper-splines", "the hopper by B-splines (2.4)",
         hopper_splines_results, hopper_splines_markdown, hopper_splines_rows,
-        {"hopper_splines.png": draw_hopper_splines},
+        {"hopper_splines.png": draw_hopper_splines}, seconds=30,
     ),
     Study("table", "Table 1 as printed", table_results, table_markdown, table_rows),
     Study(
         "gradients", "gradient methods beside SLQ",
-        gradient_results, gradient_markdown, gradient_rows, {"gradients.png": draw_gradients},
+        gradient_results, gradient_markdown, gradient_rows, {"gradients.png": draw_gradients}, seconds=35,
     ),
     Study(
         "theorems", "Theorems 1 and 2 in numbers",
-        theorem_results, theorem_markdown, theorem_rows, {"theorems.png": draw_theorems},
+        theorem_results, theorem_markdown, theorem_rows, {"theorems.png": draw_theorems}, seconds=90,
     ),
     Study(
         "hopper", "the numerical example (section 4)",
-        hopper_results, hopper_markdown, hopper_rows, {"hopper.png": draw_hopper},
+        hopper_results, hopper_markdown, hopper_rows, {"hopper.png": draw_hopper}, seconds=25,
     ),
     Study(
         "puma", "weightlifting with a Puma-like arm (reference 20)",
-        puma_results, puma_markdown, puma_rows, {"puma.png": draw_puma},
+        puma_results, puma_markdown, puma_rows, {"puma.png": draw_puma}, seconds=60,
     ),
     Study(
         "dive", "a high dive (reference 16)",
-        dive_results, dive_markdown, dive_rows, {"dive.png": draw_dive},
+        dive_results, dive_markdown, dive_rows, {"dive.png": draw_dive}, seconds=25,
     ),
 )  # fmt: skip
 

@@ -6,10 +6,13 @@ rows of the table, and each picture is drawn from them. Where a study raises Pla
 
 from __future__ import annotations
 
+import multiprocessing
 import re
+import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +36,7 @@ class Study:
         markdown: A page of Markdown from the results.
         rows: The rows of the table from the results.
         pictures: What draws each picture, by file name, given the results and a path.
+        seconds: About what it takes, for beginning with the longest.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Study:
     markdown: Callable[[dict[str, Any]], str]
     rows: Callable[[dict[str, Any]], list[Row]]
     pictures: Mapping[str, Callable[[dict[str, Any], Path], None]] = field(default_factory=dict)
+    seconds: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -68,29 +73,58 @@ class Finished:
 
 
 def run_studies(
-    studies: Sequence[Study], pictures: Path, note: Callable[[str], object] = lambda _: None
+    studies: Sequence[Study], pictures: Path, note: Callable[[str], object] = lambda _: None, processes: int = 1
 ) -> list[Finished]:
-    """Run studies one after the other and draw their pictures.
+    """Run studies and draw their pictures.
 
     Args:
         studies: In the order of the page.
         pictures: Folder that they are drawn into.
-        note: Called with a line before and after each.
+        note: Called with a line before and after each, or after each where several run at once.
+        processes: How many run at the same time; those that take long begin first.
     """
+    if processes > 1 and len(studies) > 1:
+        return _run_together(studies, pictures, note, min(processes, len(studies)))
     done = []
     for number, study in enumerate(studies, 1):
         note(f"{number}/{len(studies)} {study.name}: {study.about}")
-        began = time.perf_counter()
-        try:
-            results = study.results()
-            for name, draw in study.pictures.items():
-                draw(results, pictures / name)
-            one = Finished(study, time.perf_counter() - began, results)
-        except PlannerError as error:
-            one = Finished(study, time.perf_counter() - began, problem=str(error))
-        note(f"    {one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}")
-        done.append(one)
+        done.append(run_study(study, pictures))
+        note(f"    {_told(done[-1])}")
     return done
+
+
+def run_study(study: Study, pictures: Path) -> Finished:
+    """Run one study and draw its pictures."""
+    began = time.perf_counter()
+    try:
+        results = study.results()
+        for name, draw in study.pictures.items():
+            draw(results, pictures / name)
+        return Finished(study, time.perf_counter() - began, results)
+    except PlannerError as error:
+        return Finished(study, time.perf_counter() - began, problem=str(error))
+
+
+def _run_together(
+    studies: Sequence[Study], pictures: Path, note: Callable[[str], object], processes: int
+) -> list[Finished]:
+    """Studies in processes of their own, which an interrupt ends with this one."""
+    note(f"{len(studies)} studies, {processes} at a time: {', '.join(study.name for study in studies)}")
+    done: dict[str, Finished] = {}
+    with multiprocessing.get_context("spawn").Pool(processes, _ignore_interrupts) as pool:
+        longest_first = sorted(studies, key=lambda study: -study.seconds)
+        for one in pool.imap_unordered(partial(run_study, pictures=pictures), longest_first):
+            done[one.study.name] = one
+            note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.about}: {_told(one)}")
+    return [done[study.name] for study in studies]
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's business: it ends its children
+
+
+def _told(one: Finished) -> str:
+    return f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
 
 
 def table_rows(done: Sequence[Finished], pending: Mapping[str, Sequence[Row]]) -> list[Row]:
@@ -111,20 +145,20 @@ def complete(done: Sequence[Finished], rows: Sequence[Row]) -> bool:
     return not any(one.problem for one in done) and all(row.get(key, "").strip() for row in rows for key in COLUMNS)
 
 
-def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str) -> str:
+def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, seconds: float) -> str:
     """The whole page.
 
     Args:
         done: Studies that ran.
         rows: Of the table.
         pictures: Where their pictures are, seen from the page: "" or a path with "/" at its end.
+        seconds: That all took together.
     """
-    total = sum(one.seconds for one in done)
     lines = [
         "# The paper beside ours", "",
         'Bobrow, Park, Sideris, "Recent Advances on the Algorithmic Optimization of Robot Motion". Made by',
-        f"`planner paper` in {total:.0f} s; the paper's times are those of a Pentium III at 800 MHz. Failures that the",
-        "paper reports are results here too.", "",
+        f"`planner paper` in {seconds:.0f} s; the paper's times are those of a Pentium III at 800 MHz. Failures that",
+        "the paper reports are results here too.", "",
         *_table(rows), "",
     ]  # fmt: skip
     for one in done:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.dynamics import CompiledDynamics
+from planner.dynamics import CompiledDynamics, Dynamics
 from planner.errors import PlannerError
 from planner.plan import Plan
 from planner.problem import Problem
@@ -31,10 +31,10 @@ class _Watched:
     """Compiled dynamics that note workspace and slope whenever a line search begins."""
 
     def __init__(self, dynamics: Any) -> None:
-        self.nx, self.nu, self.dt, self.space = dynamics.nx, dynamics.nu, dynamics.dt, space_of(dynamics)
-        self.structured, self.has_slopes, self.kernels = dynamics.structured, dynamics.has_slopes, dynamics.kernels
-        self.step, self.linearize, self.memory = dynamics.step, dynamics.linearize, dynamics.memory
-        self.linearize_nominal = dynamics.linearize_nominal
+        names = {name for kind in (Dynamics, CompiledDynamics) for name in dir(kind) if not name.startswith("_")}
+        for name in names - {"search"}:
+            setattr(self, name, getattr(dynamics, name))
+        self.space = space_of(dynamics)
         self._dynamics = dynamics
         self.seen: list[Step] = []
 
