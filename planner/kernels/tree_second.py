@@ -15,8 +15,12 @@ direction d of y that carries the acceleration with it,
 
     S[d, y] = -(eta' d(dID/dy) + (eta' dM) da/dy).
 
-Along each position that is a pass of inverse_dynamics_derivatives on duals. Along velocities M stays, and dID/dv is
-linear in v: a plain pass at each unit velocity. Inputs and activations have no second derivatives of their own.
+Along each position that is a pass of inverse_dynamics_derivatives on duals. By two velocities the forces are
+Christoffel's symbols of M, whose derivatives those passes give too,
+
+    S[v_j, v_k] = -sum_i eta_i (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i),
+
+by a velocity and an input S is zero, and inputs and activations have no second derivatives of their own.
 """
 
 from __future__ import annotations
@@ -61,13 +65,11 @@ from planner.kernels.tree_memory import (
     FIRST_X,
     INTEGRATOR,
     LD,
-    LINKS,
     M_LANES,
     Q_STAGE,
     RK4,
     SEMI_IMPLICIT_EULER,
     STAGES,
-    TAU,
     U_LANES,
     V_STAGES,
     X_LANES,
@@ -77,11 +79,11 @@ from planner.kernels.tree_step import gather, stage_state
 
 _ARRAYS = (
     "costate", "q", "D", "inverse", "mu", "eta", "carried", "Sq", "Svv", "Xq", "Xv", "A", "Wq", "Wv", "T",
-    "unit_v", "no_a", "M", "Dq", "Dv", "q_dual", "a_dual", "links_dual", "tau_dual", "M_dual", "Dq_dual", "Dv_dual",
+    "q_dual", "a_dual", "links_dual", "tau_dual", "M_dual", "Dq_dual", "Dv_dual",
 )  # fmt: skip
 (
     COSTATE, Q_ALL, D_ALL, INVERSE, MU, ETA, CARRIED, SQ, SVV, XQ, XV, A_CHAIN, WQ, WV, T_LANES,
-    UNIT_V, NO_A, M_PLAIN, DQ_PLAIN, DV_PLAIN, Q_DUAL, A_DUAL, LINKS_DUAL, TAU_DUAL, M_DUAL, DQ_DUAL, DV_DUAL,
+    Q_DUAL, A_DUAL, LINKS_DUAL, TAU_DUAL, M_DUAL, DQ_DUAL, DV_DUAL,
 ) = range(len(_ARRAYS))  # fmt: skip
 
 
@@ -102,7 +104,7 @@ class SecondOrderMemory:
         lengths = {
             "costate": 2 * nv + na, "q": stages * nq, "D": stages * rows, "inverse": stages * square, "mu": stages * nv,
             "eta": nv, "carried": nv, "Sq": rows, "Svv": nv * nv, "Xq": rows, "Xv": rows, "A": rows, "Wq": rows,
-            "Wv": rows, "T": columns * columns, "unit_v": nv, "no_a": nv, "M": square, "Dq": square, "Dv": square,
+            "Wv": rows, "T": columns * columns,
         }  # fmt: skip
         dual = {
             "q_dual": nq, "a_dual": nv, "links_dual": nv * RECORD, "tau_dual": nv, "M_dual": square, "Dq_dual": square,
@@ -187,16 +189,19 @@ def _eta(m, r, s, i):
 
 @inline
 def _along_positions(m, r, s, i, x):
-    """Rows of S by q, into SQ (nv, columns)."""
+    """Rows of S by q, into SQ (nv, columns), and S by v and v, into SVV (nv, nv)."""
     nv, nq, ld, columns, x0 = m[NV], m[NQ], r[LD], r[COLUMNS], r[FIRST_X]
     q, a, v = at(lanes(s, Q_ALL), i * nq), at(lanes(r, A_LANES), i * nv), _velocity(m, r, x, i)
     D, eta, carried, S = at(lanes(s, D_ALL), i * nv * columns), lanes(s, ETA), lanes(s, CARRIED), lanes(s, SQ)
+    Svv = lanes(s, SVV)
     # As lanes, the derivatives of duals lie at odd places.
     dq, da, dM, dDq, dDv = lanes(s, Q_DUAL), lanes(s, A_DUAL), lanes(s, M_DUAL), lanes(s, DQ_DUAL), lanes(s, DV_DUAL)
     address, zero, one = integers(m, Q_ADDRESS), spread(0.0), spread(1.0)
     for k in range(nq):
         store(dq, 2 * k, load(q, k))
         store(dq, 2 * k + 1, zero)
+    for k in range(nv * nv):
+        store(Svv, k, zero)
     for d in range(nv):
         store(dq, 2 * load(address, d) + 1, one)
         for k in range(nv):
@@ -207,6 +212,7 @@ def _along_positions(m, r, s, i, x):
             duals(s, DQ_DUAL), duals(s, DV_DUAL), ld,
         )  # fmt: skip
         store(dq, 2 * load(address, d) + 1, zero)
+        own = load(eta, d)
         for k in range(nv):
             by_a, by_q, by_v = zero, zero, zero
             for j in range(nv):
@@ -214,7 +220,10 @@ def _along_positions(m, r, s, i, x):
                 by_a += e * load(dM, o)
                 by_q += e * load(dDq, o)
                 by_v += e * load(dDv, o)
+                store(Svv, j * nv + k, load(Svv, j * nv + k) + own * load(dM, o))
             store(carried, k, by_a)
+            store(Svv, d * nv + k, load(Svv, d * nv + k) - by_a)
+            store(Svv, k * nv + d, load(Svv, k * nv + d) - by_a)
             store(S, d * columns + x0 + k, zero - by_q)
             store(S, d * columns + x0 + nv + k, zero - by_v)
         for c in range(m[NU]):
@@ -227,26 +236,6 @@ def _along_positions(m, r, s, i, x):
                 store(S, d * columns + c, load(S, d * columns + c) - e * load(D, k * columns + c))
             for c in range(x0, x0 + 2 * nv + m[NA]):
                 store(S, d * columns + c, load(S, d * columns + c) - e * load(D, k * columns + c))
-
-
-@inline
-def _along_velocities(m, r, s, i):
-    """S by v and v, into SVV (nv, nv)."""
-    nv, ld = m[NV], r[LD]
-    v, Dv, eta, S, zero = lanes(s, UNIT_V), lanes(s, DV_PLAIN), lanes(s, ETA), lanes(s, SVV), spread(0.0)
-    for d in range(nv):
-        for k in range(nv):
-            store(v, k, zero)
-        store(v, d, spread(1.0))
-        inverse_dynamics_derivatives(
-            m, at(lanes(s, Q_ALL), i * m[NQ]), v, lanes(s, NO_A), lanes(r, LINKS), lanes(r, TAU), lanes(s, M_PLAIN),
-            lanes(s, DQ_PLAIN), Dv, ld,
-        )  # fmt: skip
-        for k in range(nv):
-            total = zero
-            for j in range(nv):
-                total += load(eta, j) * load(Dv, j * ld + k)
-            store(S, d * nv + k, zero - total)
 
 
 @inline
@@ -365,7 +354,6 @@ def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
             _move_activations(m, r, i, length)
             _eta(m, r, s, i)
             _along_positions(m, r, s, i, x)
-            _along_velocities(m, r, s, i)
             _move_states(m, r, s, i, length)
             if i + 1 < r[STAGES]:
                 _move_accelerations(m, r, s, i)
