@@ -17,6 +17,7 @@ from planner.cost import Quadratic, TrackingCost
 from planner.dynamics import CompiledDynamics
 from planner.errors import PlannerError
 from planner.kernels import search
+from planner.kernels.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.jit import announce
 from planner.kernels.lanes import WIDTH
 from planner.kernels.precompile import compile_together
@@ -25,6 +26,7 @@ from planner.kernels.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
 from planner.problem import Problem
 from planner.space import space_of
+from planner.state_ranges import Hinges
 
 
 class Outcome(NamedTuple):
@@ -47,8 +49,12 @@ class Engine(Protocol):
 
     largest_control_weight: float
 
+    def hinge(self, hinges: Hinges | None) -> None:
+        """Have these hinges added to the cost from the next start on; None for none."""
+        ...
+
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
-        """Roll out the first guess; its cost."""
+        """Roll out the first guess, within its bounds; its cost."""
         ...
 
     def iterate(
@@ -76,18 +82,30 @@ class CompiledEngine:
 
     def __init__(self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
         self._problem, self._dynamics = problem, dynamics
-        self._w = Workspace(cost, space_of(dynamics), dynamics.structured)
+        ranges = problem.ranges
+        hinges = None if ranges is None else (ranges.component, ranges.at_end)
+        self._w = Workspace(cost, space_of(dynamics), dynamics.structured, problem.bounds, hinges)
         self._memory = dynamics.memory(problem.N)
         self.largest_control_weight = float(np.abs(cost.R).max())
         self._numpy: NumpyEngine | None = None  # goes on where rollouts give no slopes for the Wolfe rule
+        self._hinges: Hinges | None = None
+
+    def hinge(self, hinges: Hinges | None) -> None:
+        """Have these hinges added to the cost from the next start on; None for none."""
+        self._hinges = hinges
+        if hinges is None:
+            self._w.hinge_weight[:] = 0.0
+        else:
+            self._w.hinge_lower[:], self._w.hinge_upper[:], self._w.hinge_weight[:] = hinges
 
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
-        """Roll out the first guess; its cost."""
+        """Roll out the first guess, within its bounds; its cost."""
         self._numpy = None
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
+        sweep += "" if self._problem.bounds is None else " bounded"
         compile_together((sweep, "gradients", *self._dynamics.kernels))
         self._w.xs[0] = x0
-        self._w.us[:] = us
+        self._w.us[:] = self._problem.clipped(us)
         self._w.dus[:] = 0.0
         return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
 
@@ -96,9 +114,12 @@ class CompiledEngine:
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> Outcome:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
-        if rule == search.WOLFE and not self._dynamics.has_slopes and self._numpy is None:
+        # a clipped control does not change with the step length: the slopes of the kernels do not know
+        has_slopes = self._dynamics.has_slopes and self._problem.bounds is None
+        if rule == search.WOLFE and not has_slopes and self._numpy is None:
             xs, us = self.trajectory()
             self._numpy = NumpyEngine(self._problem)
+            self._numpy.hinge(self._hinges)
             self._numpy.start(xs[0], us)
         if self._numpy is not None:
             return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
@@ -106,6 +127,8 @@ class CompiledEngine:
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
             gradients(w.table)
+        if self._problem.bounds is not None:
+            return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
         riccati = riccati_structured if dynamics.structured else riccati_dense
         norm, slope, definite = riccati(w.table, mu, dynamics.dt)
         if not definite:
@@ -118,6 +141,23 @@ class CompiledEngine:
         if step == 0.0:
             return Outcome(NO_STEP, norm, slope, 0.0, -0.5 * slope, cost)
         return Outcome(ACCEPTED, norm, slope, step, -slope * step * (1.0 - 0.5 * step), after)
+
+    def _iterate_bounded(
+        self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
+    ) -> Outcome:
+        """The same with bounds, once linearised."""
+        w, dynamics = self._w, self._dynamics
+        riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
+        norm, value, definite = riccati(w.table, mu, dynamics.dt)
+        if not definite:
+            return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
+        if norm <= gradient_tolerance or -value <= decrease_tolerance:
+            return Outcome(CONVERGED, norm, 2.0 * value, 0.0, -value, cost)
+        slope = bounded_direction(w.table, dynamics.dt)
+        step, after = dynamics.search(w, self._memory, rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)
+        if step == 0.0:
+            return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
+        return Outcome(ACCEPTED, norm, slope, step, _promised(slope, value, step), after)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
@@ -135,12 +175,19 @@ class CompiledEngine:
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 
 
+def _promised(slope: float, value: float, step: float) -> float:
+    """The decrease that a parabola promises for a step: its slope at 0 and its value at 1 are given."""
+    return -step * (slope + step * (value - slope))
+
+
 class NumpyEngine:
     """Any Dynamics and any Cost."""
 
     def __init__(self, problem: Problem) -> None:
         announce(search.choose)
-        self._dynamics, self._cost = problem.dynamics, problem.cost
+        self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
+        self._clipped, self._ranges = problem.clipped, problem.ranges
+        self._hinges: Hinges | None = None
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
         self._together = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
@@ -151,8 +198,25 @@ class NumpyEngine:
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
 
+    def hinge(self, hinges: Hinges | None) -> None:
+        """Have these hinges added to the cost from the next start on; None for none."""
+        self._hinges = hinges
+
+    def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        J = self._cost.value(xs, us)
+        return J if self._hinges is None or self._ranges is None else J + self._ranges.value(self._hinges, xs)
+
+    def _quadratized(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        model = self._cost.quadratize(xs, us)
+        return model if self._hinges is None or self._ranges is None else self._ranges.added(self._hinges, model, xs)
+
+    def _moves(self, us: np.ndarray) -> lq.Bounds | None:
+        """How far each control may change from us (N, nu)."""
+        return None if self._bounds is None else (self._bounds[0] - us, self._bounds[1] - us)
+
     def start(self, x0: np.ndarray, us: np.ndarray) -> float:
-        """Roll out the first guess; its cost."""
+        """Roll out the first guess, within its bounds; its cost."""
+        us = self._clipped(us)
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
         if np.isfinite(J[0]):
@@ -171,19 +235,23 @@ class NumpyEngine:
             for n in range(N):
                 if K is not None:
                     us[n] += self._space.difference(xs[n], nominal[n]) @ K[n].T
+                if self._bounds is not None:
+                    us[n] = np.clip(us[n], self._bounds[0][n], self._bounds[1][n])
                 xs[n + 1] = self._dynamics.step(xs[n], us[n])  # Eq. 10
-            J = np.array([self._cost.value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
+            J = np.array([self._value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
         return xs, J
 
     def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
-        model = self._cost.quadratize(xs, us)
+        model, moves = self._quadratized(xs, us), self._moves(us)
         if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
             K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
         dx, total = np.zeros(self._space.ndx), 0.0
         for n in range(len(us)):
             du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
+            if moves is not None:  # what is clipped stays where it is
+                du = np.where(((moves[0][n] >= 0.0) & (du < 0.0)) | ((moves[1][n] <= 0.0) & (du > 0.0)), 0.0, du)
             total += float(model.q[n] @ dx + model.r[n] @ du)
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
@@ -197,15 +265,19 @@ class NumpyEngine:
         if fresh:
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             _check_jacobians(self._A, self._B, *self._gains)
-            self._model = self._cost.quadratize(xs0, us0)
-            self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
-        sweep = lq.riccati(self._A, self._B, self._model, mu)
+            self._model = self._quadratized(xs0, us0)
+            gradient = lq.gradient(self._A, self._B, self._model)
+            self._norm = float(np.linalg.norm(lq.projected(gradient, self._moves(us0))))
+        moves = self._moves(us0)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
-        if self._norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
-            return Outcome(CONVERGED, self._norm, slope, 0.0, -0.5 * slope, cost)
-        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep)[1]
+        if self._norm <= gradient_tolerance or -sweep.value <= decrease_tolerance:
+            return Outcome(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
+        if slope >= 0.0:  # clipping may undo a direction
+            return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
         alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
         bracket = self._bracket
         search.ladder(rule, alpha, bracket)
@@ -221,9 +293,10 @@ class NumpyEngine:
             if lane >= 0:
                 self._nominal = xs[:, lane].copy(), us[:, lane].copy()
                 step = float(alpha[lane])
-                return Outcome(ACCEPTED, self._norm, slope, step, -slope * step * (1.0 - 0.5 * step), float(J[lane]))
+                promised = _promised(slope, sweep.value, step)
+                return Outcome(ACCEPTED, self._norm, slope, step, promised, float(J[lane]))
             search.refine(rule, alpha, bracket)
-        return Outcome(NO_STEP, self._norm, slope, 0.0, -0.5 * slope, cost)
+        return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
@@ -266,7 +339,8 @@ def borrow(problem: Problem) -> Engine:
         return idle.pop()
     except IndexError:
         pass
-    if isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics):
+    compiled = isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics)
+    if compiled and (problem.ranges is None or getattr(problem.dynamics, "has_ranges", True)):
         return CompiledEngine(problem, problem.dynamics, problem.cost)
     return NumpyEngine(problem)
 

@@ -15,7 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.box import box_minimum
 from planner.cost import Quadratic
+
+Bounds = tuple[np.ndarray, np.ndarray]  # of the change of each control, (N, nu) each: at most 0, at least 0
 
 
 class Sweep(NamedTuple):
@@ -25,7 +28,8 @@ class Sweep(NamedTuple):
     k: np.ndarray  # (N, nu)
     P: np.ndarray  # (N+1, ndx, ndx)
     s: np.ndarray  # (N+1, ndx)
-    slope: float  # of J along the direction (Eq. 42); minus twice the decrease promised
+    slope: float  # of J along the direction (Eq. 42); without bounds minus twice the decrease promised
+    value: float  # of the LQ model at its minimum: minus the decrease promised
 
 
 def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
@@ -42,14 +46,27 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
     return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
 
 
-def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0) -> Sweep | None:
+def projected(gradient: np.ndarray, bounds: Bounds | None) -> np.ndarray:
+    """A gradient (N, nu) without what pushes against a bound that the control is at: zero at a minimum."""
+    if bounds is None:
+        return gradient
+    lower, upper = bounds
+    return np.where(((lower >= 0.0) & (gradient > 0.0)) | ((upper <= 0.0) & (gradient < 0.0)), 0.0, gradient)
+
+
+def riccati(
+    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0, bounds: Bounds | None = None
+) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
+
+    With bounds each stage's k is the minimum over its box; clamped controls have no gains (see kernels.bounded).
 
     Args:
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
         quadratic: Of the cost.
         mu: Regularisation, added to R.
+        bounds: Of k.
 
     Returns:
         The solution, or None when R + B'PB + mu I is not positive definite.
@@ -58,30 +75,52 @@ def riccati(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0)
     K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
-    slope = 0.0
+    slope, value = 0.0, 0.0
     for n in reversed(range(N)):
         BtP = B[n].T @ P[n + 1]
+        H, h, H_ux = quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu), quadratic.r[n] + B[n].T @ s[n + 1], BtP @ A[n]
+        s_x = quadratic.q[n] + A[n].T @ s[n + 1]
         try:
-            U = np.linalg.cholesky(quadratic.R[n] + BtP @ B[n] + mu * np.eye(nu)).T
+            if bounds is not None:
+                k[n], clamped = box_minimum(H, h, bounds[0][n], bounds[1][n])
+                value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
+                kc = np.where(clamped, k[n], 0.0)  # a constant to what is left
+                h, s_x = np.where(clamped, 0.0, h + H @ kc), s_x + H_ux.T @ kc
+                H_ux = np.where(clamped[:, None], 0.0, H_ux)
+                H = np.where(clamped[:, None] | clamped, np.diag(clamped.astype(float)), H)
+            U = np.linalg.cholesky(H).T
         except np.linalg.LinAlgError:
             return None
         if np.isnan(U).any():  # NumPy lets a NaN through
             return None
-        Y = np.linalg.solve(U.T, BtP @ A[n])
-        y = np.linalg.solve(U.T, quadratic.r[n] + B[n].T @ s[n + 1])
-        K[n], k[n] = -np.linalg.solve(U, Y), -np.linalg.solve(U, y)
+        Y = np.linalg.solve(U.T, H_ux)
+        y = np.linalg.solve(U.T, h)
+        K[n] = -np.linalg.solve(U, Y)
+        if bounds is None:
+            k[n] = -np.linalg.solve(U, y)
         P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] - Y.T @ Y  # Eq. 33
         P[n] = 0.5 * (P[n] + P[n].T)
-        s[n] = quadratic.q[n] + A[n].T @ s[n + 1] - Y.T @ y  # Eq. 34
+        s[n] = s_x - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42
-    return Sweep(K, k, P, s, slope)
+    if bounds is None:
+        return Sweep(K, k, P, s, slope, 0.5 * slope)
+    _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
+    return Sweep(K, k, P, s, float(np.sum(gradient(A, B, quadratic) * dus)), value)
 
 
-def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep) -> tuple[np.ndarray, np.ndarray]:
-    """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30."""
+def direction(
+    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Bounds | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
+
+    With bounds, what leads out of one that the control is at becomes zero: so the clipped controls set out.
+    """
     N, ndx, nu = B.shape
     dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
     for n in range(N):
         dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
+        if bounds is not None:
+            outward = ((bounds[0][n] >= 0.0) & (dus[n] < 0.0)) | ((bounds[1][n] <= 0.0) & (dus[n] > 0.0))
+            dus[n, outward] = 0.0
         dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
     return dxs, dus

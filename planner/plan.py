@@ -28,6 +28,7 @@ from planner.arguments import choice
 from planner.errors import FileError, PlannerError
 from planner.files import printable
 from planner.space import StateSpace, euclidean, space_of
+from planner.state_ranges import Hinges
 from planner.stored_problem import rebuilt, stored
 from planner.twin import Twin
 from planner.versions import installed_versions
@@ -47,6 +48,10 @@ class Status(StrEnum):
     )
     NOT_FINITE = (
         "The first guess rolls out to infinite or undefined states; start from a smaller control or a shorter stage."
+    )
+    OUTSIDE_LIMITS = (
+        "The limits were not met to their tolerance within the rounds of the augmented Lagrangian; give the motion "
+        "more time or wider limits, or start from a guess that meets them."
     )
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
@@ -135,6 +140,8 @@ class Plan:
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
         changed: What of its file was changed after it was written; empty when nothing, or when it comes from no file.
+        hinges: What the ranges of states added to the cost in the last round of the augmented Lagrangian: with it
+            the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.
     """
@@ -156,6 +163,7 @@ class Plan:
     stored_space: StateSpace | None = None
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
+    hinges: Hinges | None = None
 
     @property
     def N(self) -> int:

@@ -13,8 +13,10 @@ from planner.cost import Cost, check_cost, states
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
+from planner.limits import Limits
 from planner.space import space_of
 from planner.stage import Stage
+from planner.state_ranges import StateRanges
 from planner.twin import Twin
 
 if TYPE_CHECKING:
@@ -59,8 +61,11 @@ class Problem:
             from, None when there is none.
         stage: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
+        limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
+        bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
+        ranges: Of the states, of the limits; None for none.
 
     Raises:
         PlannerError: Shapes that do not fit together, or numbers that are not finite.
@@ -76,6 +81,9 @@ class Problem:
     requirements: Requirements | None = None
     case: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
+    limits: Limits | None = None
+    bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
+    ranges: StateRanges | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._check_parts()
@@ -104,6 +112,9 @@ class Problem:
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.limits is not None:
+            object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
+            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, self.cost, self.x0, N))
         if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and not self.dynamics.prescribed:
             object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
@@ -116,7 +127,7 @@ class Problem:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
             raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
-        for name, kind in (("twin", Twin), ("stage", Stage), ("requirements", Requirements)):
+        for name, kind in (("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits)):
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")
@@ -131,6 +142,10 @@ class Problem:
     def duration(self) -> float:
         """N dt, s."""
         return self.N * self.dynamics.dt
+
+    def clipped(self, us: np.ndarray) -> np.ndarray:
+        """Controls (..., N, nu) put back within their bounds."""
+        return us if self.bounds is None else np.clip(us, *self.bounds)
 
     @property
     def first_guess(self) -> np.ndarray:

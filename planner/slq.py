@@ -10,6 +10,9 @@
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
 direction to first order, and it stays near the trajectory where the dynamics are unstable.
 
+With limits (see limits) the controls stay within their bounds all along, and for ranges of the states this is done
+several times over (see augmented).
+
 It ends in a local minimum, the one its first guess leads to; with several starts solve() looks for a better one.
 """
 
@@ -24,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from planner.arguments import choice, count, number, shown
+from planner.augmented import within_ranges
 from planner.engine import Engine, borrow, give_back
 from planner.errors import PlannerError
 from planner.kernels.workspace import ACCEPTED, CONVERGED
@@ -31,6 +35,7 @@ from planner.multistart import MOST_STARTS, best_of
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
 from planner.space import space_of
+from planner.state_ranges import Hinges
 
 UPDATES = ("feedback", "open-loop")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
@@ -111,7 +116,21 @@ def _descend(
     first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu)."""
+    minimise = partial(_minimise, problem, feedback, rule, gradient_tolerance, decrease_tolerance, callback)
+    if problem.ranges is None or problem.limits is None:
+        return minimise(first_guess, None, max_iterations, 0)
+    return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
+
+
+def _minimise(
+    problem: Problem, feedback: bool, rule: int, gradient_tolerance: float, decrease_tolerance: float,
+    callback: Callable[[Iteration], object] | None, first_guess: np.ndarray, hinges: Hinges | None,
+    max_iterations: int, first_line: int,
+) -> Plan:  # fmt: skip
+    """A minimum of the cost, and of hinges where there are any."""
     engine = borrow(problem)
+    if problem.ranges is not None:
+        engine.hinge(hinges)
     history: list[Iteration] = []
     cost = engine.start(problem.x0, first_guess)
     if not math.isfinite(cost):
@@ -120,7 +139,7 @@ def _descend(
     largest = engine.largest_control_weight
     mu, fresh, status = 0.0, True, Status.MAX_ITERATIONS
     try:
-        for i in range(max_iterations):
+        for i in range(first_line, first_line + max_iterations):
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             promise = decrease_tolerance * max(1.0, abs(cost)) if mu == 0.0 else -1.0
             done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance, promise)
@@ -149,9 +168,11 @@ def _descend(
     if status is not Status.CONVERGED:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
         gradient_norm = _sweep(engine, largest)
-        history.append(Iteration(len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
+        history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
     elif mu > 0.0:  # the gains belong to a regularised model
         _sweep(engine, largest)
+    if hinges is not None:  # the cost of a plan is that of its problem
+        cost = problem.cost.value(xs, us)
     plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
     give_back(problem, engine)
     return plan

@@ -29,6 +29,7 @@ class HopperDynamics:
     nu = 1
     structured = False
     has_slopes = True
+    has_ranges = False  # of states: its own rollout computes its own cost, so NumPy does a solve with ranges
     kernels = ("hopper search", "hopper linearize")
 
     def __init__(

@@ -28,6 +28,7 @@ from planner.kernels.lanes import (
 from planner.kernels.search import WOLFE, batches, choose, ladder, refine
 from planner.kernels.workspace import (
     ALPHA,
+    BOUNDED,
     BRACKET,
     CONTROL_VALUE,
     COSTS,
@@ -41,6 +42,7 @@ from planner.kernels.workspace import (
     FIRST_X,
     GAINS,
     LINEAR,
+    LOWER,
     SLOPES,
     STAGE_COLUMN,
     STAGE_ROW,
@@ -48,6 +50,7 @@ from planner.kernels.workspace import (
     STAGE_VALUE,
     TRIAL_U,
     TRIAL_X,
+    UPPER,
     U_REF,
     US,
     WIDTH_Z,
@@ -203,6 +206,7 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
     stages, width = w[N], w[WIDTH_Z]
     xs, us, K, k = floats(w, XS), floats(w, US), floats(w, GAINS), floats(w, FEEDFORWARD)
     dus, x_ref, u_ref = floats(w, DIRECTION), floats(w, X_REF), floats(w, U_REF)
+    lower, upper = floats(w, LOWER), floats(w, UPPER)
     stage_row, stage_column = integers(w, STAGE_ROW), integers(w, STAGE_COLUMN)
     R, terms = floats(w, CONTROL_VALUE), w[STAGE_TERMS]
     X_, U_, e = lanes(w, TRIAL_X), lanes(w, TRIAL_U), lanes(w, DEVIATIONS)
@@ -242,6 +246,8 @@ def rollout(integrator, dt, parameters, w, search, feedback, slopes):
             du = load(dus, n)
             u = load(us, n) + alpha * du  # Eq. 36
             du_dalpha = spread(du)
+        if w[BOUNDED] > 0:
+            u = minimum(maximum(u, load(lower, n)), load(upper, n))
         store(U_, n, u)
         gu = load(R, n) * (u - load(u_ref, n))
         J += 0.5 * gu * (u - load(u_ref, n))

@@ -17,7 +17,7 @@ from typing import Any
 
 from numba.core.sigutils import normalize_signature
 
-from planner.kernels import hopper, quadratic, riccati, tree_batch, tree_linearize, tree_solve, tree_step
+from planner.kernels import bounded, hopper, quadratic, riccati, tree_batch, tree_linearize, tree_solve, tree_step
 from planner.kernels.jit import announce, cache_is_shared, is_warm
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
@@ -28,6 +28,8 @@ _SEARCH = (_ROWS, "float64", "int64", "boolean", "float64", "float64")
 KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense": (riccati.riccati_dense, (_TABLE, "float64", "float64")),
     "riccati structured": (riccati.riccati_structured, (_TABLE, "float64", "float64")),
+    "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64")),
+    "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64")),
     "gradients": (quadratic.gradients, (_TABLE,)),
     "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (
@@ -48,7 +50,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
 
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
-    ("riccati dense", "riccati structured", "gradients"),
+    ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
     ("tree search", "tree steps", "tree forward", "tree inverse"),
     ("tree structured", "tree dense", "tree derivatives"),
     ("hopper search", "hopper linearize"),

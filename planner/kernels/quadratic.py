@@ -3,6 +3,9 @@
 With dx = x (-) x_ref and J = d dx / dx, the gradient is J' Q dx and the Hessian J' Q J; J is the identity but for the
 rotation vectors of quaternions. Weights are lists of their upper entries that are not zero, plain ones first, then
 those that touch a rotation.
+
+Ranges of the states come in as hinges, 1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2) on single components of the
+deviation e (see planner.augmented); where both bounds are the same, that is 1/2 w (e - bound)^2.
 """
 
 from __future__ import annotations
@@ -57,6 +60,30 @@ def control_terms(w, n):
     return integers(w, W.CONTROL_ROW), integers(w, W.CONTROL_COLUMN), at(floats(w, W.CONTROL_VALUE), n * terms), terms
 
 
+@inline
+def hinges_of(w, n):
+    """How many components have a range at stage n, or at the end."""
+    return w[W.STAGE_HINGES] if n < w[W.N] else w[W.HINGES]
+
+
+@inline
+def _add_hinges(w, n, hinged, e, l):
+    """Add the slopes of the hinges of stage n to l, and keep their second derivatives for add_weights."""
+    o, component = n * w[W.HINGES], integers(w, W.HINGE_DX)
+    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
+    weight, active = at(floats(w, W.HINGE_WEIGHT), o), at(floats(w, W.HINGE_ACTIVE), o)
+    for t in range(hinged):
+        i = load(component, t)
+        d, low, high, factor = load(e, i), load(lower, t), load(upper, t), load(weight, t)
+        slope, curvature = 0.0, 0.0
+        if d >= high:
+            slope, curvature = factor * (d - high), factor
+        if d < low:
+            slope, curvature = slope + factor * (d - low), curvature + factor
+        store(l, i, load(l, i) + slope)
+        store(active, t, curvature)
+
+
 @jit
 def gradients(w):
     """L = (R (u - u_ref) | J' Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
@@ -74,12 +101,15 @@ def gradients(w):
             row, column, value, terms = control_terms(w, n)
             _add_gradient(row, column, value, terms, e, l)
         row, column, value, terms, _ = state_terms(w, n)
-        if terms == 0:
+        hinged = hinges_of(w, n)
+        if terms == 0 and hinged == 0:
             continue
         J = at(turn, n * 9 * balls)
         _deviation(w, at(floats(w, W.XS), n * nx), at(floats(w, W.X_REF), n * nx), e, J)
         g = at(l, first)
         _add_gradient(row, column, value, terms, e, g)
+        if hinged > 0:
+            _add_hinges(w, n, hinged, e, g)
         for b in range(balls):
             k = load(integers(w, W.QUATERNION_DX), b)
             a0, a1, a2 = load(g, k), load(g, k + 1), load(g, k + 2)
@@ -123,3 +153,13 @@ def add_weights(w, M, n):
     turn = at(floats(w, W.TURN), n * 9 * w[W.QUATERNIONS])
     for t in range(plain, terms):
         _add_turned(w, M, width, turn, load(row, t), load(column, t), load(value, t))
+    hinged = hinges_of(w, n)
+    if hinged > 0:
+        component, active = integers(w, W.HINGE_DX), at(floats(w, W.HINGE_ACTIVE), n * w[W.HINGES])
+        for t in range(hinged):
+            q, i = load(active, t), load(component, t)
+            if q > 0.0:
+                if load(integers(w, W.BALL_OF), i) >= 0:
+                    _add_turned(w, M, width, turn, i, i, q)
+                else:
+                    store(M, i * width + i, load(M, i * width + i) + q)

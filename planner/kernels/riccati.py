@@ -18,7 +18,7 @@ from planner.kernels.tiles import four_rows, mirror, weighted_rows
 
 
 @inline
-def _factorize(w, mu):
+def factorize(w, mu):
     """Cholesky R + B'PB + mu I = U'U carried along the columns of x and h; the slope's part, and whether it exists.
 
     Four rows at a time, whose pivots are found as L D L': a square root has no place in a chain of them.
@@ -89,7 +89,7 @@ def _factorize(w, mu):
 
 
 @inline
-def _next_value(w):
+def next_value(w):
     """P and s of this stage, by the Schur complement."""
     nu, width, first = w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
     M, s, columns = floats(w, W.H), floats(w, W.h), width - first
@@ -111,7 +111,7 @@ def _substituted(r0, r1, r2, r3, e0, e1, e2, e3, v01, v02, v03, v12, v13, v23):
 
 
 @inline
-def _gains(w, n):
+def gains(w, n):
     """U (K | k) = -(U_x | h), four rows at a time."""
     nu, width, first = w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
     M, s = floats(w, W.H), floats(w, W.h)
@@ -163,7 +163,7 @@ def _gains(w, n):
 
 
 @inline
-def _begin(w):
+def begin(w):
     """P(N) = Q(N), s(N) = Q(N) (x - x_ref) (Eq. 29), and the costate (Eq. 17)."""
     width = w[W.WIDTH_Z]
     M, s, c, l = floats(w, W.H), floats(w, W.h), floats(w, W.COSTATE), floats(w, W.STAGE_GRADIENT)
@@ -189,10 +189,10 @@ def _finish(w, mu, n):
         g = load(c, a)
         store(gradient, n * nu + a, g)
         norm2 += g * g
-    part, definite = _factorize(w, mu)
+    part, definite = factorize(w, mu)
     if definite:
-        _next_value(w)
-        _gains(w, n)
+        next_value(w)
+        gains(w, n)
     return norm2, part, definite
 
 
@@ -205,7 +205,7 @@ def riccati_dense(w, mu, dt):
         minus twice the decrease that the LQ model promises; False when R + B'PB + mu I is not positive definite.
     """
     w = pointer(w)
-    _begin(w)
+    begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         dense_stage(w, n, dt)
@@ -221,7 +221,7 @@ def riccati_dense(w, mu, dt):
 def riccati_structured(w, mu, dt):
     """The same for semi-implicit Euler, whose F holds accelerations only."""
     w = pointer(w)
-    _begin(w)
+    begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
         structured_stage(w, n, dt)
@@ -234,7 +234,7 @@ def riccati_structured(w, mu, dt):
 
 
 @inline
-def _advance(w, n, dt, du, dx, dx_next):
+def advance(w, n, dt, du, dx, dx_next):
     """The linearised stage: dx_next = A dx + B du (Eq. 30)."""
     ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
     nv = ndx // 2
@@ -278,6 +278,6 @@ def direction(w, dt):
             for i in range(ndx):
                 total += load(K, (n * nu + a) * width + first + i) * load(dx, i)
             store(dus, n * nu + a, total)  # Eq. 25
-        _advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
+        advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit, part
-from planner.kernels.lanes import at, floats, integers, lanes, load, pointer, spread, store
+from planner.kernels.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
 from planner.kernels.model import NV
-from planner.kernels.quadratic import control_terms, state_terms
+from planner.kernels.quadratic import control_terms, hinges_of, state_terms
 from planner.kernels.rotations import difference
 from planner.kernels.search import batches, choose, ladder, refine
 from planner.kernels.tree_memory import ACCELERATIONS, STAGES, TRIAL_A
@@ -39,12 +39,37 @@ def _quadratic(row, column, value, terms, e):
 
 @inline
 def _state_cost(w, X, n, e):
-    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end."""
+    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end; and its hinges."""
     row, column, value, terms, _ = state_terms(w, n)
-    if terms == 0:
+    if terms == 0 and hinges_of(w, n) == 0:
         return spread(0.0)
     _deviations(w, X, at(floats(w, W.X_REF), n * w[W.NX]), e)
-    return _quadratic(row, column, value, terms, e)
+    J = _quadratic(row, column, value, terms, e)
+    if hinges_of(w, n) > 0:
+        J += _hinges(w, n, e)
+    return J
+
+
+@inline
+def _hinges(w, n, e):
+    """1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2)."""
+    o, component, J = n * w[W.HINGES], integers(w, W.HINGE_DX), spread(0.0)
+    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
+    weight = at(floats(w, W.HINGE_WEIGHT), o)
+    for t in range(hinges_of(w, n)):
+        d = load(e, load(component, t))
+        above, below = maximum(d - load(upper, t), 0.0), maximum(load(lower, t) - d, 0.0)
+        J += 0.5 * load(weight, t) * (above * above + below * below)
+    return J
+
+
+@inline
+def _clip(w, n, U):
+    """Controls of stage n put back within their bounds."""
+    nu = w[W.NU]
+    lower, upper = at(floats(w, W.LOWER), n * nu), at(floats(w, W.UPPER), n * nu)
+    for a in range(nu):
+        store(U, a, minimum(maximum(load(U, a), load(lower, a)), load(upper, a)))
 
 
 @inline
@@ -111,6 +136,8 @@ def rollout(w, m, r, search, dt, feedback):
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
+        if w[W.BOUNDED] > 0:
+            _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)

@@ -19,23 +19,24 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 _SIZES = (
     "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
-    "final_terms", "final_plain", "control_terms",
+    "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges",
 )  # fmt: skip
 _ARRAYS = (
     "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
     "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
     "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
-    "costate", "dx", "trial_x", "trial_u", "deviations",
+    "costate", "dx", "trial_x", "trial_u", "deviations", "lower", "upper", "box", "hinge_dx", "hinge_lower",
+    "hinge_upper", "hinge_weight", "hinge_active",
 )  # fmt: skip
 (
     N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
-    FINAL_PLAIN, CONTROL_TERMS,
+    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES,
 ) = range(len(_SIZES))  # fmt: skip
 (
     XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
     STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
     STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
-    TRIAL_U, DEVIATIONS,
+    TRIAL_U, DEVIATIONS, LOWER, UPPER, BOX, HINGE_DX, HINGE_LOWER, HINGE_UPPER, HINGE_WEIGHT, HINGE_ACTIVE,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
 ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
@@ -49,6 +50,9 @@ class Workspace:
         space: A StateSpace.
         structured: F holds accelerations only, (N, nv, width), for semi-implicit Euler: x+ = E (x + [0; dt F z]),
             where E adds dt times the velocity to the position. Else F = (B | A), (N, ndx, width).
+        bounds: Lower and upper bounds of the controls, (N, nu) each; None for none.
+        hinges: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
+            many those are.
 
     Attributes:
         table: What kernels take.
@@ -63,9 +67,15 @@ class Workspace:
         transport: (N, quaternions, 18) T and J of E for each quaternion.
         l: (N+1, width) gradients of the stage costs.
         first: The first column of x.
+        hinge_lower: (N+1, hinges) of the deviation from x_ref.
+        hinge_upper: (N+1, hinges).
+        hinge_weight: (N+1, hinges) zero until a solve sets them.
     """
 
-    def __init__(self, cost: Any, space: Any, structured: bool) -> None:
+    def __init__(
+        self, cost: Any, space: Any, structured: bool, bounds: tuple[np.ndarray, np.ndarray] | None = None,
+        hinges: tuple[np.ndarray, int] | None = None,
+    ) -> None:  # fmt: skip
         Q, R = cost.Q, cost.R
         N, nu = R.shape[:2]
         nx, ndx = space.nx, space.ndx
@@ -86,6 +96,11 @@ class Workspace:
         self.F, self.l = F[:-slack].reshape(N, states, width), l[:-slack].reshape(N + 1, width)
         self.k, self.dus, self.gradient = (np.zeros((N, nu)) for _ in range(3))
         self.transport = np.zeros((N, len(quaternions), 18))
+        lower, upper = (np.empty((0, nu)), np.empty((0, nu))) if bounds is None else bounds
+        hinge_dx, at_end = (np.empty(0, dtype=np.int64), 0) if hinges is None else hinges
+        self.hinge_lower, self.hinge_upper, self.hinge_weight, active = (
+            np.zeros((N + 1, len(hinge_dx))) for _ in range(4)
+        )
         self._arrays: dict[str, np.ndarray] = {
             "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
             "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
@@ -103,10 +118,14 @@ class Workspace:
             "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
             "trial_x": lane_array((N + 1) * nx, WIDTH),
             "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
+            "lower": lower, "upper": upper, "box": np.zeros(nu * (nu + 6)),
+            "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
+            "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
         }  # fmt: skip
         sizes = (
             N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
-            stage[3], len(final[0]), final[3], len(control[0]),
+            stage[3], len(final[0]), final[3], len(control[0]), int(bounds is not None), len(hinge_dx) - at_end,
+            len(hinge_dx),
         )  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
