@@ -17,6 +17,7 @@ from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBo
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
 from planner.hold import hold_gain
+from planner.limits import Limits
 from planner.mechanism import Mechanism
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
@@ -74,6 +75,7 @@ __all__ = [
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "Limits",
     "Mechanism",
     "ModelError",
     "Perturbation",

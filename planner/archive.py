@@ -20,9 +20,10 @@ from planner.jsonable import finite
 from planner.mjcf_bounds import check_stored
 from planner.space import StateSpace
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 ARRAYS = ("t", "xs", "us", "K", "history")
 ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, as uint8
+HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
 PART = "problem:"  # and a name: an array of the problem, where it is no case
 
 _NUMBER = (int, float, type(None))
@@ -30,6 +31,7 @@ _META = {
     "case": (str, type(None)), "parameters": (dict,), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER,
     "iterations": (int,), "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)),
     "space": (dict,), "starts": (list,), "options": (dict,), "problem": (dict, type(None)), "digests": (dict,),
+    "limits": (dict, type(None)),
 }  # fmt: skip
 _START = (int,), (str,), _NUMBER, (int,), _NUMBER
 
@@ -84,7 +86,8 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             assets = [name for name in file.files if name.startswith(ASSET)]
             parts = [name for name in file.files if name.startswith(PART)]
-            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets, *parts)}
+            hinges = [name for name in file.files if name in HINGES]
+            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets, *parts, *hinges)}
             meta = json.loads(str(file["meta"]))
         version = meta["format_version"]
     except OSError as error:
@@ -108,9 +111,12 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         starts = meta.get("starts")
         starts = [row + row[2:3] for row in starts if isinstance(row, list)] if isinstance(starts, list) else starts
         meta |= {"options": {}, "problem": None, "digests": {}, "starts": starts}  # ranked by cost
+    if version < 4:
+        meta |= {"limits": None}
     _check_meta(named, meta)
     written = meta.pop("digests")
-    content = {name: part for name, part in meta.items() if name != "format_version"}
+    added = {"format_version"} if version >= 4 else {"format_version", "limits"}
+    content = {name: part for name, part in meta.items() if name not in added}
     meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
     if meta["mjcf"] is not None:
@@ -171,6 +177,11 @@ def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space
         have = arrays[name]
         if have.shape != shape or have.dtype != np.float64:
             raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected float64 {shape}.")
+    hinges = [arrays[name] for name in HINGES if name in arrays]
+    if hinges and (len(hinges) < len(HINGES) or any(h.dtype != np.float64 or h.ndim != 2 for h in hinges)):
+        raise FileError(f"{named} is damaged: it has no usable {', '.join(HINGES)}.")
+    if hinges and any(h.shape != (N + 1, hinges[0].shape[1]) for h in hinges):
+        raise FileError(f"{named} is damaged: {', '.join(HINGES)} are not of one shape ({N + 1}, ...).")
     for name, have in arrays.items():
         if name.startswith(PART) and have.dtype != np.float64:
             raise FileError(f"{named} is damaged: {name} is {have.dtype}, expected float64.")

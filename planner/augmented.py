@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.plan import Iteration, Plan, Status
+from planner.plan import Plan, Status
 from planner.state_ranges import Hinges, StateRanges
 
 MOST_ROUNDS = 30
@@ -81,9 +81,7 @@ def _begun(ranges: StateRanges, plan: Plan) -> Hinges:
     return Hinges(ranges.lower.copy(), ranges.upper.copy(), weight * used)
 
 
-def _updated(
-    ranges: StateRanges, hinges: Hinges, xs: np.ndarray, error: np.ndarray, before: np.ndarray
-) -> Hinges:
+def _updated(ranges: StateRanges, hinges: Hinges, xs: np.ndarray, error: np.ndarray, before: np.ndarray) -> Hinges:
     """Multipliers after a solve, and weights raised where it brought little."""
     e, weight = ranges.deviations(xs), hinges.weight
     low, high = np.maximum(hinges.lower - e, 0.0), np.maximum(e - hinges.upper, 0.0)  # multipliers over the weight

@@ -1,6 +1,6 @@
 """The minimum of a quadratic over a box, in NumPy: the twin of kernels.box.
 
-    minimize 1/2 k'H k + h'k   over   lower <= k <= upper,   where lower <= 0 <= upper
+minimize 1/2 k'H k + h'k   over   lower <= k <= upper,   where lower <= 0 <= upper
 """
 
 from __future__ import annotations

@@ -341,8 +341,8 @@ def borrow(problem: Problem) -> Engine:
         return idle.pop()
     except IndexError:
         pass
-    compiled = isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics)
-    if compiled and (problem.ranges is None or getattr(problem.dynamics, "has_ranges", True)):
+    ranges = problem.ranges is None or getattr(problem.dynamics, "has_ranges", True)
+    if isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics) and ranges:
         return CompiledEngine(problem, problem.dynamics, problem.cost)
     return NumpyEngine(problem)
 

@@ -46,7 +46,7 @@ def finer(problem: Problem) -> Problem:
     return replace(
         problem, dynamics=_dynamics(problem.dynamics, parts), horizon=parts * problem.N,
         us=np.repeat(problem.first_guess, parts, axis=0), cost=problem.cost if parts == 1 else halved(problem.cost),
-        case=None, parameters={},
+        case=None, parameters={}, limits=None if problem.limits is None else problem.limits.repeated(parts),
     )  # fmt: skip
 
 
@@ -67,7 +67,7 @@ def _is_its_case(problem: Problem) -> bool:
         stored = _case(problem, 1, problem.parameters["integrator"])
     except PlannerError:
         return False
-    if stored.parameters != problem.parameters:
+    if stored.parameters != problem.parameters or _limits(stored) != _limits(problem):
         return False
     rng, space = np.random.default_rng(0), space_of(problem.dynamics)
     xs = space.integrate(np.tile(problem.x0, (problem.N + 1, 1)), rng.normal(size=(problem.N + 1, space.ndx)))
@@ -76,6 +76,10 @@ def _is_its_case(problem: Problem) -> bool:
         (p.x0, p.dynamics.step(xs[:-1], us), p.cost.value(xs, us), p.dynamics.dt) for p in (problem, stored)
     )
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(mine, theirs, strict=True))
+
+
+def _limits(problem: Problem) -> dict[str, Any] | None:
+    return None if problem.limits is None else problem.limits.to_dict()
 
 
 def _dynamics(dynamics: Any, parts: int) -> Any:

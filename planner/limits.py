@@ -10,7 +10,7 @@ Ranges hold at the knots. What the feedback of a plan asks for is put back withi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,26 @@ class Limits:
         """As JSON values; what is infinite is None."""
         return {name: _plain(value) for name, value in vars(self).items() if value is not None}
 
+    def repeated(self, parts: int) -> Limits:
+        """The same for stages divided into parts: bounds of each stage are those of its parts."""
+        if isinstance(self.control, (str, Mapping)) or not isinstance(self.control, Sequence):
+            return self
+        sides = [np.asarray(part, dtype=float) if np.ndim(part) == 2 else part for part in self.control]
+        control = tuple(np.repeat(side, parts, axis=0) if np.ndim(side) == 2 else side for side in sides)
+        return replace(self, control=control)
+
+    @classmethod
+    def from_dict(cls, table: Any) -> Limits:
+        """The limits of a table, to_dict's or a problem.toml's.
+
+        Raises:
+            PlannerError: It is none, or has a key that is no limit.
+        """
+        names = list(cls.__dataclass_fields__)
+        if not isinstance(table, Mapping):
+            raise PlannerError(f"limits is {shown(table)}, expected a table with some of: {', '.join(names)}.")
+        return cls(**{choice("the key in [limits]", name, names): value for name, value in table.items()})
+
     def bounds(self, dynamics: Dynamics, N: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Lower and upper bounds of the controls, (N, nu) each; None where there are none.
 
@@ -93,7 +113,8 @@ class Limits:
         if len(wrong):
             n, a = map(int, wrong[0])
             raise PlannerError(
-                f"control {a} is limited to {lower[n, a]:g} ... {upper[n, a]:g}, expected a lower bound below the upper."
+                f"control {a} is limited to {lower[n, a]:g} ... {upper[n, a]:g}, "
+                "expected a lower bound below the upper."
             )
         return (lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
 
@@ -125,8 +146,7 @@ class Limits:
                 if not low <= value <= high:
                     raise PlannerError(f"the {what} has the {name} at {value:.6g}, expected {low:g} ... {high:g}.")
             lower[1:, h], upper[1:, h] = low - offset[1:, i], high - offset[1:, i]
-        for h, i in enumerate(at_end, len(found)):
-            lower[N, h] = upper[N, h] = 0.0
+        lower[N, len(found) :] = upper[N, len(found) :] = 0.0
         names = (*(name for name, _ in found.values()), *(f"final {_component(mechanism, i)}" for i in at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
         return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), names)
@@ -264,8 +284,10 @@ def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
     for a, name in enumerate(acts.names):
         ranges = [(acts.force_range[a], acts.gain[a], "forcerange", 1)]
         for i in np.flatnonzero(acts.moment[a]):
-            several = np.count_nonzero(acts.moment[:, i])
-            ranges.append((mechanism.joint_force_range[i], acts.gain[a] * acts.moment[a, i], "actuatorfrcrange", several))
+            several = int(np.count_nonzero(acts.moment[:, i]))
+            ranges.append(
+                (mechanism.joint_force_range[i], acts.gain[a] * acts.moment[a, i], "actuatorfrcrange", several)
+            )
         for limits, gain, what, several in ranges:
             if not np.isfinite(limits).any():
                 continue

@@ -4,6 +4,7 @@ Everywhere, files included, the control of a plan is
 
     u = us[n] + K[n] @ (x - xs[n]),     held over stage n,
 
+put back within the bounds of the problem's limits where it has some (within_bounds), and
 where x - xs[n] is the deviation space.difference(x, xs[n]), for plain vectors their difference.
 
 plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, ndx), history (one row
@@ -23,10 +24,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from planner.archive import ASSET, PART, plan_name, read_archive, write_archive
+from planner.archive import ASSET, HINGES, PART, plan_name, read_archive, write_archive
 from planner.arguments import choice
 from planner.errors import FileError, PlannerError
 from planner.files import printable
+from planner.limits import Limits
 from planner.space import StateSpace, euclidean, space_of
 from planner.state_ranges import Hinges
 from planner.stored_problem import rebuilt, stored
@@ -207,6 +209,11 @@ class Plan:
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
 
+    def within_bounds(self, n: int, u: np.ndarray) -> np.ndarray:
+        """Controls u (..., nu) of stage n, put back within the problem's bounds: what the feedback may ask for."""
+        bounds = None if self.problem is None else self.problem.bounds
+        return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
+
     def __str__(self) -> str:
         name = f"{self.case}: " if self.case else ""
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
@@ -234,9 +241,12 @@ class Plan:
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
             "options": self.options,
             "problem": None if own is None else own[0],
+            "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
         }
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
+        if self.hinges is not None:
+            arrays |= dict(zip(HINGES, self.hinges, strict=True))
         for name, content in ({} if self.twin is None else self.twin.assets).items():
             arrays[ASSET + name] = np.frombuffer(content, np.uint8)
         for name, part in ({} if own is None else own[1]).items():
@@ -278,11 +288,12 @@ class Plan:
                 stored_space=meta["space"],
                 options=meta["options"],
                 changed=meta["changed"],
+                hinges=Hinges(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
             )
             if problem is not None:
                 return replace(plan, problem=_fitting(plan, problem))
             parts = {name.removeprefix(PART): arrays[name] for name in arrays if name.startswith(PART)}
-            return replace(plan, problem=_rebuilt(plan, meta["problem"], parts))
+            return replace(plan, problem=_rebuilt(plan, meta, parts))
         except PlannerError as error:
             raise FileError(f"{printable(path)} is damaged or of a case that cannot be rebuilt: {error}") from None
         except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError) as error:
@@ -299,12 +310,13 @@ def _status(name: str) -> Status:
     return Status[choice("status", name, Status.__members__)]
 
 
-def _rebuilt(plan: Plan, facts: dict[str, Any] | None, parts: dict[str, np.ndarray]) -> Problem | None:
-    """The problem of a stored plan; None where it is its maker's own Python."""
+def _rebuilt(plan: Plan, meta: dict[str, Any], parts: dict[str, np.ndarray]) -> Problem | None:
+    """The problem of a stored plan, with its limits; None where it is its maker's own Python."""
     from planner import cases, problem_file  # these build on everything above; only a file's name leads back here
 
-    if facts is not None:
-        return _fitting(plan, rebuilt(facts, parts, plan.twin))
+    limits = None if meta["limits"] is None else Limits.from_dict(meta["limits"])
+    if meta["problem"] is not None:
+        return _fitting(plan, replace(rebuilt(meta["problem"], parts, plan.twin), limits=limits))
     if plan.case is None:
         return None
     own = plan.case == problem_file.CASE
@@ -312,13 +324,17 @@ def _rebuilt(plan: Plan, facts: dict[str, Any] | None, parts: dict[str, np.ndarr
     if problem.parameters != plan.parameters:
         missing = sorted(set(problem.parameters) - set(plan.parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
-    return _fitting(plan, problem)
+    return _fitting(plan, problem if limits is None else replace(problem, limits=limits))
 
 
 def _fitting(plan: Plan, problem: Problem) -> Problem:
     """The problem, when a plan's arrays and maps are of its sizes."""
     if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
         raise PlannerError(f"its arrays do not fit its {f'case {plan.case!r}' if plan.case else 'problem'}.")
+    if plan.hinges is not None and (
+        problem.ranges is None or plan.hinges.weight.shape[1] != len(problem.ranges.component)
+    ):
+        raise PlannerError("what its limits add to the cost does not fit its problem's ranges.")
     if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
         raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")
     return problem

@@ -10,6 +10,11 @@
     effort = 0.01
     final_position = { trolley = 1000.0, swing = 1000.0 }
 
+    [limits]                            # optional; see planner.limits
+    control = "model"                   # or a number, or a table by actuator
+    velocity = { trolley = 1.5 }        # and position: "model", or { joint = [lower, upper] }
+    final = "exact"                     # meet the goal exactly where final weights are above 0
+
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 """
 
@@ -32,6 +37,7 @@ from planner.errors import FileError, ModelError, PlannerError
 from planner.figures import Figure, Section
 from planner.files import read_text
 from planner.guess import hold
+from planner.limits import Limits
 from planner.mechanism import BALL, Mechanism
 from planner.mechanism_refusals import KINDS
 from planner.multistart import MOST_STARTS
@@ -58,6 +64,14 @@ KEYS = {
     "tolerance": "how far from the goal passes: rad, m, rad/s, m/s, where final weights are above 0",
     "title": "shown in pictures",
     "weights": "table, below",
+    "limits": "table, below; none by default",
+}
+LIMITS = {
+    "control": 'bounds of the controls: "model" (ctrlrange, forcerange), a number, or a table by actuator',
+    "position": 'ranges of hinge and slide joints: "model", or a table of [lower, upper] by joint, rad or m',
+    "velocity": "a number for all joints, or a table by joint: a number or [lower, upper], rad/s or m/s",
+    "final": '"exact" for all that has a final weight, or a list of joints: to end at the goal exactly',
+    "tolerance": "how far a state may be outside its range, or from an exact goal",
 }
 WEIGHTS = {
     "effort": "on |u|^2 / 2, per second",
@@ -139,6 +153,10 @@ def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
             f"weights is {shown(weights)}, expected a table [weights] with some of: {', '.join(WEIGHTS)}."
         )
     _known(weights, WEIGHTS, f"[weights] of {where}")
+    limits = table.get("limits", {})
+    if not isinstance(limits, dict):
+        raise PlannerError(f"limits is {shown(limits)}, expected a table [limits] with some of: {', '.join(LIMITS)}.")
+    _known(limits, LIMITS, f"[limits] of {where}")
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
     return {**DEFAULTS, **table, "weights": {**DEFAULT_WEIGHTS, **weights}}
@@ -184,6 +202,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     }  # fmt: skip
     if not isinstance(table["title"], str):
         raise PlannerError(f"title is {shown(table['title'])}, expected a text.")
+    limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
+    if limits is not None:
+        table["limits"] = limits.to_dict()
     dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"])
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
     _check_departure(x0, cost, table["tolerance"])
@@ -192,6 +213,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         dynamics, cost, x0, twin=Twin.of(mechanism), case=CASE, parameters=table,
         us=np.tile(hold(mechanism, x0), (N, 1)) if table["guess"] == "hold" else None,
         stage=replace(stage, title=table["title"] or stage.title),
+        limits=limits,
         requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
     )  # fmt: skip
 

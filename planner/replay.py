@@ -208,7 +208,8 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
     for i in range(M):
         if feedback:
-            ctrl[i] += plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
+            asked = ctrl[i] + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
+            ctrl[i] = plan.within_bounds(i // substeps, asked)
         data.ctrl[:] = ctrl[i]
         if probe is not None:
             force[i], point[i] = contact_now(mujoco, model, data, probe)

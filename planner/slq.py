@@ -173,6 +173,8 @@ def _minimise(
                     break
             elif done.step >= 1.0:
                 mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
+            elif problem.limits is not None and done.expected <= decrease_tolerance * max(1.0, abs(cost)):
+                mu = 0.0  # bounds and hinges have kinks, where full steps may never come: ask the plain model
     except (KeyboardInterrupt, StopIteration):
         status = Status.INTERRUPTED
 

@@ -40,6 +40,12 @@ class StateSpace:
             in_x[i : i + 4], in_dx[j : j + 3] = False, False
         return np.flatnonzero(in_x), np.flatnonzero(in_dx)
 
+    def in_deviation(self, index: int) -> int:
+        """Where a number of the state has its deviation; -1 for one of a quaternion's."""
+        in_x, in_dx = self._vector
+        found = np.flatnonzero(in_x == index)
+        return int(in_dx[found[0]]) if len(found) else -1
+
     def difference(self, x: np.ndarray, x_ref: np.ndarray) -> np.ndarray:
         """The deviation (..., ndx) that leads from x_ref (..., nx) to x (..., nx)."""
         if not self.quaternions:

@@ -56,6 +56,8 @@ def roll_out(
         for n in range(len(us)):
             if K is not None and about is not None:
                 us[n] += K[n] @ space.difference(xs[n], about[n])
+            if problem.bounds is not None:
+                us[n] = np.clip(us[n], problem.bounds[0][n], problem.bounds[1][n])
             xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
             if not np.isfinite(xs[n + 1]).all():
                 return math.inf, us

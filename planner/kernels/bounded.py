@@ -59,7 +59,7 @@ def _clamp(w):
 
 @inline
 def _finish_bounded(w, mu, n):
-    """As riccati's, with the controls of stage n in their box; the part of the model's value in place of the slope's."""
+    """As riccati's, with the controls of stage n in their box; the model's value in place of the slope."""
     nu = w[W.NU]
     add_weights(w, floats(w, W.H), n)
     norm2 = _projected(w, n)

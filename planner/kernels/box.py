@@ -55,7 +55,7 @@ def _newton(M, width, mu, nu, clamped, C, g, d):
 
 @inline
 def _multiply(M, width, mu, nu, x, y):
-    """y = (H + mu I) x."""
+    """Y = (H + mu I) x."""
     for i in range(nu):
         total = mu * load(x, i)
         for j in range(nu):

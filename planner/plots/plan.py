@@ -17,6 +17,7 @@ import numpy as np
 from planner.default_stage import stage_of
 from planner.files import PathLike
 from planner.plan import Plan
+from planner.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
 from planner.plots.solver import draw_convergence
 from planner.plots.style import GREYS, HUES, INK, MINUS, MODE_WORDS, RED, drawable, dress, figure_of, right_axis, save
 from planner.replay import Replay
@@ -46,6 +47,7 @@ class _Curve:
     plan: tuple[np.ndarray, np.ndarray]
     replays: tuple[tuple[np.ndarray, np.ndarray], ...]
     held: bool  # constant over a stage: drawn as steps
+    index: int  # of the state or control
 
 
 def plot_plan(plan: Plan, shown: Proof | Replay | None, path: PathLike) -> None:
@@ -111,10 +113,10 @@ def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
     for index, label in panel.states:
         planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
         simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
-        curves.append(_Curve(label, planned, simulated, held=False))
+        curves.append(_Curve(label, planned, simulated, held=False, index=index))
     for index, label in panel.controls:
         simulated = tuple((replay.t, _to_the_end(replay.ctrl[:, index])) for replay in replays)
-        curves.append(_Curve(label, (plan.t, _to_the_end(plan.us[:, index])), simulated, held=True))
+        curves.append(_Curve(label, (plan.t, _to_the_end(plan.us[:, index])), simulated, held=True, index=index))
     return curves
 
 
@@ -149,6 +151,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
             curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=(0, (4, 2)), drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
+        (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
     if len(curves) > 1:
         _name_curves(right or axes, [curve.label for curve in curves])
     if beneath is None or first is None:
@@ -252,6 +255,8 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
         handles.append(Line2D([], [], **_line(replay, GREYS), label=f"replay in MuJoCo, {words}"))
     if touched:
         handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
+    if limited(plan):
+        handles.append(Patch(facecolor=INK, alpha=SHADE, label=LABEL))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5)
 
 

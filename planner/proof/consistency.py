@@ -9,6 +9,7 @@ from planner.cost import Quadratic
 from planner.figures import Figure, Section
 from planner.plan import Plan
 from planner.problem import Problem
+from planner.proof.limits import limit_figures
 from planner.proof.scales import cost_of_deviation
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
@@ -23,7 +24,10 @@ def consistency(plan: Plan, problem: Problem) -> Section:
         ends = dynamics.step(plan.xs[:-1], plan.us)
         A, B = dynamics.linearize(plan.xs, plan.us)
         quadratic = cost.quadratize(plan.xs, plan.us)
-        norm = float(np.linalg.norm(lq.gradient(A, B, quadratic)))
+        if plan.hinges is not None and problem.ranges is not None:
+            quadratic = problem.ranges.added(plan.hinges, quadratic, plan.xs)
+        moves = None if problem.bounds is None else (problem.bounds[0] - plan.us, problem.bounds[1] - plan.us)
+        norm = float(np.linalg.norm(lq.projected(lq.gradient(A, B, quadratic), moves)))
         terms = float(np.linalg.norm(quadratic.r)) + norm
         scale = max(abs(plan.cost), _LEAST * cost_of_deviation(quadratic), np.finfo(float).tiny)
         largest = max(1.0, float(np.abs(plan.xs).max()))
@@ -42,17 +46,18 @@ def consistency(plan: Plan, problem: Problem) -> Section:
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
         figures = [Figure(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]
-        figures.append(_gains(plan, A, B, quadratic))
+        figures.append(_gains(plan, A, B, quadratic, moves))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
     figures.append(Figure("changed_parts", float(len(plan.changed)), "", 0.0, note))
+    figures += limit_figures(problem, plan.xs, plan.us, "of the plan")
     return Section("plan", tuple(figures))
 
 
-def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> Figure:
+def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, moves: lq.Bounds | None) -> Figure:
     """The gains against a Riccati sweep along the plan."""
     name, sweep = "gain_error", None
     if np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite:
-        sweep = lq.riccati(A, B, quadratic)
+        sweep = lq.riccati(A, B, quadratic, bounds=moves)
     if sweep is None:
         note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
         return Figure(name, 0.0 if np.isfinite(plan.K).all() else np.inf, "", GAIN_BOUND, note)

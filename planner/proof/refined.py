@@ -9,6 +9,7 @@ import numpy as np
 from planner.figures import Figure, Section
 from planner.mechanism import Mechanism
 from planner.problem import Problem
+from planner.proof.limits import limit_figures
 from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
 from planner.replay import Replay
 
@@ -21,6 +22,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
             "ranges_reached", float(len(run.reached)), "", None,
             " ".join(run.reached) or "of joints, controls and forces: a plan knows none, MuJoCo holds them",
         ),
+        *limit_figures(problem, run.xs[:: run.substeps], _controls(run), "of the replay", judged=False),
     )  # fmt: skip
     if problem.requirements is not None and problem.requirements.tracking is not None:
         section = problem.requirements.tracking(run)
@@ -37,6 +39,11 @@ def tracking(run: Replay, problem: Problem) -> Section:
             *_along_the_path(error, problem),
         ),
     )
+
+
+def _controls(run: Replay) -> np.ndarray | None:
+    """(N, nu) the controls at the knots, where they are of the plan's machine."""
+    return run.ctrl[:: run.substeps] if run.ctrl.shape[1] == run.plan.us.shape[1] else None
 
 
 def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Figure, ...]:

@@ -44,9 +44,10 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
     if plan.case != problem_file.CASE:
         return ""
     table = _at_first(plan, path)
-    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name != "weights"]
+    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits")]
     weights = [f"{name} = {_toml(value)}" for name, value in table.get("weights", {}).items()]
-    return "\n".join([*lines, "", "[weights]", *weights])
+    limits = [f"{name} = {_toml(value)}" for name, value in table.get("limits", {}).items()]
+    return "\n".join([*lines, "", "[weights]", *weights, *(["", "[limits]", *limits] if limits else [])])
 
 
 def _at_first(plan: Plan, path: Sequence[Refinement]) -> dict[str, Any]:

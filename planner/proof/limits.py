@@ -1,0 +1,44 @@
+"""How far a motion is outside of its problem's limits: the plan's own, and what a replay made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.figures import Figure
+from planner.problem import Problem
+
+KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
+
+
+def limit_figures(
+    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, judged: bool = True
+) -> list[Figure]:
+    """The largest violation of each kind of limit; nothing where there are none.
+
+    Args:
+        problem: What has the limits.
+        xs: (N+1, nx) states at the knots.
+        us: (N, nu) controls; None where they are not asked about.
+        whose: For the notes.
+        judged: Whether the figures have bounds, or are shown only.
+    """
+    figures = []
+    if problem.bounds is not None and us is not None:
+        lower, upper = problem.bounds
+        outside = float(np.maximum(lower - us, us - upper).max())
+        active = int(np.sum((us <= lower) | (us >= upper)))
+        note = f"largest, {whose}; {active} of {us.size} controls at a bound"
+        figures.append(Figure("control_violation", max(outside, 0.0), "", 0.0 if judged else None, note))
+    if problem.ranges is not None and problem.limits is not None:
+        beyond, tolerance = problem.ranges.beyond(xs), problem.limits.tolerance
+        kinds = [name.split()[0] for name in problem.ranges.names]
+        for kind, word in KINDS.items():
+            which = [h for h, own in enumerate(kinds) if own == kind]
+            if which:
+                worst = (
+                    which[int(np.nanargmax(beyond[:, which].max(axis=0)))] if np.isfinite(beyond).all() else which[0]
+                )
+                note = f"largest at the knots, {whose}: {problem.ranges.names[worst]}"
+                value = float(beyond[:, which].max())
+                figures.append(Figure(f"{word}_violation", value, "", tolerance if judged else None, note))
+    return figures
