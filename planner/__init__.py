@@ -14,11 +14,15 @@ from planner import cases
 from planner.check import Checked, check
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
+from planner.energy_cost import EnergyCost
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
+from planner.free_time import retimed, solve_for
 from planner.hold import hold_gain
 from planner.limits import Limits
+from planner.jerk import JerkCost
 from planner.mechanism import Mechanism
+from planner.objective import Objective, with_objective
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -70,14 +74,17 @@ __all__ = [
     "Checked",
     "Cost",
     "Dynamics",
+    "EnergyCost",
     "FileError",
     "FrameCost",
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "JerkCost",
     "Limits",
     "Mechanism",
     "ModelError",
+    "Objective",
     "Perturbation",
     "Plan",
     "PlannerError",
@@ -121,7 +128,10 @@ __all__ = [
     "render_strip",
     "render_video",
     "replay",
+    "retimed",
     "rnea",
     "rnea_derivatives",
     "solve",
+    "solve_for",
+    "with_objective",
 ]

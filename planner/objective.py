@@ -27,7 +27,7 @@ from planner.problem import Problem
 from planner.space import StateSpace, space_of
 
 OBJECTIVES = ("effort", "energy", "jerk", "time")
-EFFORT_SHARE = 1e-3
+EFFORT_SHARE = 0.01
 """Weight of the effort where an objective has none: relative to the problem's own."""
 
 

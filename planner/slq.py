@@ -107,14 +107,14 @@ def solve(
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance, "starts": starts,
     }  # fmt: skip
     if starts > 1:
-        ranking = rank if rank is None or core is problem else lambda plan: rank(_settled(problem, plan))
-        plan = _settled(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
+        ranking = rank if rank is None or core is problem else lambda plan: rank(settled(problem, plan))
+        plan = settled(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
         ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
         return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
-    return replace(_settled(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+    return replace(settled(problem, descend(core.first_guess, max_iterations, callback)), options=options)
 
 
-def _settled(problem: Problem, plan: Plan) -> Plan:
+def settled(problem: Problem, plan: Plan) -> Plan:
     """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
