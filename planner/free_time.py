@@ -104,7 +104,7 @@ def solve_for(
             raise PlannerError(f"durations are {shown(durations)}, expected none without time in the objective.")
         wanted = with_objective(problem, weights)
         if set(weights) != {"effort"}:
-            wanted = replace(wanted, us=_least_effort(problem, options).us)
+            wanted = replace(wanted, us=solve(plain(problem), **_single(options)).us)
         return solve(wanted, callback=callback, **options)
     shortest, longest = _durations(durations)
     number("tolerance", tolerance, above=0.0)
@@ -166,9 +166,9 @@ def _exact(problem: Problem) -> Problem:
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))
 
 
-def _least_effort(problem: Problem, options: dict[str, Any]) -> Plan:
-    few = {name: value for name, value in options.items() if name not in ("starts", "rank", "seed", "spread")}
-    return solve(plain(problem), **few)
+def _single(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of solve() without those of several starts."""
+    return {name: value for name, value in options.items() if name not in ("starts", "rank", "seed", "spread")}
 
 
 class _Search:
@@ -197,15 +197,13 @@ class _Search:
         """Solve at a duration; its value, infinite where the limits are not met."""
         duration = float(duration)
         problem = with_objective(retimed(plain(self.problem), duration), self.rest)
-        options = dict(self.options)
-        if self.tried:
-            for name in ("starts", "seed", "spread", "rank"):
-                options.pop(name, None)
+        options = _single(self.options) if self.tried else self.options
         if self.plans:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
-        elif set(self.rest) != {"effort"}:
-            problem = replace(problem, us=_least_effort(problem, options).us)
+        elif problem.bounds is not None or set(self.rest) != {"effort"}:
+            free = solve(replace(plain(problem), limits=None), **_single(options))
+            problem = replace(problem, us=warm_start(free, problem))
         plan = self.last = solve(problem, **options)
         outside = 0.0 if problem.ranges is None else float(np.max(problem.ranges.beyond(plan.xs), initial=0.0))
         line = Tried(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
@@ -239,9 +237,11 @@ def _least(search: _Search, shortest: float, longest: float, tolerance: float) -
     def misses(duration: float) -> bool:
         return math.isinf(search.at(duration, lambda line: line.duration))
 
-    high = low = longest
-    if misses(longest):
-        return
+    high = low = float(np.clip(search.problem.duration, shortest, longest))
+    if misses(high):
+        if high == longest or misses(longest):
+            return
+        low, high = high, longest
     while low == high:
         if high == shortest:
             return
@@ -254,20 +254,24 @@ def _least(search: _Search, shortest: float, longest: float, tolerance: float) -
 
 def _cheapest(search: _Search, shortest: float, longest: float, tolerance: float) -> None:
     """The duration of the least sum: the best of a ladder of durations, then Brent's search between its neighbours."""
-    ladder = [longest]
-    while ladder[-1] > shortest:
-        ladder.append(max(shortest, _SHRINK * ladder[-1]))
+    own = float(np.clip(search.problem.duration, shortest, longest))
+    down, up = [own], [own]
+    while down[-1] > shortest:
+        down.append(max(shortest, _SHRINK * down[-1]))
+    while up[-1] < longest:
+        up.append(min(longest, up[-1] / _SHRINK))
 
     def total(duration: float) -> float:
         return search.at(duration, lambda line: search.weights["time"] * line.duration + line.cost)
 
-    values = [total(duration) for duration in ladder]
-    i = int(np.argmin(values))
-    if math.isinf(values[i]):
+    values = {duration: total(duration) for duration in (*down, *up[1:])}
+    ladder = sorted(values)
+    i = min(range(len(ladder)), key=lambda i: values[ladder[i]])
+    if math.isinf(values[ladder[i]]):
         return
-    ends = ladder[min(i + 1, len(ladder) - 1)], ladder[max(i - 1, 0)]
+    ends = ladder[max(i - 1, 0)], ladder[min(i + 1, len(ladder) - 1)]
     # A large number in place of infinity: the parabolas of Brent's search know no infinity.
-    most = 10.0 * max(abs(value) for value in values if math.isfinite(value))
+    most = 10.0 * max(abs(value) for value in values.values() if math.isfinite(value))
     minimize_scalar(
         lambda T: min(total(T), most), bounds=ends, method="bounded", options={"xatol": tolerance * ladder[i]}
     )
