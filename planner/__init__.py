@@ -19,8 +19,8 @@ from planner.errors import FileError, ModelError, PlannerError, RenderingUnavail
 from planner.frame_cost import FrameCost
 from planner.free_time import retimed, solve_for
 from planner.hold import hold_gain
-from planner.limits import Limits
 from planner.jerk import JerkCost
+from planner.limits import Limits
 from planner.mechanism import Mechanism
 from planner.objective import Objective, with_objective
 from planner.plan import Iteration, Plan, Start, Status

@@ -1,12 +1,12 @@
 """EnergyCost: the mechanical work of the motors, of either sign, smoothed where it changes sign.
 
-    J = weight sum dt sum_j e(p_j),     e(p) = sqrt(p^2 + s^2) - s,     p_j = f_j d_j / dt                      W = J s^2
+    J = weight sum dt sum_j e(p_j),     e(p) = sqrt(p^2 + s^2) - s,     p_j = f_j d_j / dt,
 
-the mean power of actuator j over a stage: its force times the way that it acts along. What a motor takes back counts
-as much as what it gives, as without a battery that it could charge. With forces that are held over the stage this is
-their work, so that no plan can do with less than the energy that its motion gains; power at the knots alone would let
-an optimizer put all force where the speed passes through zero. A force that depends on the state is the mean of both
-ends of the stage.
+p_j the mean power of actuator j over a stage, W: its force times the way that it acts along. What a motor takes back
+counts as much as what it gives, as without a battery that it could charge. With forces that are held over the stage
+this is their work, so that no plan can do with less than the energy that its motion gains; power at the knots alone
+would let an optimizer put all force where the speed passes through zero. A force that depends on the state is the mean
+of both ends of the stage.
 
 SLQ needs a quadratic model. The gradient is e'(p) dp, and in place of the Hessian stands
 
@@ -29,8 +29,8 @@ from planner.errors import PlannerError
 from planner.mechanism import DIRECT, SCREW, Mechanism
 
 SMOOTHING = 1.0
-"""W: the arms of the cases need some to some tens of W. A tenth of it brings the two-link's work from 1.6 to 0.5 % above
-the least there is, in more than three times the iterations."""
+"""W: the arms of the cases need some to some tens of W. A tenth of it brings the two-link's work from 1.6 to 0.5 %
+above the least there is, in more than three times the iterations."""
 
 
 class EnergyCost(Term):
@@ -62,6 +62,8 @@ class EnergyCost(Term):
         self.weight = number("the energy's weight", weight, least=0.0)
         self.smoothing = number("the energy's smoothing", smoothing, above=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
+        acts = self.mechanism.actuators
+        self._gain = np.where(acts.dynamics == DIRECT, acts.gain, 0.0)  # of the control itself
         self._by_q, self._by_x = _force_rows(self.mechanism)
 
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -70,7 +72,7 @@ class EnergyCost(Term):
         return force * way / self.dt
 
     def work(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """sum dt sum_j |p_j|, J, neither weighted nor smoothed."""
+        """The work in J, neither weighted nor smoothed: |p_j| summed over actuators and, times dt, over stages."""
         return self.dt * float(np.abs(self.power(xs, us)).sum())
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
@@ -99,7 +101,11 @@ class EnergyCost(Term):
         acts = self.mechanism.actuators
         move = self.space.difference(xs[1:], xs[:-1])
         of_state = xs @ self._by_q.T
-        force = acts.bias[:, 0] + 0.5 * (of_state[1:] + of_state[:-1]) + np.where(acts.dynamics == DIRECT, acts.gain, 0.0) * us
+        force = (
+            acts.bias[:, 0]
+            + 0.5 * (of_state[1:] + of_state[:-1])
+            + np.where(acts.dynamics == DIRECT, acts.gain, 0.0) * us
+        )
         return force, move[:, : self.mechanism.nv] @ acts.moment.T, move
 
     def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -111,7 +117,7 @@ class EnergyCost(Term):
         by_end = force[:, :, None] * (along @ self.space.difference_jacobian(move))
         by_x = -force[:, :, None] * (along @ self.space.difference_jacobian(-move))
         of_force = 0.5 * way[:, :, None] * self._by_x
-        by_u = way[:, :, None] * np.diag(np.where(acts.dynamics == DIRECT, acts.gain, 0.0))
+        by_u = way[:, :, None] * np.diag(self._gain)
         return (by_x + of_force) / self.dt, (by_end + of_force) / self.dt, by_u / self.dt
 
 

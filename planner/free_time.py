@@ -30,7 +30,7 @@ from planner.dynamics import HopperDynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.finer import is_its_case
 from planner.limits import EXACT, Limits
-from planner.objective import plain, weights_of, with_objective
+from planner.objective import checked_durations, plain, weights_of, with_objective
 from planner.plan import Plan, Status
 from planner.problem import Problem
 from planner.slq import settled, solve
@@ -99,14 +99,13 @@ def solve_for(
     weights = weights_of(objective)
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
-    if "time" not in weights:
-        if durations is not None:
-            raise PlannerError(f"durations are {shown(durations)}, expected none without time in the objective.")
+    between = checked_durations(durations, weights)
+    if between is None:
         wanted = with_objective(problem, weights)
         if set(weights) != {"effort"}:
             wanted = replace(wanted, us=solve(plain(problem), **_single(options)).us)
         return solve(wanted, callback=callback, **options)
-    shortest, longest = _durations(durations)
+    shortest, longest = between
     number("tolerance", tolerance, above=0.0)
     alone = set(weights) == {"time"}
     if alone:
@@ -145,15 +144,6 @@ def retimed(problem: Problem, duration: float) -> Problem:
         cost = _rescaled(old.cost, dt / old.dynamics.dt)
         new = replace(old, dynamics=_at_stage(old.dynamics, dt), cost=cost, case=None, parameters={})
     return new if objective is None else with_objective(new, objective.weights)
-
-
-def _durations(given: Any) -> tuple[float, float]:
-    if given is None or isinstance(given, str) or not isinstance(given, (Sequence, np.ndarray)) or len(given) != 2:
-        raise PlannerError(f"durations is {shown(given)}, expected (shortest, longest) in s, which time needs.")
-    shortest, longest = (number("a duration", value, above=0.0) for value in given)
-    if not shortest < longest:
-        raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
-    return shortest, longest
 
 
 def _exact(problem: Problem) -> Problem:

@@ -147,23 +147,23 @@ class RememberedJerkCost(Term):
         self.cost, self.space, self.N = cost, space, cost.N
         self.nx, self.ndx, self.nu = space.nx, space.ndx, cost.nu
 
-    def _jerks(self, ys: np.ndarray, us: np.ndarray) -> np.ndarray:
+    def _jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, nv) r_n, weighted by what counts."""
         own = self.cost
-        a = own.accelerations(np.ascontiguousarray(ys[: len(us), : own.nx]), us)
+        a = own.accelerations(np.ascontiguousarray(xs[: len(us), : own.nx]), us)
         a = np.concatenate([a, np.zeros((1, a.shape[1]))])
-        return own.counts[:, None] * (a - ys[:, own.nx :]) / own.dt
+        return own.counts[:, None] * (a - xs[:, own.nx :]) / own.dt
 
-    def value(self, ys: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory ys (N+1, nx), us (N, nu)."""
-        return 0.5 * self.cost.weight * self.cost.dt * float(np.sum(self._jerks(ys, us) ** 2))
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return 0.5 * self.cost.weight * self.cost.dt * float(np.sum(self._jerks(xs, us) ** 2))
 
-    def quadratize(self, ys: np.ndarray, us: np.ndarray) -> Quadratic:
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Exact gradients, and the Hessian of the linearised jerks."""
         own, (N, nu), nv = self.cost, us.shape, self.cost.accelerations.nv
-        jerks, weight = self._jerks(ys, us), own.weight * own.dt
+        jerks, weight = self._jerks(xs, us), own.weight * own.dt
         J, Ju = np.zeros((N + 1, nv, self.ndx)), np.zeros((N, nv, nu))
-        by_x, by_u = own.accelerations.derivatives(np.ascontiguousarray(ys[:N, : own.nx]), us)
+        by_x, by_u = own.accelerations.derivatives(np.ascontiguousarray(xs[:N, : own.nx]), us)
         J[:N, :, : own.ndx], J[:, :, own.ndx :] = by_x, -np.eye(nv)
         J *= own.counts[:, None, None] / own.dt
         Ju[:] = own.counts[:N, None, None] / own.dt * by_u
@@ -186,13 +186,13 @@ class PartCost(Term):
         self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
         self.nx, self.ndx = space.nx, space.ndx
 
-    def value(self, ys: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory ys (N+1, nx), us (N, nu)."""
-        return self.cost.value(ys[:, : self._nx], us)
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return self.cost.value(xs[:, : self._nx], us)
 
-    def quadratize(self, ys: np.ndarray, us: np.ndarray) -> Quadratic:
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """The cost's own model, zero for what was added."""
-        model, more = self.cost.quadratize(ys[:, : self._nx], us), self.ndx - self._ndx
+        model, more = self.cost.quadratize(xs[:, : self._nx], us), self.ndx - self._ndx
         return Quadratic(
             np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
             None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),

@@ -11,7 +11,7 @@ is kept where none is asked for: without it nothing would choose among controls 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,6 +89,25 @@ def weights_of(objective: Any) -> dict[str, float]:
     return weights
 
 
+def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
+    """The shortest and the longest duration, s, which an objective with time needs and any other refuses.
+
+    Raises:
+        PlannerError: There are some and no time, or time and none; not two numbers that rise.
+    """
+    if "time" not in weights:
+        if durations is not None:
+            raise PlannerError(f"durations are {shown(durations)}, expected none without time in the objective.")
+        return None
+    pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
+    if not pair:
+        raise PlannerError(f"durations is {shown(durations)}, expected (shortest, longest) in s, which time needs.")
+    shortest, longest = (number("a duration", value, above=0.0) for value in durations)
+    if not shortest < longest:
+        raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
+    return shortest, longest
+
+
 def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
     """The same task with another criterion, at its own duration.
 
@@ -134,9 +153,7 @@ def _jerk(problem: Problem, weight: float) -> JerkCost:
         return JerkCost(problem.dynamics, problem.N, weight)
     q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)
     stops = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
-    return JerkCost(
-        problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=stops
-    )
+    return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=stops)
 
 
 def plain(problem: Problem) -> Problem:
