@@ -61,7 +61,7 @@ ORDER = [
     ["camera", "film", "drawing", "overlay", "scene", "encode", "render"],
     ["plots"],
     ["report"],
-    ["paper", "paper_proofs"],
+    ["paper", "paper_proofs", "paper_studies"],
     ["console"],
     ["commands"],
     ["__main__", "__init__"],

@@ -257,3 +257,23 @@ def test_refusals(message, call):
         call(arm(20))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_study_says_what_it_found(tmp_path):
+    """Its page, rows and picture, of a result made up of three motions."""
+    from planner.paper_studies import objective_study as study
+
+    values = {"effort": 1.0, "energy": 2.0, "jerk": 3.0, "time": 4.0}
+    motion = {"status": "CONVERGED", "iterations": 3, "values": values, "t_s": [0.0, 1.0, 2.0],
+              "q_rad": [[0.0, 0.0]] * 3, "u_Nm": [[15.0, 0.0], [0.0, 1.0]], "stages_on_a_bound": 0.5}  # fmt: skip
+    least = {"machine": "cart", "known_s": None, "known": "", "found_s": 2.0, "stages_on_a_bound": 1.0}
+    results = {
+        "bound_Nm": 15.0, "units": study.MEASURES, "motions": dict.fromkeys(values, motion),
+        "best": {name: name for name in values}, "least_times": [least] * 3, "acrobot_bound_Nm": 5.0,
+        "acrobot": motion | {"u_Nm": [[5.0], [0.0]]},
+    }  # fmt: skip
+    page = study.objective_markdown(results)
+    assert "| effort | **1** | 2 | 3 | 4 | 50 % |" in page
+    assert [set(row) for row in study.objective_rows(results)] == [{"where", "paper", "ours", "why"}] * 3
+    study.draw_objectives(results, tmp_path / "objectives.png")
+    assert (tmp_path / "objectives.png").stat().st_size > 10_000
