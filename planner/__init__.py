@@ -15,13 +15,17 @@ from planner.check import Checked, check
 from planner.control_spline import SplineControls, solve_by_splines
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
+from planner.energy_cost import EnergyCost
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
+from planner.free_time import retimed, solve_for
 from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
 from planner.hold import hold_gain
+from planner.jerk import JerkCost
 from planner.limits import Limits
 from planner.mechanism import Mechanism
 from planner.momentum import angular_momentum, center_of_mass
+from planner.objective import Objective, with_objective
 from planner.payload import largest_payload, static_limit
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
@@ -78,15 +82,18 @@ __all__ = [
     "Descended",
     "DrivenMotion",
     "Dynamics",
+    "EnergyCost",
     "Extremal",
     "FileError",
     "FrameCost",
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "JerkCost",
     "Limits",
     "Mechanism",
     "ModelError",
+    "Objective",
     "Perturbation",
     "Plan",
     "PlannerError",
@@ -137,10 +144,13 @@ __all__ = [
     "render_strip",
     "render_video",
     "replay",
+    "retimed",
     "rnea",
     "rnea_derivatives",
     "shoot",
     "solve",
     "solve_by_splines",
+    "solve_for",
     "static_limit",
+    "with_objective",
 ]

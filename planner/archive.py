@@ -31,7 +31,7 @@ _META = {
     "case": (str, type(None)), "parameters": (dict,), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER,
     "iterations": (int,), "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)),
     "space": (dict,), "starts": (list,), "options": (dict,), "problem": (dict, type(None)), "digests": (dict,),
-    "limits": (dict, type(None)),
+    "limits": (dict, type(None)), "objective": (dict, type(None)),
 }  # fmt: skip
 _START = (int,), (str,), _NUMBER, (int,), _NUMBER
 
@@ -112,10 +112,10 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         starts = [row + row[2:3] for row in starts if isinstance(row, list)] if isinstance(starts, list) else starts
         meta |= {"options": {}, "problem": None, "digests": {}, "starts": starts}  # ranked by cost
     if version < 4:
-        meta |= {"limits": None}
+        meta |= {"limits": None, "objective": None}
     _check_meta(named, meta)
     written = meta.pop("digests")
-    added = {"format_version"} if version >= 4 else {"format_version", "limits"}
+    added = {"format_version"} if version >= 4 else {"format_version", "limits", "objective"}
     content = {name: part for name, part in meta.items() if name not in added}
     meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"])

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from planner.free_time import Tried
 from planner.jsonable import finite
 from planner.plan import Iteration, Start
 
@@ -83,6 +84,12 @@ class Console:
         """One line of the live table of starts."""
         if line.number == 0:
             self.note(Start.header())
+        self.note(str(line))
+
+    def tried(self, line: Tried) -> None:
+        """One line of the live table of durations."""
+        if line.number == 0:
+            self.note(Tried.header())
         self.note(str(line))
 
     def progress(self, what: str, done: int, total: int) -> None:

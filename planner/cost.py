@@ -25,6 +25,12 @@ class Quadratic(NamedTuple):
     q: np.ndarray  # (N+1, ndx)
     R: np.ndarray  # (N, nu, nu)
     r: np.ndarray  # (N, nu)
+    S: np.ndarray | None = None  # (N, nu, ndx) of the mixed term du'S dx; None for none
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number is."""
+        return all(np.isfinite(part).all() for part in self if part is not None)
 
 
 class Cost(Protocol):
@@ -92,14 +98,15 @@ class SumCost(Term):
         """The sums of the costs' models."""
         models = [cost.quadratize(xs, us) for cost in self.costs]
         for i, model in enumerate(models[1:], 1):  # a wrong shape could broadcast into a wrong gradient
-            for name, first, part in zip(Quadratic._fields, models[0], model, strict=True):
+            for name, first, part in zip(Quadratic._fields[:4], models[0][:4], model[:4], strict=True):
                 if np.shape(part) != np.shape(first):
                     raise PlannerError(
                         f"cost {i} of a sum gives {name} of shape {np.shape(part)}, cost 0 of {np.shape(first)}: "
                         f"expected the same."
                     )
-        Q, q, R, r = (np.sum(parts, axis=0) for parts in zip(*models, strict=True))
-        return Quadratic(Q, q, R, r)
+        Q, q, R, r = (np.sum(parts, axis=0) for parts in zip(*(model[:4] for model in models), strict=True))
+        mixed = [model.S for model in models if model.S is not None]
+        return Quadratic(Q, q, R, r, np.sum(mixed, axis=0) if mixed else None)
 
 
 class TrackingCost(Term):
@@ -247,6 +254,14 @@ class TrackingCost(Term):
             Jt = np.swapaxes(J, 1, 2)
             Q, q = Jt @ Q @ J, np.einsum("nij,nj->ni", Jt, q)
         return Quadratic(Q, q, self.R, np.einsum("nij,nj->ni", self.R, us - self.u_ref))
+
+
+def tracking_of(cost: Any) -> TrackingCost | None:
+    """The one TrackingCost with a final weight that a cost is, or has in its sum; None where there is not just one."""
+    terms = [term for term in getattr(cost, "costs", (cost,)) if isinstance(term, TrackingCost)]
+    if len(terms) > 1:
+        terms = [term for term in terms if np.any(term.Q[-1])]
+    return terms[0] if len(terms) == 1 else None
 
 
 def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:

@@ -370,6 +370,8 @@ def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) ->
 def _check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
     """A wrong shape from a user's cost could broadcast into a wrong gradient."""
     expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
+    if getattr(model, "S", None) is not None:
+        expected["S"] = (N, nu, ndx)
     for name, shape in expected.items():
         have = np.shape(getattr(model, name))
         if have != shape:

@@ -16,6 +16,7 @@ from planner import cases, problem_file
 from planner.cost import Cost, SumCost, TrackingCost
 from planner.dynamics import FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import PlannerError
+from planner.objective import plain, with_objective
 from planner.problem import Problem
 from planner.space import space_of
 
@@ -37,11 +38,13 @@ def finer(problem: Problem) -> Problem:
     Raises:
         PlannerError: Parts that cannot be made anew, or more than 100 000 stages.
     """
+    if problem.objective is not None:
+        return with_objective(finer(plain(problem)), problem.objective.weights)
     first_order = getattr(problem.dynamics, "integrator", None) in FIRST_ORDER
     parts = 1 if first_order else 2
     if parts * problem.N > MOST_STAGES:
         raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MOST_STAGES}.")
-    if _is_its_case(problem):
+    if is_its_case(problem):
         return _case(problem, parts, FINEST)
     return replace(
         problem, dynamics=_dynamics(problem.dynamics, parts), horizon=parts * problem.N,
@@ -55,11 +58,13 @@ def _case(problem: Problem, parts: int, integrator: str) -> Problem:
     assert problem.case is not None
     table = problem.parameters | {"integrator": integrator}
     if problem.case == problem_file.CASE:
-        return problem_file.rebuilt(table | {"dt": problem.dynamics.dt / parts}, problem.twin)
-    return cases.build(problem.case, **table | {"horizon": parts * problem.N})
+        made = problem_file.rebuilt(table | {"dt": problem.dynamics.dt / parts}, problem.twin)
+    else:
+        made = cases.build(problem.case, **table | {"horizon": parts * problem.N})
+    return replace(plain(made), limits=None if problem.limits is None else problem.limits.repeated(parts))
 
 
-def _is_its_case(problem: Problem) -> bool:
+def is_its_case(problem: Problem) -> bool:
     """Whether a problem is still what its parameters say: dataclasses.replace may have changed its parts."""
     if problem.case not in (*cases.CASES, problem_file.CASE) or "integrator" not in problem.parameters:
         return False
@@ -67,7 +72,7 @@ def _is_its_case(problem: Problem) -> bool:
         stored = _case(problem, 1, problem.parameters["integrator"])
     except PlannerError:
         return False
-    if stored.parameters != problem.parameters or _limits(stored) != _limits(problem):
+    if stored.parameters != problem.parameters:
         return False
     rng, space = np.random.default_rng(0), space_of(problem.dynamics)
     xs = space.integrate(np.tile(problem.x0, (problem.N + 1, 1)), rng.normal(size=(problem.N + 1, space.ndx)))
@@ -76,10 +81,6 @@ def _is_its_case(problem: Problem) -> bool:
         (p.x0, p.dynamics.step(xs[:-1], us), p.cost.value(xs, us), p.dynamics.dt) for p in (problem, stored)
     )
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(mine, theirs, strict=True))
-
-
-def _limits(problem: Problem) -> dict[str, Any] | None:
-    return None if problem.limits is None else problem.limits.to_dict()
 
 
 def _dynamics(dynamics: Any, parts: int) -> Any:

@@ -2,11 +2,12 @@
 
 Around a trajectory (3.2, 3.3):
 
-    minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du  + the same at the end
+    minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + du'S dx  + the same at the end
     subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
 
 with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
-only differences of states know whether these are plain vectors (see space.py).
+only differences of states know whether these are plain vectors (see space.py). The paper has no S: it stands beside
+B'PA wherever that does, and the gradient (Eq. 18) never sees it.
 """
 
 from __future__ import annotations
@@ -88,6 +89,8 @@ def riccati(
         T = none if second is None else second[n]
         H, H_ux = quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu), BtP @ A[n] + T[ndx:, :ndx]
         h = quadratic.r[n] + B[n].T @ s[n + 1]
+        if quadratic.S is not None:
+            H_ux = H_ux + quadratic.S[n]
         s_x = quadratic.q[n] + A[n].T @ s[n + 1]
         try:
             if bounds is not None:

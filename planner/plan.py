@@ -29,6 +29,7 @@ from planner.arguments import choice
 from planner.errors import FileError, PlannerError
 from planner.files import printable
 from planner.limits import Limits
+from planner.objective import plain, with_objective
 from planner.space import StateSpace, euclidean, space_of
 from planner.state_ranges import Hinges
 from planner.stored_problem import rebuilt, stored
@@ -226,7 +227,8 @@ class Plan:
         Raises:
             FileError: The file cannot be written.
         """
-        own = stored(self.problem)
+        own = stored(None if self.problem is None else plain(self.problem))
+        objective = None if self.problem is None else self.problem.objective
         meta = {
             "case": self.case,
             "parameters": self.parameters,
@@ -241,6 +243,7 @@ class Plan:
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
             "options": self.options,
             "problem": None if own is None else own[0],
+            "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
         }
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
@@ -311,20 +314,24 @@ def _status(name: str) -> Status:
 
 
 def _rebuilt(plan: Plan, meta: dict[str, Any], parts: dict[str, np.ndarray]) -> Problem | None:
-    """The problem of a stored plan, with its limits; None where it is its maker's own Python."""
+    """The problem of a stored plan, with its limits and its objective; None where it is its maker's own Python."""
     from planner import cases, problem_file  # these build on everything above; only a file's name leads back here
 
-    limits = None if meta["limits"] is None else Limits.from_dict(meta["limits"])
     if meta["problem"] is not None:
-        return _fitting(plan, replace(rebuilt(meta["problem"], parts, plan.twin), limits=limits))
-    if plan.case is None:
+        problem = rebuilt(meta["problem"], parts, plan.twin)
+    elif plan.case is None:
         return None
-    own = plan.case == problem_file.CASE
-    problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(plan.case, **plan.parameters)
-    if problem.parameters != plan.parameters:
-        missing = sorted(set(problem.parameters) - set(plan.parameters))
-        raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
-    return _fitting(plan, problem if limits is None else replace(problem, limits=limits))
+    else:
+        own = plan.case == problem_file.CASE
+        problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(plan.case, **plan.parameters)
+        if problem.parameters != plan.parameters:
+            missing = sorted(set(problem.parameters) - set(plan.parameters))
+            raise PlannerError(
+                f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'})."
+            )
+    limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
+    problem = replace(plain(problem), limits=limits)
+    return _fitting(plan, problem if meta["objective"] is None else with_objective(problem, meta["objective"]))
 
 
 def _fitting(plan: Plan, problem: Problem) -> Problem:

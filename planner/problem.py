@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.arguments import LONGEST_HORIZON, array, count, shown
-from planner.cost import Cost, check_cost, states
+from planner.cost import Cost, check_cost, states, tracking_of
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
@@ -20,6 +20,7 @@ from planner.state_ranges import StateRanges
 from planner.twin import Twin
 
 if TYPE_CHECKING:
+    from planner.objective import Objective
     from planner.replay import Replay
 
 
@@ -62,6 +63,7 @@ class Problem:
         stage: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
+        objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
@@ -82,6 +84,7 @@ class Problem:
     case: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
     limits: Limits | None = None
+    objective: Objective | None = None
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
@@ -113,8 +116,9 @@ class Problem:
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
         if self.limits is not None:
+            goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
-            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, self.cost, self.x0, N))
+            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
         if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and not self.dynamics.prescribed:
             object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:

@@ -41,6 +41,7 @@ from planner.limits import Limits
 from planner.mechanism import BALL, Mechanism
 from planner.mechanism_refusals import KINDS
 from planner.multistart import MOST_STARTS
+from planner.objective import OBJECTIVES, checked_durations, weights_of, with_objective
 from planner.problem import Problem, Requirements
 from planner.twin import Twin
 
@@ -64,6 +65,8 @@ KEYS = {
     "tolerance": "how far from the goal passes: rad, m, rad/s, m/s, where final weights are above 0",
     "title": "shown in pictures",
     "weights": "table, below",
+    "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
+    "durations": "[shortest, longest] s, between which an objective with time chooses",
     "limits": "table, below; none by default",
 }
 LIMITS = {
@@ -97,27 +100,36 @@ class ProblemFile(NamedTuple):
     problem: Problem
     starts: int
     seed: int
+    objective: dict[str, float] | None = None
+    durations: list[float] | None = None
 
 
-def load(path: str | Path, *, starts: int | None = None, seed: int | None = None) -> ProblemFile:
+def load(
+    path: str | Path, *, starts: int | None = None, seed: int | None = None, objective: Any = None,
+    durations: list[float] | None = None,
+) -> ProblemFile:  # fmt: skip
     """The problem in a file.
 
     Args:
         path: The problem.toml.
         starts: In place of the file's.
         seed: In place of the file's.
+        objective: In place of the file's.
+        durations: In place of the file's.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """
     path = Path(path)
     table = _checked(_read(path), str(path))
-    table |= {name: value for name, value in (("starts", starts), ("seed", seed)) if value is not None}
+    instead = {"starts": starts, "seed": seed, "objective": objective, "durations": durations}
+    table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
     mechanism = _mechanism(path.parent / table["model"], table, None)
     problem = _problem(table, mechanism, str(path))
-    return ProblemFile(problem, problem.parameters["starts"], problem.parameters["seed"])
+    given = problem.parameters
+    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"))
 
 
 def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
@@ -205,17 +217,22 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     if limits is not None:
         table["limits"] = limits.to_dict()
+    if "objective" in table:
+        table["objective"] = weights_of(table["objective"])
+    if "durations" in table:
+        table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
     dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"])
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
     _check_departure(x0, cost, table["tolerance"])
     stage = default_stage(mechanism)
-    return Problem(
+    problem = Problem(
         dynamics, cost, x0, twin=Twin.of(mechanism), case=CASE, parameters=table,
         us=np.tile(hold(mechanism, x0), (N, 1)) if table["guess"] == "hold" else None,
         stage=replace(stage, title=table["title"] or stage.title),
         limits=limits,
         requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
     )  # fmt: skip
+    return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
 def _stages(duration: Any, dt: Any) -> tuple[float, int]:

@@ -32,6 +32,7 @@ from planner.engine import Engine, borrow, give_back
 from planner.errors import PlannerError
 from planner.kernels.workspace import ACCEPTED, CONVERGED
 from planner.multistart import MOST_STARTS, best_of
+from planner.objective import iterated
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
 from planner.space import space_of
@@ -105,16 +106,28 @@ def solve(
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
-    descend = partial(_descend, problem, feedback, rule, exact, gradient_tolerance, decrease_tolerance)
+    core = iterated(problem)
+    descend = partial(_descend, core, feedback, rule, exact, gradient_tolerance, decrease_tolerance)
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance, "starts": starts,
     }  # fmt: skip
     if starts > 1:
-        plan = best_of(problem, descend, max_iterations, starts, seed, spread, callback, rank)
+        ranking = rank if rank is None or core is problem else lambda plan: rank(settled(problem, plan))
+        plan = settled(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
         ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
         return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
-    return replace(descend(problem.first_guess, max_iterations, callback), options=options)
+    return replace(settled(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+
+
+def settled(problem: Problem, plan: Plan) -> Plan:
+    """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
+    if plan.problem is problem:
+        return plan
+    own = _minimise(problem, True, 0, 0.0, 0.0, None, plan.us, plan.hinges, 0, 0)
+    more = own.cost - plan.cost  # what no control changes
+    history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
+    return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
 
 
 def _descend(

@@ -81,7 +81,7 @@ class StateRanges:
         curvature = hinges.weight * ((e >= hinges.upper).astype(float) + (e < hinges.lower))
         rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
         q = model.q + np.einsum("nhi,nh->ni", rows, slope)
-        return Quadratic(model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q, model.R, model.r)
+        return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
 
     def _beyond(self, hinges: Hinges, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e = self.deviations(xs)

@@ -13,6 +13,7 @@ from planner import problem_file
 from planner.cases import CASES
 from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
+from planner.objective import OBJECTIVES
 from planner.paper_studies.catalogue import STUDIES
 from planner.slq import HESSIANS, LINE_SEARCHES, UPDATES
 
@@ -116,6 +117,16 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_objective(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--objective", default=None, metavar="NAME",
+        help=f"What to be sparing of: {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. Default: effort.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--durations", default=None, metavar="A,B", help="The shortest and longest, s, that time may choose."
+    )
+
+
 def _add_rank(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rank", choices=("cost", "proven-cost"), default="cost",
@@ -178,6 +189,11 @@ def build() -> argparse.ArgumentParser:
             _add_case(child, build_case)
             _add_solver(child)
             _add_rank(child)
+            _add_objective(child)
+            child.add_argument(
+                "--control-limit", type=_number, default=None, metavar="X", help="Bound of all controls."
+            )
+            child.add_argument("--exact-goal", action="store_true", help="Meet the goal exactly, to 1e-4.")
             children.append(child)
         own = machines.add_parser(
             PROBLEM_FILE, help=_OWN, description=f"{text} {_OWN}", epilog=f"Its keys: {', '.join(problem_file.KEYS)}."
@@ -186,6 +202,8 @@ def build() -> argparse.ArgumentParser:
         own.add_argument("problem", metavar="FILE", help="A problem.toml.")
         _add_solver(own)
         _add_rank(own)
+        _add_objective(own)
+        own.set_defaults(control_limit=None, exact_goal=False)
         return [*children, own]
 
     _add_output(command("list", "List the machines, what each shows and its parameters."))

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from planner import cases
-from planner.arguments import count
+from planner.arguments import count, number
 from planner.commands.parser import PROBLEM_FILE
 from planner.console import Console
+from planner.errors import PlannerError
+from planner.free_time import solve_for
+from planner.limits import EXACT, Limits
 from planner.multistart import MOST_STARTS
+from planner.objective import checked_durations, weights_of, with_objective
 from planner.plan import Plan
 from planner.problem_file import ProblemFile as ProblemOf
 from planner.problem_file import load
@@ -23,12 +28,54 @@ RANKS = {"cost": None, "proven-cost": proven_cost}
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     """The problem of a case or a file, and from how many first guesses it is solved."""
     count("max_iterations", arguments.max_iterations)
+    objective = None if arguments.objective is None else objective_of(arguments.objective)
+    durations = None if arguments.durations is None else durations_of(arguments.durations)
     if arguments.case == PROBLEM_FILE:
-        return load(arguments.problem, starts=arguments.starts, seed=arguments.seed)
+        given = {"starts": arguments.starts, "seed": arguments.seed}
+        return load(arguments.problem, **given, objective=objective, durations=durations)
     starts = 1 if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
     seed = 0 if arguments.seed is None else count("seed", arguments.seed, least=0)
     given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
-    return ProblemOf(cases.build(arguments.case, **given), starts, seed)
+    problem = cases.build(arguments.case, **given)
+    limit = arguments.control_limit
+    if limit is not None or arguments.exact_goal:
+        bound = None if limit is None else number("control-limit", limit, above=0.0)
+        problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
+    if objective is not None:
+        problem = with_objective(problem, objective)
+    checked_durations(durations, objective or {})
+    return ProblemOf(problem, starts, seed, objective, durations)
+
+
+def objective_of(text: str) -> dict[str, float]:
+    """Weights from "time" or from "effort=1,time=2".
+
+    Raises:
+        PlannerError: Neither, an unknown name or a negative weight.
+    """
+    if "=" not in text:
+        return weights_of(text.strip())
+    weights: dict[str, float] = {}
+    for word in text.split(","):
+        name, _, value = word.partition("=")
+        try:
+            weights[name.strip()] = float(value)
+        except ValueError:
+            raise PlannerError(f"--objective has {word!r}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
+    return weights_of(weights)
+
+
+def durations_of(text: str) -> list[float]:
+    """The shortest and the longest, from "0.5,3".
+
+    Raises:
+        PlannerError: Not two numbers.
+    """
+    try:
+        shortest, longest = map(float, text.split(","))
+    except ValueError:
+        raise PlannerError(f"--durations is {text!r}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
+    return [shortest, longest]
 
 
 def name_of(arguments: argparse.Namespace) -> str:
@@ -43,10 +90,15 @@ def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) ->
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
     began = time.perf_counter()
-    plan = solve(
-        problem, update=arguments.update, line_search=arguments.line_search, hessian=arguments.hessian,
-        starts=asked.starts, seed=asked.seed, max_iterations=arguments.max_iterations,
-        callback=console.iteration if asked.starts == 1 else console.start,
-        rank=RANKS[arguments.rank],
-    )  # fmt: skip
+    options = {
+        "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,
+        "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
+        "rank": RANKS[arguments.rank],
+    }  # fmt: skip
+    timed = asked.durations is not None
+    progress = console.tried if timed else console.iteration if asked.starts == 1 else console.start
+    if asked.objective is None:
+        plan = solve(problem, callback=progress, **options)
+    else:
+        plan = solve_for(problem, asked.objective, durations=asked.durations, callback=progress, **options)
     return plan, time.perf_counter() - began

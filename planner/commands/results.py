@@ -136,6 +136,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
         "message": plan.message, "cost": plan.cost, "gradient_norm": plan.gradient_norm, "iterations": plan.nit,
         "starts": [start._asdict() | {"status": start.status.name} for start in plan.starts], "start": plan.start,
         "horizon": plan.N, "dt": plan.dt, "versions": plan.versions,
+        "objective": None if plan.problem is None or plan.problem.objective is None else plan.problem.objective.weights,
     }  # fmt: skip
 
 

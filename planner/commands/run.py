@@ -69,7 +69,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]:
     """What makes two runs the same: their plan and what is asked of its proof."""
     problem = asked.problem
-    solver = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold")
+    solver = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold",
+              "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
     return {
         "case": problem.case, "parameters": problem.parameters, "starts": asked.starts, "seed": asked.seed,
         "model": None if problem.twin is None else problem.twin.mjcf, "versions": installed_versions(),
@@ -172,7 +173,8 @@ def _certain(plan: Plan, hold: float) -> Proof:
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:
     """What a run was told beside its problem, for the line that repeats it."""
-    usual = {"update": "feedback", "line_search": "armijo", "hessian": "gauss-newton", "max_iterations": 1000,
-             "starts": None, "seed": None, "rank": "cost", "no_refine": False, "rollouts": 512,
-             "hold": 0.0}  # fmt: skip
+    usual = {"update": "feedback", "line_search": "armijo", "hessian": "gauss-newton",
+             "max_iterations": 1000, "starts": None, "seed": None,
+             "rank": "cost", "no_refine": False, "rollouts": 512, "hold": 0.0, "objective": None, "durations": None,
+             "control_limit": None, "exact_goal": False}  # fmt: skip
     return {name: getattr(arguments, name) for name in usual if getattr(arguments, name) != usual[name]}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from threading import local
 
 import numpy as np
 
@@ -55,6 +56,7 @@ class RigidBodyDynamics:
         self._code = INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
+        self._steps = local()
         self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
         self.second_order_kernels = ("tree second order", "costates")
 
@@ -67,17 +69,21 @@ class RigidBodyDynamics:
         xs, us = self._checked(xs, us)
         lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         announce(tree_step.steps)
-        ends = np.empty_like(xs)
-        memory = TreeMemory(self._model, self._code, 0, linearizing=False)
+        ends, memory = np.empty_like(xs), self._scratch()
         tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False)
         return ends
+
+    def _scratch(self) -> TreeMemory:
+        """For single steps, one for each thread: to allocate it takes longer than a step does."""
+        if not hasattr(self._steps, "memory"):
+            self._steps.memory = TreeMemory(self._model, self._code, 0, linearizing=False)
+        return self._steps.memory
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The rates (qvel, qacc, d act/dt), (K, 2 nv + na), at xs (K, nx) with us (K, nu)."""
         xs, us = self._checked(xs, us)
         announce(tree_step.rates)
-        out = np.empty((len(xs), self.ndx))
-        memory = TreeMemory(self._model, self._code, 0, linearizing=False)
+        out, memory = np.empty((len(xs), self.ndx)), self._scratch()
         tree_step.rates(self._model.table, memory.table, xs, us, out)
         return out
 

@@ -17,6 +17,12 @@ from planner.paper_studies.hopper_splines_study import (
 from planner.paper_studies.hopper_study import draw_hopper, hopper_markdown, hopper_results, hopper_rows
 from planner.paper_studies.masses_study import draw_masses, masses_markdown, masses_results, masses_rows
 from planner.paper_studies.motion_study import draw_motions, motion_markdown, motion_results, motion_rows
+from planner.paper_studies.objective_study import (
+    draw_objectives,
+    objective_markdown,
+    objective_results,
+    objective_rows,
+)
 from planner.paper_studies.page import Row, Study
 from planner.paper_studies.puma_study import draw_puma, puma_markdown, puma_results, puma_rows
 from planner.paper_studies.shooting_study import draw_shooting, shooting_markdown, shooting_results, shooting_rows
@@ -57,6 +63,10 @@ STUDIES: tuple[Study, ...] = (
     Study(
         "hopper", "the numerical example (section 4)",
         hopper_results, hopper_markdown, hopper_rows, {"hopper.png": draw_hopper}, seconds=25,
+    ),
+    Study(
+        "objectives", "effort, energy, jerk and time (section 1)",
+        objective_results, objective_markdown, objective_rows, {"objectives.png": draw_objectives}, seconds=60,
     ),
     Study(
         "puma", "weightlifting with a Puma-like arm (reference 20)",

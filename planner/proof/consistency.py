@@ -56,7 +56,7 @@ def consistency(plan: Plan, problem: Problem) -> Section:
 def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, moves: lq.Bounds | None) -> Figure:
     """The gains against a Riccati sweep along the plan."""
     name, sweep = "gain_error", None
-    if all(np.isfinite(part).all() for part in (A, B, *quadratic)):
+    if np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite:
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
     if sweep is None:
         note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
