@@ -124,7 +124,7 @@ def settled(problem: Problem, plan: Plan) -> Plan:
     """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
-    own = _minimise(problem, True, 0, 0.0, 0.0, None, plan.us, plan.hinges, 0, 0)
+    own = _minimise(problem, True, 0, False, 0.0, 0.0, None, plan.us, plan.hinges, 0, 0)
     more = own.cost - plan.cost  # what no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
