@@ -48,6 +48,10 @@ class Engine(Protocol):
 
     largest_control_weight: float
 
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms, after start(exact=True)."""
+        ...
+
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess; its cost. With `exact` the Hessians have the dynamics' second-order terms."""
         ...
@@ -97,6 +101,12 @@ class CompiledEngine:
         self._w.us[:] = us
         self._w.dus[:] = 0.0
         return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms."""
+        self._w.use_second_order(exact)
+        if self._numpy is not None:
+            self._numpy.use_second_order(exact)
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
@@ -156,7 +166,7 @@ class NumpyEngine:
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
         self._sweep: lq.Sweep | None = None
-        self._exact, self._second = False, None
+        self._exact, self._swept, self._second = False, False, None
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
@@ -169,7 +179,7 @@ class NumpyEngine:
                 'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
                 "second_order(xs, us, costates) (see planner.Dynamics)."
             )
-        self._exact = exact
+        self._exact = self._swept = exact
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
         if np.isfinite(J[0]):
@@ -205,6 +215,10 @@ class NumpyEngine:
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
 
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms."""
+        self._swept = exact
+
     def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
         N, nu, ndx = self._gains
@@ -227,7 +241,7 @@ class NumpyEngine:
             self._model = self._cost.quadratize(xs0, us0)
             self._norm = float(np.linalg.norm(lq.gradient(self._A, self._B, self._model)))
             self._second = self._second_order(xs0, us0) if self._exact else None
-        sweep = lq.riccati(self._A, self._B, self._model, mu, self._second)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, self._second if self._swept else None)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope

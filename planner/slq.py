@@ -26,7 +26,7 @@ import numpy as np
 from planner.arguments import choice, count, number, shown
 from planner.engine import Engine, borrow, give_back
 from planner.errors import PlannerError
-from planner.kernels.workspace import ACCEPTED, CONVERGED
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.multistart import MOST_STARTS, best_of
 from planner.plan import Iteration, Plan, Status
 from planner.problem import Problem
@@ -39,6 +39,8 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
 # fails, lowered tenfold after a full step, zero below its least value.
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
+# With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
+_MU_AGAIN = 1e8
 
 
 def solve(
@@ -124,7 +126,8 @@ def _descend(
         return _not_finite(problem, engine, cost)
 
     largest = engine.largest_control_weight
-    mu, fresh, status = 0.0, True, Status.MAX_ITERATIONS
+    mu, fresh, status, asked = 0.0, True, Status.MAX_ITERATIONS, False
+    second = exact
     try:
         for i in range(max_iterations):
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
@@ -140,11 +143,22 @@ def _descend(
                 status = Status.CONVERGED
                 break
             fresh = done.kind == ACCEPTED
-            if not fresh:
+            little = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
+            if fresh and not little:
+                asked = False
+            if exact and little and mu > 0.0 and not asked:
+                mu, asked = 0.0, True  # Newton steps get to the end before mu does: ask the plain model, once
+            elif not fresh:
                 mu = max(_MU_LEAST, _MU_FACTOR * mu)
-                if mu > _MU_MOST:
+                if mu > _MU_MOST and second:  # no amount of it helps: one iteration of Gauss and Newton
+                    second, mu = False, 0.0
+                    engine.use_second_order(second)
+                elif mu > _MU_MOST:
                     status = Status.NO_DESCENT
                     break
+            elif exact and not second:
+                second, mu = True, _MU_AGAIN
+                engine.use_second_order(second)
             elif done.step >= 1.0:
                 mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
     except (KeyboardInterrupt, StopIteration):
@@ -154,23 +168,32 @@ def _descend(
     gradient_norm = history[-1].gradient_norm if history else math.nan
     if status is not Status.CONVERGED:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
-        gradient_norm = _sweep(engine, largest)
+        gradient_norm = _sweep(engine, largest, exact)
         history.append(Iteration(len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
     elif mu > 0.0:  # the gains belong to a regularised model
-        _sweep(engine, largest)
+        _sweep(engine, largest, exact)
     plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
     give_back(problem, engine)
     return plan
 
 
-def _sweep(engine: Engine, largest: float) -> float:
-    """Linearise and sweep without a search, as little regularised as it goes; the gradient norm."""
+def _sweep(engine: Engine, largest: float, exact: bool) -> float:
+    """Linearise and sweep without a search, as little regularised as it goes; the gradient norm.
+
+    Exact Hessians that are not definite give way to those of Gauss and Newton: away from a minimum gains of a model
+    without one hold nothing.
+    """
     mu, fresh = 0.0, True
     while True:
+        engine.use_second_order(exact)
         done = engine.sweep(mu * largest, fresh)
         if done.kind == CONVERGED or mu > _MU_MOST:
             return done.gradient_norm
-        mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
+        fresh = False
+        if exact:
+            exact = False
+        else:
+            mu = max(_MU_LEAST, _MU_FACTOR * mu)
 
 
 def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:

@@ -205,6 +205,14 @@ def test_the_same_minimum_in_fewer_or_as_many_iterations(task):
     assert exact.cost == pytest.approx(problem.cost.value(xs, us), rel=1e-12)
 
 
+def test_steps_that_outrun_the_regularisation_end_converged():
+    """Newton steps reach the last digit of the cost while mu still falls: the plain model is asked in time."""
+    problem = planner.cases.build("two-link", horizon=40, integrator="semi-implicit-euler")
+    plan = planner.solve(problem, hessian="exact")
+    assert any(line.regularisation > 0.0 for line in plan.history)
+    assert plan.success
+
+
 def test_the_wolfe_rule_goes_on_in_numpy():
     problem = arm("rk4", N=6)
     plan = planner.solve(problem, hessian="exact", line_search="wolfe")
