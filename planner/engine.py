@@ -54,6 +54,10 @@ class Engine(Protocol):
         """Have these hinges added to the cost from the next start on; None for none."""
         ...
 
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms, after start(exact=True)."""
+        ...
+
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost.
 
@@ -69,7 +73,7 @@ class Engine(Protocol):
         ...
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         ...
 
     def gradient(self) -> np.ndarray:
@@ -122,6 +126,12 @@ class CompiledEngine:
         self._w.us[:] = self._problem.clipped(us)
         self._w.dus[:] = 0.0
         return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms."""
+        self._w.use_second_order(exact)
+        if self._numpy is not None:
+            self._numpy.use_second_order(exact)
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
@@ -177,11 +187,7 @@ class CompiledEngine:
         return Outcome(ACCEPTED, norm, slope, step, _promised(slope, value, step), after)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
-        if self._numpy is not None:
-            return self._numpy.sweep(mu, fresh)
-        self._exact = False
-        self._w.use_second_order(False)
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
@@ -218,7 +224,7 @@ class NumpyEngine:
         self._bracket = np.empty(3)
         self.largest_control_weight = 1.0
         self._sweep: lq.Sweep | None = None
-        self._exact, self._second = False, None
+        self._exact, self._swept, self._second = False, False, None
         self._space = space_of(problem.dynamics)
         self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
@@ -247,7 +253,7 @@ class NumpyEngine:
                 'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
                 "second_order(xs, us, costates) (see planner.Dynamics)."
             )
-        self._exact = exact
+        self._exact = self._swept = exact
         us = self._clipped(us)
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
@@ -288,6 +294,10 @@ class NumpyEngine:
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
 
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms."""
+        self._swept = exact
+
     def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
         N, nu, ndx = self._gains
@@ -312,7 +322,7 @@ class NumpyEngine:
             self._norm = float(np.linalg.norm(lq.projected(self._gradient, self._moves(us0))))
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(us0)
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second if self._swept else None)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
@@ -342,8 +352,7 @@ class NumpyEngine:
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep by Gauss and Newton, without a search: CONVERGED, or INDEFINITE."""
-        self._exact, self._second = False, None
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:

@@ -30,7 +30,7 @@ from planner.arguments import choice, count, number, shown
 from planner.augmented import within_ranges
 from planner.engine import Engine, borrow, give_back
 from planner.errors import PlannerError
-from planner.kernels.workspace import ACCEPTED, CONVERGED
+from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.multistart import MOST_STARTS, best_of
 from planner.objective import iterated
 from planner.plan import Iteration, Plan, Status
@@ -45,6 +45,8 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
 # fails, lowered tenfold after a full step, zero below its least value.
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
+# With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
+_MU_AGAIN = 1e8
 
 
 def solve(
@@ -156,7 +158,8 @@ def _minimise(
         return _not_finite(problem, engine, cost)
 
     largest = engine.largest_control_weight
-    mu, fresh, status = 0.0, True, Status.MAX_ITERATIONS
+    mu, fresh, status, asked = 0.0, True, Status.MAX_ITERATIONS, False
+    second = exact
     try:
         for i in range(first_line, first_line + max_iterations):
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
@@ -172,11 +175,22 @@ def _minimise(
                 status = Status.CONVERGED
                 break
             fresh = done.kind == ACCEPTED
-            if not fresh:
+            little = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
+            if fresh and not little:
+                asked = False
+            if exact and little and mu > 0.0 and not asked:
+                mu, asked = 0.0, True  # Newton steps get to the end before mu does: ask the plain model, once
+            elif not fresh:
                 mu = max(_MU_LEAST, _MU_FACTOR * mu)
-                if mu > _MU_MOST:
+                if mu > _MU_MOST and second:  # no amount of it helps: one iteration of Gauss and Newton
+                    second, mu = False, 0.0
+                    engine.use_second_order(second)
+                elif mu > _MU_MOST:
                     status = Status.NO_DESCENT
                     break
+            elif exact and not second:
+                second, mu = True, _MU_AGAIN
+                engine.use_second_order(second)
             elif done.step >= 1.0:
                 mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
             elif problem.limits is not None and done.expected <= decrease_tolerance * max(1.0, abs(cost)):
@@ -201,6 +215,7 @@ def _minimise(
 
 def _sweep(engine: Engine, largest: float) -> float:
     """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes; gradient norm."""
+    engine.use_second_order(False)  # whose gains need no minimum to be those of a stable loop
     mu, fresh = 0.0, True
     while True:
         done = engine.sweep(mu * largest, fresh)

@@ -22,13 +22,14 @@ STEP = 1e-5  # differences of Jacobians: h^2 and 1e-16 / h are equal here
 def differences(dynamics, xs, us, costates, step=STEP):
     """T by central differences of A and B, z = (x, u)."""
     N, nx = len(us), xs.shape[1]
-    T = np.empty((N, *[nx + us.shape[1]] * 2))
+    nz = nx + us.shape[1]
+    T = np.empty((N, nz, nz))
 
     def gradient(dz):
         A, B = dynamics.linearize(xs + dz[:nx], us + dz[nx:])
         return np.einsum("nij,ni->nj", np.concatenate([A, B], axis=2), costates[1:])
 
-    for j, dz in enumerate(step * np.eye(T.shape[1])):
+    for j, dz in enumerate(step * np.eye(nz)):
         T[:, j] = (gradient(dz) - gradient(-dz)) / (2.0 * step)
     return T
 
@@ -205,6 +206,14 @@ def test_the_same_minimum_in_fewer_or_as_many_iterations(task):
     assert exact.cost == pytest.approx(problem.cost.value(xs, us), rel=1e-12)
 
 
+def test_steps_that_outrun_the_regularisation_end_converged():
+    """Newton steps reach the last digit of the cost while mu still falls: the plain model is asked in time."""
+    problem = planner.cases.build("two-link", horizon=40, integrator="semi-implicit-euler")
+    plan = planner.solve(problem, hessian="exact")
+    assert any(line.regularisation > 0.0 for line in plan.history)
+    assert plan.success
+
+
 def test_the_wolfe_rule_goes_on_in_numpy():
     problem = arm("rk4", N=6)
     plan = planner.solve(problem, hessian="exact", line_search="wolfe")
@@ -256,7 +265,7 @@ class Wrong(Mine):
     [(Mine(), "needs second derivatives"), (Wrong(), r"second_order gives .*\(5, 2, 2\), expected \(5, 3, 3\)")],
 )
 def test_a_users_own_dynamics_are_told(dynamics, sentence):
-    problem = Problem(dynamics, TrackingCost.reach([1.0, 0.0], 5, final=10.0, effort=1.0, dt=0.1), [0.0, 0.0])
+    problem = Problem(dynamics, TrackingCost.reach([1.0, 0.0], 5, final=10.0, effort=1.0, dt=0.1), np.zeros(2))
     assert planner.solve(problem).success
     with pytest.raises(PlannerError, match=sentence):
         planner.solve(problem, hessian="exact")
