@@ -100,8 +100,16 @@ class ProblemFile(NamedTuple):
     problem: Problem
     starts: int
     seed: int
-    objective: dict[str, float] | None = None
-    durations: list[float] | None = None
+
+    @property
+    def objective(self) -> dict[str, float] | None:
+        """Weights by names of OBJECTIVES, for solve_for; None for the problem as it is."""
+        return self.problem.parameters.get("objective")
+
+    @property
+    def durations(self) -> list[float] | None:
+        """The shortest and the longest, s, for an objective with time."""
+        return self.problem.parameters.get("durations")
 
 
 def load(
@@ -129,7 +137,7 @@ def load(
     mechanism = _mechanism(path.parent / table["model"], table, None)
     problem = _problem(table, mechanism, str(path))
     given = problem.parameters
-    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"))
+    return ProblemFile(problem, given["starts"], given["seed"])
 
 
 def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:

@@ -6,6 +6,7 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from planner import cases
 from planner.arguments import count, number
@@ -17,12 +18,22 @@ from planner.limits import EXACT, Limits
 from planner.multistart import MOST_STARTS
 from planner.objective import checked_durations, weights_of, with_objective
 from planner.plan import Plan
-from planner.problem_file import ProblemFile as ProblemOf
+from planner.problem import Problem
 from planner.problem_file import load
 from planner.proof.cost import proven_cost
 from planner.slq import solve
 
 RANKS = {"cost": None, "proven-cost": proven_cost}
+
+
+class ProblemOf(NamedTuple):
+    """What a command line asks for."""
+
+    problem: Problem
+    starts: int
+    seed: int
+    objective: dict[str, float] | None
+    durations: list[float] | None
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
@@ -32,7 +43,8 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     durations = None if arguments.durations is None else durations_of(arguments.durations)
     if arguments.case == PROBLEM_FILE:
         given = {"starts": arguments.starts, "seed": arguments.seed}
-        return load(arguments.problem, **given, objective=objective, durations=durations)
+        file = load(arguments.problem, **given, objective=objective, durations=durations)
+        return ProblemOf(*file, file.objective, file.durations)
     starts = 1 if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
     seed = 0 if arguments.seed is None else count("seed", arguments.seed, least=0)
     given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}

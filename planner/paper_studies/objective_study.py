@@ -126,7 +126,7 @@ def cart_problem(N: int = 50) -> Problem:
     """1 kg on a rail, a metre from rest to rest."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(_CART), 4.0 / N)
     cost = TrackingCost.joints(dynamics, [1.0, 0.0], N, effort=1.0, final_position=1e3, final_velocity=1e3)
-    return Problem(dynamics, cost, [0.0, 0.0])
+    return Problem(dynamics, cost, np.zeros(2))
 
 
 def objective_results() -> dict[str, Any]:
