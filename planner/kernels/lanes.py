@@ -290,3 +290,14 @@ def _define_choice(comparison: str) -> Any:
 
 maximum = _define_choice("<")
 minimum = _define_choice(">")
+
+
+@intrinsic
+def select(typingctx: Any, a: Any, b: Any, x: Any, y: Any) -> Any:
+    """In each lane, x where a < b, else y."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        a, b, x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
+        return builder.select(builder.fcmp_ordered("<", a, b), x, y)
+
+    return V4(a, b, x, y), lower
