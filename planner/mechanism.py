@@ -182,9 +182,10 @@ class Mechanism:
                 value.flags.writeable = False
 
     def _check_contacts(self) -> None:
+        carriers = sorted({body.link for body in self.bodies} - {-1})
         for k, contact in enumerate(self.contacts):
-            if not contact.link < self.nv:
-                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one below {self.nv}.")
+            if contact.link not in carriers:  # of several joints of a body, the last one carries it
+                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
         for k, stop in enumerate(self.stops):
             if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
                 raise PlannerError(

@@ -15,7 +15,6 @@ rate of dof i (its screw (w_i, v_i) at the tree's origin), Y_i = V_base x S_i an
 
 from __future__ import annotations
 
-
 from planner.kernels.jit import inline, part
 from planner.kernels.lane_math import sqrt
 from planner.kernels.lanes import floats, integers, load, maximum, minimum, select, spread, store
