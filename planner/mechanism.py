@@ -199,8 +199,8 @@ class Mechanism:
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: "off" takes the contacts of a model whose geoms may collide out; a model without contacts
-                needs no option.
+            contacts: "on" models contacts of spheres and capsules with planes, if MuJoCo's force is a law of
+                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

@@ -20,6 +20,7 @@ from planner.arguments import choice, shown
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
+from planner.mechanism_contacts import contact_refusals, read_contacts, read_stops
 from planner.mechanism_edits import take_out
 from planner.mjcf import model_tree
 from planner.space import unit
@@ -53,14 +54,22 @@ def read(
 
     root, files = model_tree(model, assets)
     compiled = _compiled(root, files, name)
-    found = refusals.found(compiled)
+    found = _found(compiled, "contacts" in out)
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
         take_out(root, {refusal.kind for refusal in found}, compiled)
         compiled = _compiled(root, files, name)
-        _refuse(refusals.found(compiled), name)
+        _refuse(_found(compiled, False), name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     return _mechanism(compiled, ElementTree.tostring(root, encoding="unicode"), files, tuple(phrases), name)
+
+
+def _found(compiled: Any, all_contacts: bool) -> list[refusals.Refusal]:
+    """What is not modelled; of contacts all, or those whose force is none of ours."""
+    found = refusals.found(compiled)
+    if all_contacts:
+        return found
+    return [one for one in found if one.kind != "contacts"] + list(contact_refusals(compiled))
 
 
 def _compiled(root: ElementTree.Element, files: dict[str, bytes], name: str) -> Any:
@@ -140,6 +149,8 @@ def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[st
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
+        contacts=read_contacts(model, links, _geoms(model, poses)),
+        stops=read_stops(model),
         sites={
             site: Frame(
                 int(links[model.site_bodyid[i]]),
@@ -188,6 +199,12 @@ def _carriers(model: Any) -> tuple[np.ndarray, np.ndarray]:
             links[body] = links[above]
             poses[body] = poses[above] @ _pose(model.body_pos[body], model.body_quat[body])
     return links, poses
+
+
+def _geoms(model: Any, poses: np.ndarray) -> np.ndarray:
+    """Poses (ngeom, 4, 4) of the geoms in the links that carry their bodies."""
+    local = [_pose(model.geom_pos[i], model.geom_quat[i]) for i in range(model.ngeom)]
+    return poses[model.geom_bodyid] @ np.array(local).reshape(-1, 4, 4)
 
 
 def _screws(model: Any) -> dict[str, np.ndarray]:
