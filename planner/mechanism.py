@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.arguments import choice
-from planner.contact import Contact, Stop
+from planner.contact import Contact, Stop, Touch
 from planner.errors import ModelError, PlannerError
 from planner.space import StateSpace
 
@@ -193,14 +193,18 @@ class Mechanism:
                 )
 
     @classmethod
-    def from_mjcf(cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str = "on") -> Mechanism:
+    def from_mjcf(
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | Touch = "on"
+    ) -> Mechanism:
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
             contacts: "on" models contacts of spheres and capsules with planes, if MuJoCo's force is a law of
-                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file.
+                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is
+                given to those of the file instead of their own force, in the replayed model too, and what is left
+                of them is taken out and said in `ignored`.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

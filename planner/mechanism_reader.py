@@ -17,6 +17,8 @@ import numpy as np
 
 from planner import mechanism_refusals as refusals
 from planner.arguments import choice, shown
+from planner.contact import Touch
+from planner.contact_edits import give_law
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
@@ -30,7 +32,7 @@ def read(
     model: str | Path,
     *,
     ignore: Collection[str] | None = (),
-    contacts: str = "on",
+    contacts: str | Touch = "on",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:
     """A mechanism of an MJCF file or text; see Mechanism.from_mjcf.
@@ -38,7 +40,7 @@ def read(
     Args:
         model: A path, or the XML text itself.
         ignore: Kinds to take out, of mechanism_refusals.KINDS; those that the file does not have do nothing.
-        contacts: "on" or "off".
+        contacts: "on", "off" or a law.
         assets: Files that the text names, by that name.
 
     Raises:
@@ -49,19 +51,25 @@ def read(
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, refusals.KINDS)
-    out = {*ignored, *(["contacts"] if choice("contacts", contacts, ("on", "off")) == "off" else [])}
+    off = not isinstance(contacts, Touch) and choice("contacts", contacts, ("on", "off")) == "off"
+    out = {*ignored, *(["contacts"] if off else [])}
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
     root, files = model_tree(model, assets)
     compiled = _compiled(root, files, name)
-    found = _found(compiled, "contacts" in out)
+    left_out: list[str] = []
+    if isinstance(contacts, Touch):
+        left_out = give_law(root, compiled, contacts)
+        compiled = _compiled(root, files, name)
+    found = _found(compiled, off)
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
         take_out(root, {refusal.kind for refusal in found}, compiled)
         compiled = _compiled(root, files, name)
         _refuse(_found(compiled, False), name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
-    return _mechanism(compiled, ElementTree.tostring(root, encoding="unicode"), files, tuple(phrases), name)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return _mechanism(compiled, text, files, (*phrases, *left_out), name)
 
 
 def _found(compiled: Any, all_contacts: bool) -> list[refusals.Refusal]:

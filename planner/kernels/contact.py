@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from planner.kernels.jit import inline, part
 from planner.kernels.lane_math import sqrt
-from planner.kernels.lanes import floats, integers, load, maximum, minimum, select, spread, store
+from planner.kernels.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
 from planner.kernels.model import (
     CONTACT_ADDRESS,
     CONTACT_LINK,
@@ -100,6 +100,8 @@ def add_contact_wrenches(m, q, ws):
     value = floats(m, CONTACT_VALUE)
     for k in range(m[CONTACTS]):
         e, _, p, _, _, v, n, link = _touched(m, k, q, ws)
+        if not any_less(0.0, e):
+            continue
         o = k * CONTACT_SIZE + TOUCH
         opening = dot(v, n)
         vt = axpy(v, spread(0.0) - opening, n)
@@ -158,6 +160,8 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
     value, parent, first = floats(m, CONTACT_VALUE), integers(m, PARENT), integers(m, FIRST)
     for k in range(m[CONTACTS]):
         e, c, p, w, V, v, n, link = _touched(m, k, q, ws)
+        if not any_less(0.0, e):
+            continue
         o = k * CONTACT_SIZE + TOUCH
         f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = _differentiated(value, o, e, v, n)
         i = link
