@@ -31,6 +31,7 @@ import numpy as np
 from planner.arguments import array, count, number
 from planner.errors import PlannerError
 
+ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
 
 
@@ -97,17 +98,19 @@ class Touch(Law):
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane fixed in the world: n'x = offset on it, touched from n'x > offset.
+    """A plane of the world: n'x = offset on it, touched from n'x > offset.
 
     Attributes:
         normal: (3,) of length one.
         offset: m.
-        velocity: (3,) m/s of its surface, a treadmill's belt for example; only what is along the plane counts.
+        velocity: (3,) m/s of its surface; only what is along the plane counts.
+        slide: The degree of freedom that carries it along itself, a treadmill's belt for example; -1 for none.
     """
 
     normal: np.ndarray
     offset: float = 0.0
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    slide: int = -1
 
     def __post_init__(self) -> None:
         normal, velocity = array("normal", self.normal, (3,)), array("velocity", self.velocity, (3,))
@@ -117,8 +120,25 @@ class Plane:
         normal /= length
         velocity -= normal * (normal @ velocity)
         _set(self, normal=normal, velocity=velocity, offset=number("offset", self.offset))
+        _set(self, slide=count("slide", self.slide, least=-1))
         for value in (normal, velocity):
             value.flags.writeable = False
+
+
+def slide_direction(mechanism: Any, plane: Plane) -> np.ndarray:
+    """(3,) the velocity of a plane per rate of the slide that carries it, in the world; zeros where none does.
+
+    Raises:
+        PlannerError: It is no slide on the world along the plane.
+    """
+    i = plane.slide
+    if i < 0:
+        return np.zeros(3)
+    fits = i < mechanism.nv and mechanism.parent[i] < 0 and not np.any(mechanism.S[i, :3])
+    direction = mechanism.T_home[i, :3, :3] @ mechanism.S[i, 3:] if fits else plane.normal
+    if not abs(direction @ plane.normal) < ALONG:
+        raise PlannerError(f"a plane is carried by dof {i}, expected that of a slide on the world along the plane.")
+    return direction
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.contact import Touch
 from planner.errors import ModelError
-from planner.mechanism_contacts import CONTACT_RAMP, Pair, contact_attributes, pairs, shape_reason
+from planner.mechanism_contacts import CONTACT_RAMP, Pair, at_home, contact_attributes, matched, pairs
 from planner.mechanism_refusals import named
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
@@ -34,6 +34,7 @@ def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
     all_of_them = pairs(model)
     if not all_of_them:
         return []
+    home = at_home(model)
     impratio = touch.impratio if np.isfinite(touch.impratio) else IMPRATIO
     body_names, geom_names = _names(root, model)
     for section in root.findall("contact"):
@@ -42,7 +43,7 @@ def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
     section, left_out = ElementTree.SubElement(root, "contact"), []
     for pair in all_of_them:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
-        if shape_reason(model, pair):
+        if matched(model, home, pair) is None:
             left_out.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue

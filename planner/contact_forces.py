@@ -12,7 +12,7 @@ import numpy as np
 
 from planner import rigid_body
 from planner.arguments import array
-from planner.contact import Contact, Law, Touch
+from planner.contact import Contact, Law, Touch, slide_direction
 from planner.mechanism import Frame, Mechanism
 
 
@@ -86,7 +86,7 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
 
 
 class _Place:
-    """Where a contact is at K states: penetration e, point p, its Jacobian J and velocity v relative to the surface."""
+    """Where a contact is at K states: penetration e, point p, Jacobian J and velocity v relative to the surface."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)
@@ -100,6 +100,8 @@ class _Place:
         J = rigid_body.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]
         self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
+        if contact.plane.slide >= 0:  # relative to what moves too
+            self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
         self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
 
     def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.arguments import choice
-from planner.contact import Contact, Stop, Touch
+from planner.contact import Contact, Stop, Touch, slide_direction
 from planner.errors import ModelError, PlannerError
 from planner.space import StateSpace
 
@@ -186,6 +186,7 @@ class Mechanism:
         for k, contact in enumerate(self.contacts):
             if contact.link not in carriers:  # of several joints of a body, the last one carries it
                 raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
+            slide_direction(self, contact.plane)
         for k, stop in enumerate(self.stops):
             if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
                 raise PlannerError(

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.arguments import number
-from planner.contact import Contact, Law, Plane, Stop, Touch
+from planner.contact import ALONG, Contact, Law, Plane, Stop, Touch
 from planner.errors import ModelError
 from planner.gl import load_mujoco
 from planner.mechanism_refusals import Refusal, contact_pairs, disabled, named
@@ -135,6 +135,39 @@ def _mix(a: float, b: float) -> float:
     return a / (a + b) if a + b > 0.0 else 0.5
 
 
+def at_home(model: Any) -> Any:
+    """MuJoCo's data of the model as its file describes it, in which planes are looked up."""
+    data = load_mujoco().MjData(model)
+    load_mujoco().mj_kinematics(model, data)
+    return data
+
+
+def plane_of(model: Any, home: Any, geom: int) -> Plane | None:
+    """The plane that a geom is to a sphere: a plane, or the uppermost face of a box as one without end.
+
+    None where it is neither, and where it moves, but on a slide along itself (a treadmill's belt).
+    """
+    mujoco = load_mujoco()
+    axes, at = home.geom_xmat[geom].reshape(3, 3).T, home.geom_xpos[geom]
+    if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_PLANE):
+        normal = axes[2]
+    elif model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_BOX):
+        up = -axes @ model.opt.gravity if np.any(model.opt.gravity) else axes[:, 2]
+        axis = int(np.argmax(np.abs(up)))
+        normal = math.copysign(1.0, up[axis]) * axes[axis]
+        at = at + model.geom_size[geom][axis] * normal
+    else:
+        return None
+    body, slide = int(model.body_weldid[model.geom_bodyid[geom]]), -1
+    if body > 0:
+        joint, slide = int(model.body_jntadr[body]), int(model.body_dofadr[body])
+        only = model.body_dofnum[body] == 1 and model.body_weldid[model.body_parentid[body]] == 0
+        slides = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        if not (only and slides and abs(home.xaxis[joint] @ normal) < ALONG):
+            return None
+    return Plane(normal, float(normal @ at), slide=slide)
+
+
 class Sphere(NamedTuple):
     """A part of a geom that touches a plane as a sphere."""
 
@@ -143,34 +176,36 @@ class Sphere(NamedTuple):
     radius: float
 
 
-def spheres_of(model: Any, pair: Pair) -> tuple[int, list[Sphere]] | None:
-    """The geom of a pair that is a plane or box fixed in the world, and the spheres of the other that meet it."""
+def spheres_of(model: Any, geom: int) -> list[Sphere]:
+    """The spheres as which a geom that moves meets a plane."""
     kinds = load_mujoco().mjtGeom
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    if model.body_weldid[model.geom_bodyid[geom]] == 0:
+        return []
+    if kind == int(kinds.mjGEOM_SPHERE):
+        return [Sphere(geom, np.zeros(3), float(size[0]))]
+    if kind == int(kinds.mjGEOM_CAPSULE):
+        return [Sphere(geom, np.array([0.0, 0.0, side * size[1]]), float(size[0])) for side in (-1.0, 1.0)]
+    return []
+
+
+def matched(model: Any, home: Any, pair: Pair) -> tuple[Plane, list[Sphere]] | None:
+    """The plane of a pair and the spheres that meet it, where it has both."""
     for flat, other in (pair.geoms, pair.geoms[::-1]):
-        fixed = model.body_weldid[model.geom_bodyid[flat]] == 0
-        kind, size = model.geom_type[other], model.geom_size[other]
-        if fixed and model.geom_type[flat] in (int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_BOX)):
-            if kind == int(kinds.mjGEOM_SPHERE):
-                return flat, [Sphere(other, np.zeros(3), float(size[0]))]
-            if kind == int(kinds.mjGEOM_CAPSULE):
-                ends = (np.array([0.0, 0.0, side * size[1]]) for side in (-1.0, 1.0))
-                return flat, [Sphere(other, end, float(size[0])) for end in ends]
+        plane, spheres = plane_of(model, home, flat), spheres_of(model, other)
+        if plane is not None and spheres:
+            return plane, spheres
     return None
 
 
-def _reason(model: Any, pair: Pair) -> str:
+def _reason(model: Any, home: Any, pair: Pair) -> str:
     """Why a pair is not modelled; "" where it is."""
-    return shape_reason(model, pair) or _law_reason(model, pair)
-
-
-def shape_reason(model: Any, pair: Pair) -> str:
-    """Why the shapes of a pair are not modelled; "" where they are."""
-    if spheres_of(model, pair):
-        return ""
+    if matched(model, home, pair):
+        return _law_reason(model, pair)
     kinds = load_mujoco().mjtGeom
     shapes = [kinds(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower() for g in pair.geoms]
     moving = "" if any(model.body_weldid[model.geom_bodyid[g]] == 0 for g in pair.geoms) else " that both move"
-    return f"{shapes[0]} and {shapes[1]}{moving}, expected a plane or box fixed in the world and a sphere or capsule"
+    return f"{shapes[0]} and {shapes[1]}{moving}, expected a plane or box at rest and a sphere or capsule"
 
 
 def _law_reason(model: Any, pair: Pair) -> str:
@@ -204,7 +239,8 @@ def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
 
 def contact_refusals(model: Any) -> Iterator[Refusal]:
     """The contacts that are not modelled, in one phrase."""
-    wrong = [(pair, reason) for pair in pairs(model) if (reason := _reason(model, pair))]
+    home = at_home(model)
+    wrong = [(pair, reason) for pair in pairs(model) if (reason := _reason(model, home, pair))]
     if wrong:
         first = " and ".join(named(model, "geom", i) for i in wrong[0][0].geoms)
         more = "" if len(wrong) == 1 else f" and {len(wrong) - 1} more pairs"
@@ -219,31 +255,19 @@ def read_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[Con
         links: (nbody,) of each body, -1 for the world.
         geoms: (ngeom, 4, 4) the geoms' poses in those links.
     """
-    found = []
+    found, home = [], at_home(model)
     for pair in pairs(model):
-        match = spheres_of(model, pair)
-        if match is None or _reason(model, pair):
+        match = matched(model, home, pair)
+        if match is None or _law_reason(model, pair):
             continue
-        flat, spheres = match
+        plane, spheres = match
         touch = _touch(model, pair)
-        plane = _plane(model, flat, geoms[flat])
         for number_, sphere in enumerate(spheres):
             name = named(model, "geom", sphere.geom) + (f" end {number_ + 1}" if len(spheres) > 1 else "")
             centre = (geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
             link = int(links[model.geom_bodyid[sphere.geom]])
             found.append(Contact(link, centre, sphere.radius, plane, touch, name))
     return tuple(found)
-
-
-def _plane(model: Any, geom: int, T: np.ndarray) -> Plane:
-    """A plane, or the uppermost face of a box as one without end."""
-    normal, at = T[:3, 2], T[:3, 3]
-    if model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_BOX):
-        up = -model.opt.gravity @ T[:3, :3] if np.any(model.opt.gravity) else np.array([0.0, 0.0, 1.0])
-        axis = int(np.argmax(np.abs(up)))
-        normal = math.copysign(1.0, up[axis]) * T[:3, axis]
-        at = at + model.geom_size[geom][axis] * normal
-    return Plane(normal, float(normal @ at))
 
 
 def _touch(model: Any, pair: Pair) -> Touch:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from trees import CHAINS, actuated, driven, machines, random_state, relative_error
+from trees import CHAINS, Body, actuated, driven, machines, random_state, relative_error, tree_xml
 
 from planner import poe, rigid_body
 from planner.contact import Contact, Law, Plane, Stop, Touch
@@ -18,6 +18,8 @@ from planner.mechanism import SCREW, Frame, Mechanism
 # The step study's recommended contact (its section 1), and the unsmoothed one with MuJoCo's projection.
 SOFT = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6)
 SHARP = Touch.exact(5e3, 60.0, 150.0, 0.6, impratio=10.0)
+BELT = [Body(-1, ("slide",)), Body(-1, ("free",)), Body(1, ("hinge", "ball"))]
+MACHINES = {**CHAINS, "body over a belt": tree_xml(BELT, np.random.default_rng(5))}
 each_touch = pytest.mark.parametrize("touch", [SOFT, SHARP], ids=["smooth", "sharp"])
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -92,13 +94,18 @@ def touching(m, x, qd, touch, rng, count=5):
     q = x[: m.nq]
     e, _ = law_states(touch, rng)
     carriers = sorted({body.link for body in m.bodies} - {-1})
+    slides = [-1, *(i for i in range(m.nv) if m.parent[i] < 0 and m.kind[i] == SCREW and not np.any(m.S[i, :3]))]
     contacts = []
     for k in range(count):
         link, centre, radius = int(rng.choice(carriers)), rng.normal(size=3) * 0.3, float(rng.choice([0.0, 0.05]))
         normal = Plane(rng.normal(size=3)).normal
+        slide = int(rng.choice(slides))
+        if slide >= 0:  # along itself
+            normal = Plane(np.cross(normal, m.T_home[slide, :3, :3] @ m.S[slide, 3:])).normal
         place = poe.world_poses(m, q)[link] @ np.append(centre, 1.0)
         offset = normal @ place[:3] - radius - touch.lift + float(rng.choice(e))
-        contacts.append(Contact(link, centre, radius, Plane(normal, offset, rng.normal(size=3)), touch, f"point {k}"))
+        plane = Plane(normal, offset, rng.normal(size=3), slide)
+        contacts.append(Contact(link, centre, radius, plane, touch, f"point {k}"))
     stops = []
     for i in np.flatnonzero(m.kind == SCREW):
         law = Law(1000.0, 10.0, 0.03, 1.0)  # the step study's knee
@@ -169,10 +176,10 @@ def test_kernels_are_their_twin(text, seed, sharp):
 
 
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
-@pytest.mark.parametrize("name", CHAINS)
+@pytest.mark.parametrize("name", MACHINES)
 def test_jacobians_of_a_stage_with_contacts(name, integrator):
     rng = np.random.default_rng(3)
-    m = Mechanism.from_mjcf(actuated(CHAINS[name], rng))
+    m = Mechanism.from_mjcf(actuated(MACHINES[name], rng))
     x = random_state(m.space, rng, unnormalised=False)
     m = touching(m, x, x[m.nq : m.nq + m.nv], SOFT, rng)
     dynamics = RigidBodyDynamics(m, 1e-3, integrator)
@@ -279,6 +286,9 @@ def test_a_contact_is_of_a_link_that_exists():
     contact = Contact(m.nv, np.zeros(3), 0.0, Plane(UP), SOFT)
     with pytest.raises(PlannerError, match=r"contacts\[0\] is of link .*, expected one with a body"):
         dataclasses.replace(m, contacts=(contact,))
+    carried = Contact(m.nv - 1, np.zeros(3), 0.0, Plane(UP, slide=0), SOFT)
+    with pytest.raises(PlannerError, match="carried by dof 0, expected that of a slide on the world along the plane"):
+        dataclasses.replace(m, contacts=(carried,))
     balls = Mechanism.from_mjcf(CHAINS["balls"])
     with pytest.raises(PlannerError, match="expected one of a hinge or slide"):
         dataclasses.replace(balls, stops=(Stop(0, 0.0, 1, Law(1.0)),))

@@ -3,6 +3,8 @@
 Bounds are the MuJoCo study's (section 5): it measured 2.6e-6 of path and 2e-3 of force.
 """
 
+import re
+
 import numpy as np
 import pytest
 from legs import DAMPING, FRICTION, RADIUS, SLIP, STIFFNESS, leg, standing, torques
@@ -139,6 +141,40 @@ def test_geoms_that_meet_without_a_pair_and_capsules_on_boxes():
     assert data.ncon == 2
     total = data.qfrc_constraint[:3]
     np.testing.assert_allclose(ours.forces.sum(axis=0), total, rtol=5e-3)
+
+
+BELT = """<body name="belt" pos="0 0 -0.1"><joint name="belt" type="slide" axis="{axis}"/>
+  <inertial pos="0 0 0" mass="30" diaginertia="1 1 1"/><geom name="floor" type="box" size="5 1 .1"/></body>"""
+
+
+def on_a_belt(axis="1 0 0"):
+    """The leg on a box that slides, with the coefficients that this gives."""
+    text = leg(impratio=10.0).replace("<worldbody>", "<worldbody>" + BELT.format(axis=axis))
+    return re.sub(r'<geom name="floor" type="plane"[^>]*>', "", text)
+
+
+def test_a_belt_and_what_stands_on_it_move_as_in_mujoco():
+    """The belt slides freely: friction brakes it and drives the leg."""
+    text = on_a_belt()
+    m, model = Mechanism.from_mjcf(text), mujoco.MjModel.from_xml_string(text)
+    (contact,) = m.contacts
+    assert contact.plane.slide == 0
+    data, dynamics = mujoco.MjData(model), RigidBodyDynamics(m, 1e-4)
+    x = np.concatenate([[0.0], standing(Mechanism.from_mjcf(leg()), height=0.001, speed=0.0)])
+    x = np.insert(x, 5, -1.0)  # m/s of the belt
+    data.qpos, data.qvel = x[:5], x[5:]
+    for _ in range(2000):
+        data.ctrl = u = torques(np.delete(x, [0, 5]))
+        x = dynamics.step(x[None], u[None])[0]
+        mujoco.mj_step(model, data)
+    assert x[5] > -0.99
+    assert x[6] < -0.02  # the trunk, carried along
+    assert np.max(np.abs(x[:5] - data.qpos)) < 1e-4
+
+
+def test_a_box_that_moves_otherwise_is_refused():
+    with pytest.raises(ModelError, match="box and sphere that both move, expected a plane or box at rest"):
+        Mechanism.from_mjcf(on_a_belt(axis="0 0 1"))
 
 
 @pytest.mark.parametrize(

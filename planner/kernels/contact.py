@@ -22,6 +22,7 @@ from planner.kernels.model import (
     CONTACT_ADDRESS,
     CONTACT_LINK,
     CONTACT_SIZE,
+    CONTACT_SLIDE,
     CONTACT_VALUE,
     CONTACTS,
     FIRST,
@@ -37,7 +38,7 @@ from planner.kernels.spatial import add, axpy, cross, dot, load3, rotated, scale
 from planner.kernels.tree import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 
 # Offsets in a contact's and a stop's numbers, as kernels.model lays them out
-CENTRE, NORMAL, LEVEL, ARM, SURFACE, TOUCH = 0, 3, 6, 7, 8, 11
+CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, TOUCH = 0, 3, 6, 7, 8, 11, 14
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, SLIP, FRICTION, RAISE, SHARE, BEND = range(11)
 SIDE, END, LAW = 0, 1, 2
 _TINY = 1e-40  # added to squares before their root, so that none is zero
@@ -91,7 +92,11 @@ def _touched(m, k, q, ws):
     p = axpy(c, 0.5 * e - load(value, o + ARM), n)
     w, u = load3(ws, b + TWIST), load3(ws, b + TWIST + 3)
     V = add(u, cross(w, p))
-    return e, c, p, w, V, sub(V, load3(value, o + SURFACE)), n, link
+    v = sub(V, load3(value, o + SURFACE))
+    slide = load(integers(m, CONTACT_SLIDE), k)
+    if slide >= 0:
+        v = sub(v, load3(ws, slide * RECORD + TWIST + 3))
+    return e, c, p, w, V, v, n, link, slide
 
 
 @part
@@ -99,7 +104,7 @@ def add_contact_wrenches(m, q, ws):
     """Take the contacts' wrenches from the bias forces of links whose poses and twists are known."""
     value = floats(m, CONTACT_VALUE)
     for k in range(m[CONTACTS]):
-        e, _, p, _, _, v, n, link = _touched(m, k, q, ws)
+        e, _, p, _, _, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
         o = k * CONTACT_SIZE + TOUCH
@@ -115,6 +120,10 @@ def add_contact_wrenches(m, q, ws):
         b = link * RECORD + BIAS
         store3(ws, b, sub(load3(ws, b), cross(p, f)))
         store3(ws, b + 3, sub(load3(ws, b + 3), f))
+        if slide >= 0:
+            b = slide * RECORD + BIAS
+            store3(ws, b, add(load3(ws, b), cross(p, f)))
+            store3(ws, b + 3, add(load3(ws, b + 3), f))
 
 
 @inline
@@ -158,12 +167,22 @@ def _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
 def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
     """What contacts take from dtau/dq and dtau/dv of inverse dynamics, (nv, ld) lanes; ws is as that left it."""
     value, parent, first = floats(m, CONTACT_VALUE), integers(m, PARENT), integers(m, FIRST)
+    zero = spread(0.0)
     for k in range(m[CONTACTS]):
-        e, c, p, w, V, v, n, link = _touched(m, k, q, ws)
+        e, c, p, w, V, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
         o = k * CONTACT_SIZE + TOUCH
         f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = _differentiated(value, o, e, v, n)
+        d = load3(value, k * CONTACT_SIZE + SLIDE)
+        if slide >= 0:  # a rate of the slide is one of the link, backwards
+            dh = _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, (zero + d[0], zero + d[1], zero + d[2]))
+            j, own = link, slide * ld + slide
+            while j >= 0:
+                t, js = j * RECORD + SCREW_AXIS, j * ld + slide
+                store(Dv, js, load(Dv, js) + dot(load3(ws, t), cross(p, dh)) + dot(load3(ws, t + 3), dh))
+                j = load(parent, j)
+            store(Dv, own, load(Dv, own) - dot(dh, d))
         i = link
         while i >= 0:
             b = i * RECORD
@@ -180,6 +199,10 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
             carried_moment = add(moment, sub(cross(p, turning), cross(Ji, f)))
             dh = _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, Ji)
             damping_moment = cross(p, dh)
+            if slide >= 0:
+                si = slide * ld + i
+                store(Dq, si, load(Dq, si) + dot(df, d))
+                store(Dv, si, load(Dv, si) + dot(dh, d))
             start = load(first, i)
             j = link
             while j >= 0:

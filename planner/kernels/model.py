@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from planner.contact import slide_direction
 from planner.kernels.lanes import WIDTH
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
-CONTACT_SIZE, STOP_SIZE = 22, 8  # see _contacts
+CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
@@ -30,7 +31,8 @@ _ARRAYS = (
     "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
     "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
     "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
-    "related_start", "related_rows", "contact_link", "contact_address", "contact_value", "stop_dof", "stop_value",
+    "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
+    "stop_value",
 )  # fmt: skip
 NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS = range(len(_SIZES))
 (
@@ -38,7 +40,7 @@ NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS 
     BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
     INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
     VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
-    RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
+    RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 
 
@@ -61,9 +63,14 @@ class Model:
         coupled = np.zeros((nv, nv), dtype=bool)
         for name in ("position", "velocity"):
             coupled[arrays[f"{name}_row"], arrays[f"{name}_column"]] = True
-        arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
-        arrays |= _contacts(contacts, arrays) | _stops(stops)
+        for contact in contacts:
+            i = contact.link
+            while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
+                coupled[i, contact.plane.slide] = coupled[contact.plane.slide, i] = True
+                i = mechanism.parent[i]
+        arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
+        arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
@@ -219,8 +226,8 @@ def _forces(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> dict[str,
     }  # fmt: skip
 
 
-def _contacts(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Per contact: centre (3), normal (3), level, arm, surface velocity (3), and the eleven numbers of its force.
+def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact: centre (3), normal (3), level, arm, surface velocity (3), slide (3), eleven numbers of its force.
 
     With the centre c in the kernels' frames and about the tree's origin, e = level - n'c and p = c - (arm - e/2) n.
     """
@@ -234,10 +241,13 @@ def _contacts(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarra
         row[7] = contact.radius + 0.5 * touch.lift
         raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.contact
         share = 1.0 / (1.0 + touch.friction * raised)
-        row[11:] = [
+        row[11:14] = slide_direction(mechanism, plane)
+        row[14:] = [
             *_law(touch), touch.slip_damping, touch.friction, raised, share, 1.0 if touch.sharp else 0.0,
         ]  # fmt: skip
-    return {"contact_link": link, "contact_address": tree["floating_address"][link], "contact_value": value}
+    slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
+    address = tree["floating_address"][link]
+    return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
 
 
 def _stops(stops: Any) -> dict[str, np.ndarray]:
