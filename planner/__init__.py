@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.check import Checked, check
+from planner.contact import Contact, Law, Plane, Stop, Touch
+from planner.contact_forces import ContactForces, contact_forces
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
 from planner.frame_cost import FrameCost
 from planner.hold import hold_gain
 from planner.mechanism import Mechanism
+from planner.mechanism_contacts import contact_attributes, stop_attributes
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -67,6 +70,8 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [
     "Checked",
+    "Contact",
+    "ContactForces",
     "Cost",
     "Dynamics",
     "FileError",
@@ -74,10 +79,12 @@ __all__ = [
     "FunctionDynamics",
     "HopperDynamics",
     "Iteration",
+    "Law",
     "Mechanism",
     "ModelError",
     "Perturbation",
     "Plan",
+    "Plane",
     "PlannerError",
     "Problem",
     "Proof",
@@ -91,13 +98,17 @@ __all__ = [
     "Start",
     "StateSpace",
     "Status",
+    "Stop",
     "SumCost",
+    "Touch",
     "TrackingCost",
     "Twin",
     "bias",
     "bias_derivatives",
     "cases",
     "check",
+    "contact_attributes",
+    "contact_forces",
     "forward_dynamics",
     "forward_dynamics_derivatives",
     "forward_kinematics",
@@ -122,4 +133,5 @@ __all__ = [
     "rnea",
     "rnea_derivatives",
     "solve",
+    "stop_attributes",
 ]

@@ -210,6 +210,17 @@ def test_batches_are_their_states():
             np.testing.assert_allclose(ours, all_of_them[k], atol=1e-12)
 
 
+def test_functions_of_applied_forces_leave_contacts_out():
+    rng = np.random.default_rng(5)
+    m = Mechanism.from_mjcf(CHAINS["body in space"])
+    x = random_state(m.space, rng, unnormalised=False)
+    q, qd, tau = x[: m.nq], x[m.nq : m.nq + m.nv], rng.normal(size=m.nv)
+    touched = touching(m, x, qd, SOFT, rng)
+    assert np.max(np.abs(generalized_forces(touched, q, qd))) > 1.0
+    for function in (rigid_body.forward_dynamics, rigid_body.rnea):
+        np.testing.assert_array_equal(function(touched, q, qd, tau), function(m, q, qd, tau))
+
+
 # --------------------------------------------------------------------------------------------------------- motion
 
 FALLING = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body pos="0 0 0.4"><freejoint/>
