@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.check import Checked, check
+from planner.contact import Contact, Law, Plane, Stop, Touch
+from planner.contact_forces import ContactForces, contact_forces
 from planner.control_spline import SplineControls, solve_by_splines
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
@@ -24,6 +26,7 @@ from planner.hold import hold_gain
 from planner.jerk import JerkCost
 from planner.limits import Limits
 from planner.mechanism import Mechanism
+from planner.mechanism_contacts import contact_attributes, stop_attributes
 from planner.momentum import angular_momentum, center_of_mass
 from planner.objective import Objective, with_objective
 from planner.payload import largest_payload, static_limit
@@ -78,6 +81,8 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [
     "Checked",
+    "Contact",
+    "ContactForces",
     "Cost",
     "Descended",
     "DrivenMotion",
@@ -90,12 +95,14 @@ __all__ = [
     "HopperDynamics",
     "Iteration",
     "JerkCost",
+    "Law",
     "Limits",
     "Mechanism",
     "ModelError",
     "Objective",
     "Perturbation",
     "Plan",
+    "Plane",
     "PlannerError",
     "Problem",
     "Proof",
@@ -110,7 +117,9 @@ __all__ = [
     "Start",
     "StateSpace",
     "Status",
+    "Stop",
     "SumCost",
+    "Touch",
     "TrackingCost",
     "Twin",
     "angular_momentum",
@@ -119,6 +128,8 @@ __all__ = [
     "cases",
     "center_of_mass",
     "check",
+    "contact_attributes",
+    "contact_forces",
     "cost_and_gradient",
     "forward_dynamics",
     "forward_dynamics_derivatives",
@@ -152,5 +163,6 @@ __all__ = [
     "solve_by_splines",
     "solve_for",
     "static_limit",
+    "stop_attributes",
     "with_objective",
 ]

@@ -31,6 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.arguments import choice
+from planner.contact import Contact, Stop, Touch, slide_direction
 from planner.errors import ModelError, PlannerError
 from planner.space import StateSpace
 
@@ -116,6 +117,8 @@ class Mechanism:
         joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
         body_names: MuJoCo's bodies in order, the world first.
         bodies: Their frames.
+        contacts: What touches the planes of the world.
+        stops: Ends of joints that push back.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -149,6 +152,8 @@ class Mechanism:
     joint_force_range: np.ndarray
     body_names: tuple[str, ...]
     bodies: tuple[Frame, ...]
+    contacts: tuple[Contact, ...] = ()
+    stops: tuple[Stop, ...] = ()
     sites: dict[str, Frame] = field(default_factory=dict)
     keyframes: dict[str, np.ndarray] = field(default_factory=dict)
     mjcf: str = ""
@@ -169,21 +174,38 @@ class Mechanism:
             if len(wrong):
                 actuator = self.actuators.names[int(wrong[0][0])]
                 raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
+        self._check_contacts()
         frames = (*self.bodies, *self.sites.values())
         parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
         for value in (*parts, *self.keyframes.values()):
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
 
+    def _check_contacts(self) -> None:
+        carriers = sorted({body.link for body in self.bodies} - {-1})
+        for k, contact in enumerate(self.contacts):
+            if contact.link not in carriers:  # of several joints of a body, the last one carries it
+                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
+            slide_direction(self, contact.plane)
+        for k, stop in enumerate(self.stops):
+            if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
+                raise PlannerError(
+                    f"stops[{k}] is of dof {stop.dof}, expected one of a hinge or slide, below {self.nv}."
+                )
+
     @classmethod
-    def from_mjcf(cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str = "on") -> Mechanism:
+    def from_mjcf(
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | Touch = "on"
+    ) -> Mechanism:
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: "off" takes the contacts of a model whose geoms may collide out; a model without contacts
-                needs no option.
+            contacts: "on" models contacts of spheres and capsules with planes, if MuJoCo's force is a law of
+                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is
+                given to those of the file instead of their own force, in the replayed model too, and what is left
+                of them is taken out and said in `ignored`.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

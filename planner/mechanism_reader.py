@@ -17,9 +17,12 @@ import numpy as np
 
 from planner import mechanism_refusals as refusals
 from planner.arguments import choice, shown
+from planner.contact import Touch
+from planner.contact_edits import give_law
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
+from planner.mechanism_contacts import contact_refusals, read_contacts, read_stops
 from planner.mechanism_edits import take_out
 from planner.mjcf import model_tree
 from planner.space import unit
@@ -29,7 +32,7 @@ def read(
     model: str | Path,
     *,
     ignore: Collection[str] | None = (),
-    contacts: str = "on",
+    contacts: str | Touch = "on",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:
     """A mechanism of an MJCF file or text; see Mechanism.from_mjcf.
@@ -37,7 +40,7 @@ def read(
     Args:
         model: A path, or the XML text itself.
         ignore: Kinds to take out, of mechanism_refusals.KINDS; those that the file does not have do nothing.
-        contacts: "on" or "off".
+        contacts: "on", "off" or a law.
         assets: Files that the text names, by that name.
 
     Raises:
@@ -48,19 +51,33 @@ def read(
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, refusals.KINDS)
-    out = {*ignored, *(["contacts"] if choice("contacts", contacts, ("on", "off")) == "off" else [])}
+    off = not isinstance(contacts, Touch) and choice("contacts", contacts, ("on", "off")) == "off"
+    out = {*ignored, *(["contacts"] if off else [])}
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
     root, files = model_tree(model, assets)
     compiled = _compiled(root, files, name)
-    found = refusals.found(compiled)
+    left_out: list[str] = []
+    if isinstance(contacts, Touch):
+        left_out = give_law(root, compiled, contacts)
+        compiled = _compiled(root, files, name)
+    found = _found(compiled, off)
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
         take_out(root, {refusal.kind for refusal in found}, compiled)
         compiled = _compiled(root, files, name)
-        _refuse(refusals.found(compiled), name)
+        _refuse(_found(compiled, False), name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
-    return _mechanism(compiled, ElementTree.tostring(root, encoding="unicode"), files, tuple(phrases), name)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return _mechanism(compiled, text, files, (*phrases, *left_out), name)
+
+
+def _found(compiled: Any, all_contacts: bool) -> list[refusals.Refusal]:
+    """What is not modelled; of contacts all, or those whose force is none of ours."""
+    found = refusals.found(compiled)
+    if all_contacts:
+        return found
+    return [one for one in found if one.kind != "contacts"] + list(contact_refusals(compiled))
 
 
 def _compiled(root: ElementTree.Element, files: dict[str, bytes], name: str) -> Any:
@@ -140,6 +157,8 @@ def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[st
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
+        contacts=read_contacts(model, links, _geoms(model, poses)),
+        stops=read_stops(model),
         sites={
             site: Frame(
                 int(links[model.site_bodyid[i]]),
@@ -188,6 +207,12 @@ def _carriers(model: Any) -> tuple[np.ndarray, np.ndarray]:
             links[body] = links[above]
             poses[body] = poses[above] @ _pose(model.body_pos[body], model.body_quat[body])
     return links, poses
+
+
+def _geoms(model: Any, poses: np.ndarray) -> np.ndarray:
+    """Poses (ngeom, 4, 4) of the geoms in the links that carry their bodies."""
+    local = [_pose(model.geom_pos[i], model.geom_quat[i]) for i in range(model.ngeom)]
+    return poses[model.geom_bodyid] @ np.array(local).reshape(-1, 4, 4)
 
 
 def _screws(model: Any) -> dict[str, np.ndarray]:

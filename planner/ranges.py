@@ -1,8 +1,9 @@
-"""Which ranges a replay reached. A plan knows no ranges: where MuJoCo held one, the two machines differ."""
+"""Which ranges a replay reached. A plan knows no ranges but stops: where MuJoCo held one, the two machines differ."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from planner.space import log_quaternion
 _ROUNDING = 1e-9  # as far beyond a range is still on it
 
 
-def ranges_reached(model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray) -> tuple[str, ...]:
+def ranges_reached(
+    model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray, stopped: Collection[int] = ()
+) -> tuple[str, ...]:
     """What a simulated motion asked of a model beyond its ranges, one sentence per joint or actuator and kind.
 
     Args:
@@ -22,11 +25,14 @@ def ranges_reached(model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray) -
         t: (M+1,) s.
         w: (M+1, nq + nv + na) states.
         ctrl: (M, nu) controls.
+        stopped: Degrees of freedom whose ranges the plan knows, since it has their stops.
     """
     steps = int(np.isfinite(w).all(axis=1).cumprod().sum())  # until it runs away, if it does
     t, w, ctrl = t[:steps], w[:steps], ctrl[: min(steps, len(ctrl))]
     found = []
     for joint in np.flatnonzero(model.jnt_limited):
+        if int(model.jnt_dofadr[joint]) in stopped:
+            continue
         value, limits, unit = _joint(model, joint, w)
         beyond = _beyond(value, limits - np.array([-1.0, 1.0]) * model.jnt_margin[joint])
         found += _sentence(named(model, "joint", int(joint)), "is outside its range", t, beyond, unit)

@@ -222,13 +222,13 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     if probe is not None and not unstable:
         force[M], point[M] = contact_now(mujoco, model, data, probe)
     t = model.opt.timestep * np.arange(M + 1)
-    planned = getattr(plan.problem.dynamics, "mechanism", None) is None  # such a plan may know of contacts
+    reached = ranges_reached(model, t, w, ctrl, stopped_dofs(plan))
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
         t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
         plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
         warnings=(*unstable, *warnings_of(mujoco, data)),
-        reached=(*ranges_reached(model, t, w, ctrl), *([touching] if touching and not planned else [])),
+        reached=(*reached, *([touching] if touching and not knows_contacts(plan) else [])),
     )  # fmt: skip
 
 
@@ -243,6 +243,18 @@ def unstable_at(model: Any, w: np.ndarray, start: float = 0.0) -> tuple[str, ...
     dofs = np.flatnonzero(bad[first, model.nq : model.nq + model.nv])
     where = f" at {named(model, 'joint', int(model.dof_jntid[dofs[0]]))}" if len(dofs) else ""
     return (f"MuJoCo's simulation became unstable{where} at t = {start + first * model.opt.timestep:.4g} s.",)
+
+
+def knows_contacts(plan: Plan) -> bool:
+    """Whether a plan's dynamics may have contacts; a mechanism's are all that its model has, or none."""
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    return mechanism is None or bool(mechanism.contacts)
+
+
+def stopped_dofs(plan: Plan) -> frozenset[int]:
+    """The degrees of freedom whose ends of range are part of a plan's dynamics."""
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    return frozenset(stop.dof for stop in mechanism.stops) if mechanism is not None else frozenset()
 
 
 def _touching(model: Any, probe: Any, t: float) -> str:

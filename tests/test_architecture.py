@@ -20,9 +20,11 @@ ORDER = [
     ["mjcf_bounds"],
     ["mjcf"],
     ["space"],
+    ["contact"],
     ["mechanism"],
     ["mechanism_refusals"],
-    ["mechanism_edits"],
+    ["mechanism_contacts"],
+    ["contact_edits", "mechanism_edits"],
     ["mechanism_reader"],
     ["twin", "archive"],
     ["default_stage"],
@@ -31,6 +33,7 @@ ORDER = [
     ["kernels"],
     ["rigid_body"],
     ["momentum"],
+    ["contact_forces"],
     ["dynamics"],
     ["rates"],
     ["weights"],
@@ -112,7 +115,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     names = [name.split(".")[0] for name, _ in imports(path)]
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
-    users = {"gl", "mechanism_reader", "mechanism_refusals", "replay", "proof", "render", "scene"}
+    users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
     users |= {"camera", "ranges", "hold", "drawing", "refine"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users

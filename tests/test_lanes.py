@@ -11,6 +11,7 @@ from planner.kernels.hopper import EULER, RK4, SEMI_IMPLICIT_EULER, push, spring
 from planner.kernels.jit import FASTMATH
 from planner.kernels.lanes import (
     WIDTH,
+    any_less,
     lane_array,
     load,
     load4,
@@ -18,6 +19,7 @@ from planner.kernels.lanes import (
     minimum,
     padded,
     pointer,
+    select,
     spread,
     store,
     store4,
@@ -189,3 +191,25 @@ def test_lane_arrays_start_on_a_cache_line(shape):
 def test_padding_is_the_next_whole_lane(n):
     assert padded(n) % WIDTH == 0
     assert n <= padded(n) < n + WIDTH
+
+
+@jit
+def chosen(a, b, out):
+    p, q, r = pointer(a), pointer(b), pointer(out)
+    x, y = load(p, 0), load(q, 0)
+    store(r, 0, select(x, y, 1.0, y))
+    store(r, 1, select(0.0, x, x, 2.0))
+    return any_less(x, y), any_less(0.0, x)
+
+
+@given(a=lanes, b=lanes)
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_choices_by_comparison(a, b):
+    """In each lane its own; and any_less is on the safe side of a NaN."""
+    one, two, out = lane_array(1, WIDTH), lane_array(1, WIDTH), lane_array(2, WIDTH)
+    one[0], two[0] = a, b
+    either, positive = chosen(one, two, out)
+    assert_same_bits(out[0], np.where(a < b, 1.0, b))
+    assert_same_bits(out[1], np.where(a > 0.0, a, 2.0))
+    assert either == bool(np.any(~(a >= b)))
+    assert positive == bool(np.any(~(a <= 0.0)))

@@ -16,28 +16,31 @@ from typing import Any
 
 import numpy as np
 
+from planner.contact import slide_direction
 from planner.kernels.lanes import WIDTH
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
+CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
-_SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms")
+_SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops")
 _ARRAYS = (
     "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
     "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
     "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
     "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
-    "related_start", "related_rows",
+    "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
+    "stop_value",
 )  # fmt: skip
-NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS = range(len(_SIZES))
+NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS = range(len(_SIZES))
 (
     PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
     BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
     INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
     VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
-    RELATED_START, RELATED_ROWS,
+    RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 
 
@@ -47,7 +50,7 @@ class Model:
     Args:
         mechanism: A planner.Mechanism.
         prescribed: (nv,) True where the acceleration is an input instead of the force.
-        actuated: Whether the actuators act; the public dynamics functions take applied forces instead.
+        actuated: Whether actuators, contacts and stops act; the public dynamics functions take applied forces instead.
     """
 
     def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
@@ -60,11 +63,18 @@ class Model:
         coupled = np.zeros((nv, nv), dtype=bool)
         for name in ("position", "velocity"):
             coupled[arrays[f"{name}_row"], arrays[f"{name}_column"]] = True
+        contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
+        for contact in contacts:
+            i = contact.link
+            while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
+                coupled[i, contact.plane.slide] = coupled[contact.plane.slide, i] = True
+                i = mechanism.parent[i]
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
+        arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
-            "velocity_terms": len(arrays["velocity_row"]),
+            "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
         addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
@@ -214,3 +224,42 @@ def _forces(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> dict[str,
         "activation_gain": np.array(states["gain"], dtype=float),
         "activation_rate": np.array(states["rate"], dtype=float), "prescribed": which,
     }  # fmt: skip
+
+
+def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact: centre (3), normal (3), level, arm, surface velocity (3), slide (3), eleven numbers of its force.
+
+    With the centre c in the kernels' frames and about the tree's origin, e = level - n'c and p = c - (arm - e/2) n.
+    """
+    link = np.array([contact.link for contact in contacts], dtype=np.int64)
+    value = np.zeros((len(contacts), CONTACT_SIZE))
+    for row, contact in zip(value, contacts, strict=True):
+        plane, touch, i = contact.plane, contact.touch, contact.link
+        row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
+        row[3:6], row[8:11] = plane.normal, plane.velocity
+        row[6] = contact.radius + touch.lift + plane.offset - plane.normal @ tree["origin"][i]
+        row[7] = contact.radius + 0.5 * touch.lift
+        raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.contact
+        share = 1.0 / (1.0 + touch.friction * raised)
+        row[11:14] = slide_direction(mechanism, plane)
+        row[14:] = [
+            *_law(touch), touch.slip_damping, touch.friction, raised, share, 1.0 if touch.sharp else 0.0,
+        ]  # fmt: skip
+    slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
+    address = tree["floating_address"][link]
+    return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
+
+
+def _stops(stops: Any) -> dict[str, np.ndarray]:
+    """Per stop: its side, where it begins, and the six numbers of its force."""
+    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law(stop.law)] for stop in stops]
+    return {
+        "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
+        "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
+    }
+
+
+def _law(law: Any) -> list[float]:
+    """Stiffness, damping and the two ramps with their inverses, so large for none that all is beyond its end."""
+    ramps = (law.ramp, law.force_ramp)
+    return [law.stiffness, law.damping, *(x for a in ramps for x in (a, 1.0 / a if a > 0.0 else 1e300))]

@@ -140,10 +140,16 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
     q (nq), v (nv), tau (nv) and a (nv) are lanes; tau is the whole applied force, a prescribed joint's entry of a is
     read and, with `reaction`, its entry of tau becomes the force that it takes.
     """
+    move_links(m, q, v, ws)
+    accelerate(m, tau, a, ws, reaction)
+
+
+@part
+def move_links(m, q, v, ws):
+    """Forward dynamics' way out: poses, twists, and each link's own inertia and bias force."""
     n = m[NV]
     parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
     home, first, inertia = floats(m, HOME), integers(m, FIRST), floats(m, INERTIA)
-    armature, prescribed, g = floats(m, ARMATURE), integers(m, PRESCRIBED), floats(m, BASE_ACCELERATION)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n):
@@ -179,6 +185,16 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
         else:
             for k in range(b + ARTICULATED, b + BIAS + 6):
                 store(ws, k, zero)
+
+
+@part
+def accelerate(m, tau, a, ws, reaction):
+    """Forward dynamics' way back and out again, of links that move_links has seen."""
+    n = m[NV]
+    parent, g = integers(m, PARENT), floats(m, BASE_ACCELERATION)
+    armature, prescribed = floats(m, ARMATURE), integers(m, PRESCRIBED)
+    zero = spread(0.0)
+    none = (zero, zero, zero)
     for i in range(n - 1, -1, -1):
         b = i * RECORD
         p = load(parent, i)

@@ -6,10 +6,12 @@ prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
 
 from __future__ import annotations
 
+from planner.kernels.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.jit import inline, part
 from planner.kernels.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.model import (
+    CONTACTS,
     INPUT_DOF,
     INPUT_INDEX,
     INPUT_VALUE,
@@ -19,6 +21,7 @@ from planner.kernels.model import (
     PRESCRIBED,
     RELATED_ROWS,
     RELATED_START,
+    STOPS,
 )  # fmt: skip
 from planner.kernels.sensitivity import inverse_dynamics_derivatives, invert
 from planner.kernels.tree_memory import (
@@ -77,6 +80,10 @@ def acceleration_derivatives(m, r, q, v, a, dA):
     inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
     add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
     add_actuator_derivatives(m, Dq, Dv, ld)
+    if m[STOPS] > 0:
+        add_stop_derivatives(m, q, v, Dq, Dv, ld)
+    if m[CONTACTS] > 0:
+        subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
     prescribed = integers(m, PRESCRIBED)
     for p in range(nv):
         given = load(prescribed, p)

@@ -9,14 +9,29 @@ Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K
 
 from __future__ import annotations
 
+from planner.kernels.contact import add_contact_wrenches, add_stops
 from planner.kernels.forces import activation_rates, applied_forces
 from planner.kernels.jit import inline, jit, part
 from planner.kernels.lane_math import transpose
 from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, load4, pointer, store
-from planner.kernels.model import BALL, BALL_NEXT, BALL_Q, BALL_V, KIND, NA, NBALLS, NQ, NU, NV, Q_ADDRESS
+from planner.kernels.model import (
+    BALL,
+    BALL_NEXT,
+    BALL_Q,
+    BALL_V,
+    CONTACTS,
+    KIND,
+    NA,
+    NBALLS,
+    NQ,
+    NU,
+    NV,
+    Q_ADDRESS,
+    STOPS,
+)  # fmt: skip
 from planner.kernels.rotations import turned
 from planner.kernels.spatial import cross, load3, store3
-from planner.kernels.tree import forward_dynamics
+from planner.kernels.tree import accelerate, move_links
 from planner.kernels.tree_memory import (
     A_LANES,
     ACCELERATIONS,
@@ -69,9 +84,14 @@ def add_commutator(m, theta, first, second, factor):
 @part
 def accelerations(m, r, q, v, u, act, a):
     """Accelerations a (nv lanes) under inputs u and activations act."""
-    tau = lanes(r, TAU)
+    tau, links = lanes(r, TAU), lanes(r, LINKS)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
-    forward_dynamics(m, q, v, tau, a, lanes(r, LINKS), False)
+    if m[STOPS] > 0:
+        add_stops(m, q, v, tau)
+    move_links(m, q, v, links)
+    if m[CONTACTS] > 0:
+        add_contact_wrenches(m, q, links)
+    accelerate(m, tau, a, links, False)
 
 
 @inline

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planner.gl import load_mujoco
 from planner.ranges import ranges_reached
-from planner.replay import Replay, matching_model
+from planner.replay import Replay, knows_contacts, matching_model, stopped_dofs
 
 
 def reached_by_plan(run: Replay) -> tuple[str, ...]:
@@ -19,9 +19,9 @@ def reached_by_plan(run: Replay) -> tuple[str, ...]:
         return ()
     mujoco, plan = load_mujoco(), run.plan
     model, w = matching_model(run.twin, plan.us.shape[1]), run.twin.sim_of(plan.xs)
-    ranges = ranges_reached(model, plan.t, w, plan.us)
-    if plan.problem is None or getattr(plan.problem.dynamics, "mechanism", None) is None:
-        return ranges  # such a plan may know of contacts; that of a mechanism does not
+    ranges = ranges_reached(model, plan.t, w, plan.us, stopped_dofs(plan))
+    if plan.problem is None or knows_contacts(plan):
+        return ranges
     data = mujoco.MjData(model)
     for t, state in zip(plan.t, w, strict=True):
         data.qpos[:] = state[: model.nq]

@@ -24,6 +24,7 @@ PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
 _ROUNDING = 10.0 * np.finfo(float).eps  # of one stage, relative to the largest state
 
+_LIMIT = "MuJoCo's contacts and stops tend to the plan's law but are not the same to rounding"
 ACCELERATIONS = "MuJoCo's accelerations"
 
 Stage = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -39,6 +40,9 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
     """
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if mechanism is not None and (mechanism.contacts or mechanism.stops):
+        return Section("same step", not_applicable=_LIMIT)
     space = plan.space
     model = matching_model(twin, problem.dynamics.nu)
     found = stage_function(getattr(problem.dynamics, "integrator", ""), problem.dynamics.dt, model, twin, space)

@@ -1,0 +1,118 @@
+"""A law of planner.contact given to the contacts of an MJCF, so that MuJoCo replays what was planned with.
+
+Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
+that are not modelled (two bodies that both move, meshes) are excluded and said to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.contact import Touch
+from planner.errors import ModelError
+from planner.mechanism_contacts import CONTACT_RAMP, Pair, at_home, contact_attributes, matched, pairs
+from planner.mechanism_refusals import named
+
+IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
+
+
+def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
+    """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
+
+    Args:
+        root: Of the file, includes resolved; changed.
+        model: What the root compiles to.
+        touch: The law. Of an infinite impratio becomes IMPRATIO.
+
+    Raises:
+        ModelError: Geoms that are not elements of the file itself.
+    """
+    all_of_them = pairs(model)
+    if not all_of_them:
+        return []
+    home = at_home(model)
+    impratio = touch.impratio if np.isfinite(touch.impratio) else IMPRATIO
+    body_names, geom_names = _names(root, model)
+    for section in root.findall("contact"):
+        for element in section.findall("pair"):
+            section.remove(element)
+    section, left_out = ElementTree.SubElement(root, "contact"), []
+    for pair in all_of_them:
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+        if matched(model, home, pair) is None:
+            left_out.append(pair)
+            _exclude(root, section, *(body_names[body] for body in bodies))
+            continue
+        weight = float(np.sum(model.body_invweight0[bodies, 0]))
+        law = contact_attributes(touch.stiffness, touch.damping, touch.slip_damping, touch.friction, weight, impratio)
+        geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
+        ElementTree.SubElement(section, "pair", {**geoms, **law, "margin": "0", "gap": "0"})
+    option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
+    ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
+    _say_smoothing(root, touch)
+    return [_phrase(model, left_out)] if left_out else []
+
+
+def _phrase(model: Any, left_out: list[Pair]) -> str:
+    first = " and ".join(named(model, "geom", i) for i in left_out[0].geoms)
+    more = "" if len(left_out) == 1 else f" and {len(left_out) - 1} more pairs"
+    return f"contacts of {first}{more}"
+
+
+def _say_smoothing(root: ElementTree.Element, touch: Touch) -> None:
+    for section in root.findall("custom"):
+        for element in section.findall("numeric"):
+            if element.get("name") == CONTACT_RAMP:
+                section.remove(element)
+    data = f"{touch.ramp!r} {touch.force_ramp!r}"
+    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
+
+
+def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str, second: str) -> None:
+    """Exclude two bodies, once: <pair>s are not concerned by it."""
+    known = {frozenset((e.get("body1"), e.get("body2"))) for s in root.findall("contact") for e in s.iter("exclude")}
+    if frozenset((first, second)) not in known:
+        ElementTree.SubElement(section, "exclude", {"body1": first, "body2": second})
+
+
+def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[str]]:
+    """Names of all bodies and geoms, given to those that have none."""
+    worlds = root.findall("worldbody")
+    bodies = [body for world in worlds for body in _bodies(world)]
+    geoms = [geom for parent in (*worlds, *bodies) for geom in _geoms(parent)]
+    return (
+        ["world", *_named("body", bodies, [model.body(i).name for i in range(1, model.nbody)])],
+        _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)]),
+    )
+
+
+def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
+    if [element.get("name", "") for element in elements] != known:
+        raise ModelError(
+            f"the file has not all {kind}s of the model (<attach>, <replicate>), so no law is given to it."
+        )
+    for i, element in enumerate(elements):
+        if not element.get("name"):
+            element.set("name", f"{kind} number {i}")
+    return [element.attrib["name"] for element in elements]
+
+
+def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    """In MuJoCo's order: a body, then all that hangs on it."""
+    for child in parent:
+        if child.tag == "body":
+            yield child
+        if child.tag in ("body", "frame"):
+            yield from _bodies(child)
+
+
+def _geoms(body: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    for child in body:
+        if child.tag == "geom":
+            yield child
+        elif child.tag == "frame":
+            yield from _geoms(child)
