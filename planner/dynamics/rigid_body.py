@@ -144,10 +144,15 @@ class RigidBodyDynamics:
         return TreeMemory(self._model, self._code, N)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses balls and free joints."""
+        """Scratch of second_order_nominal; refuses balls, free joints, contacts and stops."""
         if self.space.quaternions:
             raise PlannerError(
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
+                'hessian="gauss-newton".'
+            )
+        if self.mechanism.contacts or self.mechanism.stops:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
                 'hessian="gauss-newton".'
             )
         return tree_second.SecondOrderMemory(self._model, self._code)

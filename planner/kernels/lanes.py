@@ -320,7 +320,7 @@ def select(typingctx: Any, a: Any, b: Any, x: Any, y: Any) -> Any:
     """In each lane, x where a < b, else y."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        a, b, x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
+        a, b, x, y = (as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
         return builder.select(builder.fcmp_ordered("<", a, b), x, y)
 
     return V4(a, b, x, y), lower
@@ -331,7 +331,7 @@ def any_less(typingctx: Any, a: Any, b: Any) -> Any:
     """Whether a < b in any lane, or either is NaN."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        x, y = (_as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
+        x, y = (as_lanes(context, builder, v, t) for v, t in zip(args, sig.args, strict=True))
         mask = builder.bitcast(builder.fcmp_unordered("<", x, y), ir.IntType(WIDTH))
         return builder.icmp_unsigned("!=", mask, ir.Constant(ir.IntType(WIDTH), 0))
 
