@@ -33,7 +33,7 @@ def states(t):
 def make_plan():
     """Twenty stages of what nobody solved."""
     t = np.linspace(0.0, N * DT, N + 1)
-    problem = SimpleNamespace(stage=STAGE, dynamics=SimpleNamespace(nx=3))
+    problem = SimpleNamespace(stage=STAGE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None)
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
