@@ -124,7 +124,8 @@ def test_all_text_is_escaped(plan, tmp_path):
     proof.reason = evil
     marked = replace(
         plan, case=evil, parameters={evil: evil, "list": [evil]}, made_with={evil: evil},
-        problem=SimpleNamespace(stage=Stage(evil), bounds=None, ranges=None, limits=None), twin=replace(plan.twin, mjcf=evil),
+        problem=SimpleNamespace(stage=Stage(evil), bounds=None, ranges=None, limits=None),
+        twin=replace(plan.twin, mjcf=evil),
     )  # fmt: skip
     page = page_of(marked, proof, tmp_path, evil)
     assert "script" not in page.tags
