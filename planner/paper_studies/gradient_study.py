@@ -183,7 +183,8 @@ def gradient_rows(results: dict[str, Any]) -> list[dict[str, str]]:
         {
             "where": "3.3, Eq. 37", "paper": "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
             "ours": f"with the dynamics' second derivatives too, {all_cases(exact)}",
-            "why": "fewer iterations near a minimum, each of which costs more; another path can end in another minimum",
+            "why": "away from a minimum the exact Hessian is indefinite and needs regularisation: it pays where "
+            "Gauss-Newton is slow, not here (docs/measured.md)",
         },
         {
             "where": "5", "paper": '"The algorithm converges quickly to the optimal solution"',
