@@ -21,7 +21,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from planner import cases, problem_file
 from planner.arguments import number, shown
@@ -262,6 +261,8 @@ def _cheapest(search: _Search, shortest: float, longest: float, tolerance: float
     ends = ladder[max(i - 1, 0)], ladder[min(i + 1, len(ladder) - 1)]
     # A large number in place of infinity: the parabolas of Brent's search know no infinity.
     most = 10.0 * max(abs(value) for value in values.values() if math.isfinite(value))
+    from scipy.optimize import minimize_scalar  # half a second that only free times need
+
     minimize_scalar(
         lambda T: min(total(T), most), bounds=ends, method="bounded", options={"xatol": tolerance * ladder[i]}
     )

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, root
 
 from planner import cases
 from planner.cost import TrackingCost
@@ -105,6 +104,8 @@ def switched(problem: Problem, bound: float, pause: tuple[float, float] | None =
         return x - goal
 
     # the first guess is read off our own motion: only the roots are independent of it
+    from scipy.optimize import root
+
     found = root(end, [0.5, 0.12, 0.54, 0.74])
     return found.x if found.success else None
 
@@ -115,6 +116,8 @@ def fewest_seconds(problem: Problem, bound: float) -> float | None:
     def last(pause: np.ndarray) -> float:
         times = None if pause[1] <= 0.0 else switched(problem, bound, (float(pause[0]), float(pause[1])))
         return 10.0 if times is None else float(times[-1])
+
+    from scipy.optimize import minimize
 
     found = minimize(last, [0.36, 0.02], method="Nelder-Mead", options={
         "initial_simplex": [[0.36, 0.02], [0.34, 0.02], [0.36, 0.03]], "xatol": 1e-3, "fatol": 1e-6, "maxfev": 60,
