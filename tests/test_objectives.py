@@ -24,21 +24,9 @@ from planner import (
 )
 from planner.jerk import JerkDynamics, RememberedJerkCost
 from planner.objective import EFFORT_SHARE, plain, weights_of, with_objective
+from planner.paper_studies.objective_study import CART
 from planner.problem_file import load
 from planner.proof.consistency import consistency
-
-CART = """
-<mujoco model="cart">
-  <option gravity="0 0 0"/>
-  <worldbody>
-    <body>
-      <joint name="rail" type="slide" axis="1 0 0"/>
-      <inertial pos="0 0 0" mass="1" diaginertia="1e-6 1e-6 1e-6"/>
-    </body>
-  </worldbody>
-  <actuator><motor name="push" joint="rail"/></actuator>
-</mujoco>
-"""
 
 
 def cart(N=50, duration=4.0, **limits):

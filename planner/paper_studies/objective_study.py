@@ -38,7 +38,7 @@ OBJECTIVES: dict[str, Any] = {
 MEASURES = {"effort": "N^2 m^2 s", "energy": "J", "jerk": "rad^2/s^5", "time": "s"}
 AT_BOUND = 1e-3  # relative: nearer than that counts as on it
 
-_CART = """
+CART = """
 <mujoco model="cart">
   <option gravity="0 0 0"/>
   <worldbody>
@@ -127,7 +127,7 @@ def fewest_seconds(problem: Problem, bound: float) -> float | None:
 
 def cart_problem(N: int = 50) -> Problem:
     """1 kg on a rail, a metre from rest to rest."""
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(_CART), 4.0 / N)
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(CART), 4.0 / N)
     cost = TrackingCost.joints(dynamics, [1.0, 0.0], N, effort=1.0, final_position=1e3, final_velocity=1e3)
     return Problem(dynamics, cost, np.zeros(2))
 
