@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.closing import Periodic
 from planner.cost import TrackingCost
 from planner.default_stage import default_stage
 from planner.dynamics import RigidBodyDynamics
@@ -34,6 +35,8 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
         return None
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
     facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
+    if problem.periodic is not None:
+        facts["periodic"] = problem.periodic.to_list()
     return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
@@ -52,4 +55,7 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
     mechanism: Mechanism = read(twin.mjcf, assets=twin.assets)
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"))  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    return Problem(dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism))
+    periodic = None if facts.get("periodic") is None else Periodic.from_list(facts["periodic"])
+    return Problem(
+        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism), periodic=periodic
+    )
