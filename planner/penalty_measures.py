@@ -101,6 +101,8 @@ def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
     known = {contact.name: contact for contact in mechanism.contacts}
     if not known:
         raise PlannerError(f"{term}'s contact is {shown(name)}, but the mechanism has no contacts.")
+    if len(known) < len(mechanism.contacts):
+        raise PlannerError(f"{term}'s contact is {shown(name)}, but contacts of the mechanism share a name.")
     for full, contact in list(known.items()):
         known.setdefault(full.removeprefix("geom '").replace("'", ""), contact)
     return known[choice(f"{term}'s contact", name, known)]

@@ -117,7 +117,7 @@ def test_values_are_what_mujoco_places(machine):
         machine, 4,
         [
             Height(Point("hand"), least=0.0, tolerance=1.0),
-            Height(Point("hand", (0.1, 0.2, 0.3), share=0.5, world=moving), normal=(3.0, 0.0, 4.0), most=0.0, tolerance=1.0),
+            Height(Point("hand", (0.1, 0.2, 0.3), 0.5, moving), normal=(3.0, 0.0, 4.0), most=0.0, tolerance=1.0),
             Distance(Point("hand"), Point("trunk"), least=1.0, tolerance=1.0),
             Distance(Point("fixed"), Segment(Point(world=(1.0, 0.0, 3.0)), Point(world=(1.0, 1.0, 3.0)), 0.25),
                      least=1.0, tolerance=1.0),
@@ -179,6 +179,8 @@ TERMS = {
     "point and line": Distance(POINT, FLOOR, target=[0.3, np.nan, 0.2, 0.1], tolerance=0.3),
     "line and point": Distance(FLOOR, Point("palm"), most=0.1, tolerance=0.3),
     "lines": Distance(FOREARM, FLOOR, least=2.0, tolerance=0.3, ramp=0.5),
+    "lines, the other way round": Distance(FLOOR, FOREARM, least=2.0, tolerance=0.3, ramp=0.5),
+    "moving lines": Distance(Segment(Point("trunk"), Point("palm", share=0.5)), FOREARM, target=0.0, tolerance=0.3),
     "ends of lines": Distance(FOREARM, Segment(Point("fixed"), Point(world=(2.0, 2.0, 4.0))), most=0.1, tolerance=0.3),
     "fixed": Distance(Point("fixed"), FLOOR, most=0.1, tolerance=0.3),
 }
@@ -255,7 +257,7 @@ def test_an_arm_keeps_its_tip_up_or_goes_around_a_post():
     free = planner.solve(Problem(dynamics, swing, start))
     places = planner.frame_pose(dynamics.mechanism, free.xs[:, :2], "tip")[:, :3, 3]
     place = places[places[:, 2].argmin()]
-    post = Segment(Point(world=place - [0.0, 1.0, 0.0]), Point(world=place + [0.0, 1.0, 0.0]), 0.1)
+    post = Segment(Point(world=place - np.eye(3)[1]), Point(world=place + np.eye(3)[1]), 0.1)
     forearm = Segment(Point("tip", (0.0, 0.0, 1.0)), Point("tip"), 0.05)
     for term in (
         Height(Point("tip"), least=place[2] + 0.1, tolerance=0.005),
@@ -289,7 +291,7 @@ UP = {"least": 0.1, "tolerance": 0.01}
         (lambda m: [Height(Point(share="all"), **UP)], "share is 'all', expected a finite number."),
         (lambda m: [Height(Point(), normal=(0, 0, 0), **UP)], "normal is (0, 0, 0), expected a direction."),
         (lambda m: [Height(Point(), tolerance=1.0)], "none of least, most, target given, expected just one."),
-        (lambda m: [Height(Point(), most=1.0, **UP)], "least and most of least, most, target given, expected just one."),
+        (lambda m: [Height(Point(), most=1.0, **UP)], "least and most of least, most, target given, expected"),
         (lambda m: [Height(Point(), least=0.1, tolerance=0.0)], "tolerance is 0.0, expected a finite number greater"),
         (lambda m: [Height(Point(), least=0.1, tolerance=-1.0)], "tolerance is -1.0, expected a finite number greater"),
         (lambda m: [Height(Point(), ramp=0.0, **UP)], "ramp is 0.0, expected a finite number greater than 0."),
@@ -316,7 +318,7 @@ def test_mistakes_are_one_sentence(machine, make, expected):
 
 
 def test_contacts_are_named():
-    with pytest.raises(PlannerError, match="terms\\[0\\]'s contact is 'fot', expected one of: geom 'foot', foot."):
+    with pytest.raises(PlannerError, match=r"terms\[0\]'s contact is 'fot', expected one of: geom 'foot', foot\."):
         PenaltyCost(Mechanism.from_mjcf(leg()), 3, [Gap("fot", **UP)], dt=0.1)
 
 
