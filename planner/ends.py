@@ -6,12 +6,19 @@ The motion of least cost that comes back, minimize L(x, U) subject to x(N) = x(0
 
 beside the gradient zero of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient
 and nu = W (x(N) - r). So two unknowns, x0 and r, are left for two equations, and the LQ problem (Eq. 31-35) at its end
-tells how they answer, with Phi the product of the closed loop's A + B K and H = R + B'PB:
+tells how they answer, with the closed loop's Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
 
-    d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n',  Phi_n from n + 1 to N
+    du(n)        = K dx(n) + F_n dr,         F_n = H^-1 (Phi_n B)' W
+    d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
     d costate(0) = P(0) dx0 - Phi' W dr
 
-This is Newton's method with the Hessian of Gauss and Newton. What need not come back keeps its start and its goal.
+Newton's method with the Hessian of Gauss and Newton. In x0 and y = x0 - r this is the saddle point of
+V(x0, x0 - y) - 1/2 |y|^2_W, least in x0 and greatest in y, so mu W on both diagonals makes a step as short as one
+likes:
+
+    (V_xx + mu W) dx0 + V_xy dy = -(costate(0) - nu),      -V_yx dx0 + (W G W + mu W) dy = W (x(N) - x(0)).
+
+What need not come back keeps its start and its goal.
 """
 
 from __future__ import annotations
@@ -30,9 +37,15 @@ from planner.objective import plain, with_objective
 from planner.plan import Plan
 from planner.problem import Problem
 from planner.space import space_of
+from planner.warm_start import roll_out
 
 PARAMETER = "ends"
 """Of a case that can be made with other ends: its start and its goal, (2, nx) as lists; None for its own."""
+
+
+TRUST = 0.3
+"""Of J: as far may the cost of a step's controls be from the LQ problem's, for the step to be taken."""
+_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # relative to the final weight
 
 
 class Ends(NamedTuple):
@@ -42,23 +55,69 @@ class Ends(NamedTuple):
     goal: np.ndarray
 
 
-class Mismatch(NamedTuple):
-    """What is left of the two equations over the m components that must come back, and how it answers to the ends.
+class Response(NamedTuple):
+    """What is left of the two equations at a plan, and how the plan answers to its ends.
 
     Attributes:
-        values: (2m,) x(N) - x(0) and costate(0) - nu, in units that make both sqrt(J).
-        jacobian: (2m, 2m) their derivatives by the start and the goal, in the same units.
-        scale: (m,) of a component of the deviation: the root of its final weight.
+        plan: Solved, of a problem with `periodic`.
+        closes: (m,) the components that must come back.
+        W: (ndx, ndx) the final weight that draws to the goal.
+        gap: (ndx,) x(N) - x(0), zero where it need not come back.
+        costate: (ndx,) at the start.
+        nu: (ndx,) W (x(N) - r).
+        P: (ndx, ndx) of the value at the start.
+        Phi: (ndx, ndx) d x(N) / d x(0).
+        G: (ndx, ndx).
+        K: (N, nu, ndx).
+        F: (N, nu, ndx).
     """
 
-    values: np.ndarray
-    jacobian: np.ndarray
-    scale: np.ndarray
+    plan: Plan
+    closes: np.ndarray
+    W: np.ndarray
+    gap: np.ndarray
+    costate: np.ndarray
+    nu: np.ndarray
+    P: np.ndarray
+    Phi: np.ndarray
+    G: np.ndarray
+    K: np.ndarray
+    F: np.ndarray
 
     @property
-    def size(self) -> float:
-        """Their norm; its square is of the size of what is left to gain of J."""
-        return float(np.linalg.norm(self.values))
+    def scale(self) -> np.ndarray:
+        """(m,) the root of the final weight of what must come back: with it both equations are in roots of J's unit."""
+        return np.sqrt(np.diag(self.W)[self.closes])
+
+    @property
+    def left(self) -> np.ndarray:
+        """(2m,) costate(0) - nu and x(N) - x(0), scaled."""
+        costs = (self.costate - self.nu)[self.closes] / self.scale
+        return np.concatenate([costs, self.gap[self.closes] * self.scale])
+
+    def step(self, mu: float) -> tuple[np.ndarray, np.ndarray]:
+        """Changes (ndx,) of start and goal that leave nothing, were the problem quadratic, damped by mu."""
+        W, WPhi, WGW = self.W, self.W @ self.Phi, self.W @ self.G @ self.W
+        V_xr = W - WPhi.T - WGW
+        scaled = np.outer(1.0 / self.scale, 1.0 / self.scale)
+        V_xx, V_xy, D = (
+            scaled * block[np.ix_(self.closes, self.closes)] for block in (self.P - WPhi + V_xr, -V_xr, WGW)
+        )
+        m = len(self.closes)
+        saddle = np.block([[V_xx, V_xy], [-V_xy.T, D]]) + mu * np.eye(2 * m)
+        right = self.left * np.repeat([-1.0, 1.0], m)
+        dx, dy = (np.linalg.lstsq(saddle, right, rcond=1e-14)[0]).reshape(2, m) / self.scale
+        changes = np.zeros((2, len(W)))
+        changes[:, self.closes] = dx, dx - dy
+        return changes[0], changes[1]
+
+    def promised(self, dx: np.ndarray, dr: np.ndarray) -> float:
+        """J of the LQ problem at changed ends."""
+        Wdr = self.W @ dr
+        slope = self.costate @ dx - self.nu @ dr
+        return float(
+            self.plan.cost + slope + 0.5 * (dx @ self.P @ dx + dr @ Wdr - Wdr @ self.G @ Wdr) - (self.Phi @ dx) @ Wdr
+        )
 
 
 def tracking(problem: Problem) -> TrackingCost:
@@ -108,43 +167,38 @@ def _case(problem: Problem, parameters: dict) -> Problem:
     return cases.build(problem.case, **parameters)
 
 
-def mismatch(plan: Plan) -> Mismatch:
-    """Of a solved problem with `periodic`.
+def response(plan: Plan) -> Response:
+    """Of the plan of a problem with `periodic`.
 
     Raises:
         PlannerError: What must come back has no final weight.
     """
     problem, periodic = periodic_problem(plan)
-    c = np.flatnonzero(periodic.closes)
+    closes = np.flatnonzero(periodic.closes)
     W = tracking(problem).Q[-1]
-    if np.linalg.eigvalsh(W[np.ix_(c, c)]).min() <= 0.0:
+    if np.linalg.eigvalsh(W[np.ix_(closes, closes)]).min() <= 0.0:
         raise PlannerError("what must come back has no final weight in the cost, expected one above 0 on all of it.")
     A, B = problem.dynamics.linearize(plan.xs, plan.us)
     model = problem.cost.quadratize(plan.xs, plan.us)
-    B = _free(problem, plan, A, B, lq.gradient(A, B, model))
+    B = _free(problem, plan, B, lq.gradient(A, B, model))
     sweep = lq.riccati(A, B, model)
     if sweep is None:
         raise PlannerError("the LQ problem at the plan is not definite, expected a problem that solve() solves.")
-    ndx = B.shape[1]
-    Phi, G = np.eye(ndx), np.zeros((ndx, ndx))
-    for n in reversed(range(len(A))):
-        H = model.R[n] + B[n].T @ sweep.P[n + 1] @ B[n]
+    N, ndx, nu = B.shape
+    Phi, G, F = np.eye(ndx), np.zeros((ndx, ndx)), np.empty((N, nu, ndx))
+    for n in reversed(range(N)):
         reach = Phi @ B[n]
-        G += reach @ np.linalg.solve(H, reach.T)
+        answer = np.linalg.solve(model.R[n] + B[n].T @ sweep.P[n + 1] @ B[n], reach.T)
+        F[n] = answer @ W
+        G += reach @ answer
         Phi = Phi @ (A[n] + B[n] @ sweep.K[n])
     space = space_of(problem.dynamics)
-    nu = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
-    costate = lq.costates(A, model)[0]
-    WPhi = W @ Phi
-    blocks = [[Phi - np.eye(ndx), G @ W], [sweep.P[0] - WPhi, W - WPhi.T - W @ G @ W]]
-    scale = np.sqrt(np.diag(W)[c])
-    rows, columns = np.r_[scale, 1.0 / scale], np.r_[1.0 / scale, 1.0 / scale]
-    jacobian = rows[:, None] * np.block([[block[np.ix_(c, c)] for block in line] for line in blocks]) * columns
-    gap = periodic.gap(space, plan.xs)[c]
-    return Mismatch(rows * np.r_[gap, (costate - nu)[c]], jacobian, scale)
+    drawn = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
+    gap, costate = periodic.gap(space, plan.xs), lq.costates(A, model)[0]
+    return Response(plan, closes, W, gap, costate, drawn, sweep.P[0], Phi, G, sweep.K, F)
 
 
-def _free(problem: Problem, plan: Plan, A: np.ndarray, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """B without the controls that their bounds hold."""
     if problem.bounds is None:
         return B
@@ -153,21 +207,20 @@ def _free(problem: Problem, plan: Plan, A: np.ndarray, B: np.ndarray, gradient: 
     return np.where(held[:, None, :], 0.0, B)
 
 
-def newton(plan: Plan, left: Mismatch, part: float = 1.0) -> Ends:
-    """The ends with which nothing would be left, were the problem quadratic.
+def newton(found: Response) -> Problem | None:
+    """The problem with ends nearer to a periodic motion of least cost, and the motion there as its first guess.
 
-    Args:
-        plan: Of a problem with `periodic`.
-        left: Its mismatch.
-        part: Of the step to take.
+    As little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells. None where
+    it is not for any step worth the name.
     """
-    problem, periodic = periodic_problem(plan)
-    m = len(left.scale)
-    step = -part * np.linalg.lstsq(left.jacobian, left.values, rcond=1e-12)[0]
+    plan = found.plan
+    problem, _ = periodic_problem(plan)
     space, ends = space_of(problem.dynamics), ends_of(problem)
-    moved = []
-    for end, part in zip(ends, (step[:m], step[m:]), strict=True):
-        dx = np.zeros(space.ndx)
-        dx[periodic.closes] = part / left.scale
-        moved.append(space.integrate(end, dx))
-    return Ends(*moved)
+    for mu in _DAMPINGS:
+        dx, dr = found.step(mu)
+        moved = Ends(space.integrate(ends.start, dx), space.integrate(ends.goal, dr))
+        new = with_ends(problem, moved, plan.us)
+        cost, us = roll_out(new, plan.us + found.F @ dr, found.K, plan.xs)
+        if abs(cost - found.promised(dx, dr)) <= TRUST * plan.cost:
+            return replace(new, us=us)
+    return None

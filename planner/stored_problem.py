@@ -36,7 +36,7 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
     facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
     if problem.periodic is not None:
-        facts["periodic"] = problem.periodic.to_list()
+        facts["periodic"] = problem.periodic.to_dict()
     return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
@@ -55,7 +55,7 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
     mechanism: Mechanism = read(twin.mjcf, assets=twin.assets)
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"))  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    periodic = None if facts.get("periodic") is None else Periodic.from_list(facts["periodic"])
+    periodic = None if facts.get("periodic") is None else Periodic.from_dict(facts["periodic"])
     return Problem(
         dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism), periodic=periodic
     )

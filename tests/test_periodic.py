@@ -9,7 +9,7 @@ from swings import mechanism
 import planner
 from planner import cases
 from planner.closing import Periodic
-from planner.ends import Ends, mismatch, with_ends
+from planner.ends import Ends, response, with_ends
 from planner.periodic import Pass, solve_periodic
 from planner.space import StateSpace, euclidean
 
@@ -91,18 +91,33 @@ def test_a_linear_problem_takes_one_step(final):
     assert plan.xs[-1, 2] == pytest.approx(problem.x0[2] + 12 * 0.3)
 
 
-def test_the_mismatch_answers_to_the_ends_as_it_says():
-    """Differences of solves at other ends; exact where the problem is linear."""
+def test_a_plan_answers_to_its_ends_as_it_says():
+    """Differences of solves at other ends, and of what is left there; exact where the problem is linear."""
     problem, *_ = linear()
-    plan = planner.solve(problem, gradient_tolerance=1e-12, decrease_tolerance=0.0)
-    left = mismatch(plan)
-    start, goal = problem.x0, problem.cost.x_ref[-1]
-    for i in range(4):
-        d = np.zeros(6)
-        d[[0, 1, 3, 4][i]] = 1.0 / left.scale[i % 2]
-        moved = with_ends(problem, Ends(start + d[:3], goal + d[3:]), plan.us)
-        other = mismatch(planner.solve(moved, gradient_tolerance=1e-12, decrease_tolerance=0.0))
-        np.testing.assert_allclose(other.values - left.values, left.jacobian[:, i], atol=1e-7)
+    exact = {"gradient_tolerance": 1e-12, "decrease_tolerance": 0.0}
+    found = response(planner.solve(problem, **exact))
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        d, dr = rng.normal(size=(2, 3)) * [1.0, 1.0, 0.0]
+        moved = with_ends(problem, Ends(problem.x0 + d, problem.cost.x_ref[-1] + dr), found.plan.us)
+        other = response(planner.solve(moved, **exact))
+        assert other.plan.cost == pytest.approx(found.promised(d, dr), rel=1e-9)
+        np.testing.assert_allclose(
+            (other.plan.xs[-1] - found.plan.xs[-1])[:2], (found.Phi @ d + found.G @ found.W @ dr)[:2], atol=1e-8
+        )
+        np.testing.assert_allclose(
+            (other.costate - found.costate)[:2], (found.P @ d - found.Phi.T @ found.W @ dr)[:2], atol=1e-7
+        )
+        dxs = other.plan.xs - found.plan.xs
+        dus = np.einsum("nux,nx->nu", found.K, dxs[:-1]) + found.F @ dr
+        np.testing.assert_allclose(other.plan.us - found.plan.us, dus, atol=1e-7)
+
+
+def test_damping_shortens_the_step():
+    found = response(planner.solve(swinging()))
+    steps = [np.linalg.norm(found.step(mu)) for mu in (0.0, 0.1, 1.0, 10.0, 1e6)]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[-1] < 1e-4 * steps[0]
 
 
 def test_the_motion_found_does_not_depend_on_the_final_weights():
