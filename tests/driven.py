@@ -4,7 +4,6 @@ import numpy as np
 from legs import attributes
 from trees import mujoco
 
-import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.mechanism_contacts import contact_attributes, stop_attributes
 
@@ -94,6 +93,3 @@ def random_controls(rng, N, problem):
     t = np.linspace(0.0, 1.0, N)[:, None]
     amplitude, phase = rng.normal(size=(2, problem.dynamics.nu))
     return 2.0 * amplitude * np.sin(2.0 * np.pi * (1.0 + np.arange(problem.dynamics.nu) % 3) * t + phase)
-
-
-__all__ = ["planner"]
