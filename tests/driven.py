@@ -1,13 +1,13 @@
 """Machines some of whose joints are given their acceleration, and problems about them."""
 
-import numpy as np
 from legs import attributes
 from trees import mujoco
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
+from planner.contact_forces import contact_forces
 from planner.mechanism_contacts import contact_attributes, stop_attributes
 
-# A double pendulum hangs on a cart that is moved; only its second joint has a motor. What acts on the cart does nothing.
+# A double pendulum hangs on a cart that is moved; its second joint has a motor. What acts on the cart does nothing.
 CART = """
 <mujoco model="moved cart">
   <compiler autolimits="true"/>
@@ -26,7 +26,7 @@ CART = """
 """
 
 
-def moved_cart(N=60, dt=0.02, integrator="rk4"):
+def moved_cart(N=120, dt=0.01, integrator="rk4"):
     """The cart goes 0.5 m and what hangs on it comes to rest."""
     dynamics = RigidBodyDynamics(Mechanism.from_mjcf(CART), dt, integrator, prescribed=("cart",))
     goal = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -39,7 +39,7 @@ PELVIS = ("pelvis_x", "pelvis_y", "pelvis_z", "pelvis_tilt", "pelvis_list", "pel
 STIFFNESS, DAMPING, SLIP, FRICTION, STOP = 5e3, 60.0, 150.0, 0.6, (1000.0, 10.0)
 LEG = """
 <mujoco model="hanging leg"><compiler angle="radian"/>
-  <option timestep="5e-4" integrator="RK4" cone="elliptic" impratio="1000"><flag refsafe="disable"/></option>
+  <option timestep="5e-4" integrator="RK4" cone="elliptic" impratio="{impratio}"><flag refsafe="disable"/></option>
   <custom><numeric name="contact_ramp" data="0.005 5"/><numeric name="stop_ramp" data="0.03 1"/></custom>
   <worldbody>
     <body name="belt"><inertial pos="0 0 0" mass="1e5" diaginertia="1e5 1e5 1e5"/>
@@ -63,33 +63,33 @@ LEG = """
 """
 
 
-def hanging_leg():
+def hanging_leg(impratio=1000.0):
     """The text of the leg, whose contacts and stop have the coefficients above."""
-    bare = mujoco.MjModel.from_xml_string(LEG.format(stop="", pair=""))
+    bare = mujoco.MjModel.from_xml_string(LEG.format(stop="", pair="", impratio=impratio))
     weight = bare.body_invweight0[[bare.body("foot").id, bare.body("belt").id], 0].sum()
     knee = stop_attributes(*STOP, bare.dof_invweight0[bare.joint("knee").dofadr[0]])
-    pair = contact_attributes(STIFFNESS, DAMPING, SLIP, FRICTION, weight, 1000.0)
-    return LEG.format(stop=attributes({"range": "-2 0.05", **knee}), pair=attributes(pair))
+    pair = contact_attributes(STIFFNESS, DAMPING, SLIP, FRICTION, weight, impratio)
+    return LEG.format(stop=attributes({"range": "-2 0.05", **knee}), pair=attributes(pair), impratio=impratio)
 
 
-def walking_leg(N=100, dt=0.005, speed=1.0):
-    """The pelvis moves so that the leg, carried along by the belt at first, swings forward."""
+def standing_leg(depth=0.004):
+    """The leg's mechanism and a state in which its sole presses on the belt."""
     m = Mechanism.from_mjcf(hanging_leg())
+    x = m.home
+    x[[7, 8, 9]] = 0.2, -0.3, 0.1  # the sole is level
+    x[3] += contact_forces(m, x[: m.nq], x[m.nq :]).depths[0] - depth
+    return m, x
+
+
+def walking_leg(N=80, dt=0.005, speed=0.8):
+    """The belt carries the foot backwards, and the pelvis lifts the leg and swings it forward."""
+    m, x0 = standing_leg()
     dynamics = RigidBodyDynamics(m, dt, prescribed=PELVIS)
-    x0 = m.home
-    x0[[3, 7, 8, 9]] = 0.028, 0.1, -0.2, 0.1
     x0[m.nq] = -speed
     goal = x0.copy()
-    goal[[7, 8, 9]], goal[m.nq + 7 :] = [0.3, -0.1, 0.0], 0.0
+    goal[[7, 8, 9]], goal[m.nq + 1 :] = [0.3, -0.1, 0.0], 0.0
     weight = {"hip": 500.0, "knee": 500.0, **dict.fromkeys(PELVIS, 100.0)}
     cost = TrackingCost.joints(
         dynamics, goal, N, effort=0.02, final_position=weight, position=dict.fromkeys(PELVIS, 20.0)
     )
     return Problem(dynamics, cost, x0)
-
-
-def random_controls(rng, N, problem):
-    """(N, nu) smooth ones, as large as a robot's and a motor's."""
-    t = np.linspace(0.0, 1.0, N)[:, None]
-    amplitude, phase = rng.normal(size=(2, problem.dynamics.nu))
-    return 2.0 * amplitude * np.sin(2.0 * np.pi * (1.0 + np.arange(problem.dynamics.nu) % 3) * t + phase)
