@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.arguments import LONGEST_HORIZON, array, count, shown
 from planner.cost import Cost, check_cost, states, tracking_of
+from planner.driven_twin import twin_of
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
@@ -59,7 +60,7 @@ class Problem:
         us: (N, nu) first guess of the controls; zero by default.
         horizon: N; needed only when neither us nor the cost tells it.
         twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
-            from, None when there is none.
+            from, its prescribed joints driven (planner.driven_twin); None when there is none.
         stage: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
@@ -119,8 +120,8 @@ class Problem:
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
             object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
-        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and not self.dynamics.prescribed:
-            object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
+        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and self.dynamics.mechanism.mjcf:
+            object.__setattr__(self, "twin", twin_of(self.dynamics.mechanism, self.dynamics.prescribed))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
 
