@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.arguments import LONGEST_HORIZON, array, count, shown
+from planner.closing import Periodic
 from planner.cost import Cost, check_cost, states, tracking_of
 from planner.driven_twin import twin_of
 from planner.dynamics import Dynamics, RigidBodyDynamics
@@ -65,6 +66,7 @@ class Problem:
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
+        periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
@@ -86,6 +88,7 @@ class Problem:
     parameters: dict[str, Any] = field(default_factory=dict)
     limits: Limits | None = None
     objective: Objective | None = None
+    periodic: Periodic | None = None
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
@@ -116,6 +119,8 @@ class Problem:
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.periodic is not None:
+            object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
         if self.limits is not None:
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
@@ -132,7 +137,10 @@ class Problem:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
             raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
-        for name, kind in (("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits)):
+        parts = (
+            ("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits), ("periodic", Periodic)
+        )  # fmt: skip
+        for name, kind in parts:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.closing import Periodic
 from planner.cost import TrackingCost
 from planner.default_stage import default_stage
 from planner.driven_twin import twin_of
@@ -39,6 +40,8 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
     facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
     if dynamics.prescribed:
         facts |= {"kind": DRIVEN, "prescribed": list(dynamics.prescribed)}
+    if problem.periodic is not None:
+        facts["periodic"] = problem.periodic.to_list()
     return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
@@ -58,4 +61,8 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
     mechanism: Mechanism = read(twin.planned, assets=twin.assets)
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    return Problem(dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism, prescribed))
+    periodic = None if facts.get("periodic") is None else Periodic.from_list(facts["periodic"])
+    stage = default_stage(mechanism, prescribed)
+    return Problem(
+        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=stage, periodic=periodic
+    )  # fmt: skip
