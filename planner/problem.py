@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.arguments import LONGEST_HORIZON, array, count, shown
+from planner.arguments import LONGEST_HORIZON, array, count, number, shown
 from planner.closing import Periodic
 from planner.cost import Cost, check_cost, states, tracking_of
 from planner.driven_twin import twin_of
@@ -66,6 +66,8 @@ class Problem:
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
+        decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
+            digits of it are worth no iterations; None for solve's own.
         periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
@@ -89,6 +91,7 @@ class Problem:
     limits: Limits | None = None
     objective: Objective | None = None
     periodic: Periodic | None = None
+    decrease_tolerance: float | None = None
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
@@ -119,6 +122,8 @@ class Problem:
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.decrease_tolerance is not None:
+            number("decrease_tolerance", self.decrease_tolerance, least=0.0)
         if self.periodic is not None:
             object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
         if self.limits is not None:
