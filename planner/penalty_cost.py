@@ -18,12 +18,9 @@ import numpy as np
 from planner.arguments import LONGEST_HORIZON, count, shown
 from planner.cost import Quadratic, Term, mechanism_of
 from planner.errors import PlannerError
-from planner.penalty_measures import HEIGHT, Measures, measures_of
+from planner.kernels.penalty_table import HEIGHT, PARALLEL, TINY
+from planner.penalty_measures import Measures, measures_of
 from planner.rigid_body import points_of
-
-PARALLEL = 1e-12
-"""Share of the squared lengths that keeps the nearest points of parallel lines in their middles."""
-TINY = 1e-40  # added to squares before their root or a division by them: a distance of zero has no direction
 
 
 class PenaltyCost(Term):
@@ -57,7 +54,10 @@ class PenaltyCost(Term):
     def values(self, xs: np.ndarray) -> np.ndarray:
         """(N+1, T) m, what the terms measure along xs (N+1, nx), also where they are off."""
         places, _ = self._places(xs, moving=False)
-        return np.stack([_measured(self.measures, t, places)[0] for t in range(len(self.names))], axis=1)
+        values = np.empty((len(xs), len(self.names)))
+        for t in range(len(self.names)):
+            values[:, t] = _measured(self.measures, t, places).value
+        return values
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -74,7 +74,7 @@ class PenaltyCost(Term):
         )
         places, J = self._places(xs, moving=True)
         measured = [_measured(m, t, places) for t in range(len(self.names))]
-        residuals, slopes = _ramped(m, np.array([one.value for one in measured]))
+        residuals, slopes = _ramped(m, np.array([one.value for one in measured]).reshape(-1, N + 1))
         for t, one in enumerate(measured):
             row = np.zeros((N + 1, nv))  # the derivative of the value
             for point, factor in zip(one.points, one.factors, strict=True):

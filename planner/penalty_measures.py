@@ -11,10 +11,10 @@ import numpy as np
 from planner.arguments import choice, shown
 from planner.contact import Contact
 from planner.errors import PlannerError
+from planner.kernels.penalty_table import DISTANCE
 from planner.mechanism import Frame, Mechanism
 from planner.penalty_terms import Distance, Gap, Height, Penalty, Point, Segment
 
-HEIGHT, DISTANCE = 0, 1
 _SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
 
 
@@ -53,6 +53,14 @@ class Measures:
     def __post_init__(self) -> None:
         for value in vars(self).values():
             value.flags.writeable = False
+
+
+def joined(parts: Sequence[Measures]) -> Measures:
+    """The terms of several, of the same mechanism and horizon, as one."""
+    together = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
+    first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
+    together["ends"] = np.concatenate([part.ends + k for part, k in zip(parts, first, strict=True)])
+    return Measures(**together)
 
 
 class _Place(NamedTuple):

@@ -27,6 +27,7 @@ ORDER = [
     ["contact_edits", "mechanism_edits"],
     ["mechanism_reader"],
     ["twin", "archive"],
+    ["driven_twin"],
     ["default_stage"],
     ["poe"],
     ["poe_sensitivities"],
@@ -122,7 +123,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
-    users |= {"camera", "ranges", "hold", "drawing", "refine"}
+    users |= {"camera", "ranges", "hold", "drawing", "refine", "driven_twin"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

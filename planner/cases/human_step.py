@@ -27,12 +27,11 @@ from planner.cases.gait import NORMAL_GAIT
 from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
+from planner.cases.step_measures import arrives, judge_step, judge_tracking, robot_wrench
 from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
-from planner.contact_forces import generalized_forces
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import PlannerError
-from planner.problem import Problem
-from planner.rigid_body import rnea
+from planner.problem import Problem, Requirements
 from planner.stage import Panel, Readout, Stage
 
 Phase = Literal["swing", "cycle"]
@@ -43,18 +42,19 @@ Brace = Literal["ankle"]
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
 STAGES = {"swing": 4e-3, "cycle": 5e-3}  # s
-MOST_CYCLES = 20
+MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 HIGHEST = 0.2  # m, of a foot over the belt
-TOLERANCE = 1e-5
-"""Of a solve: the last percent of the cost of a cycle takes half of the iterations and moves no joint by a degree."""
+PROMISED = 0.01  # m: who asks for less clearance is not held to any
+TOLERANCE = {"swing": 1e-5, "cycle": 1e-4}
+"""Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs."""
 
 
 def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
     stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
     pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
-    reference: str | None = None, integrator: str = "rk4", dt: float | None = None,
+    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
@@ -73,12 +73,12 @@ def human_step(
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
         integrator: "euler", "semi-implicit-euler" or "rk4".
-        dt: Length of a stage, s; by default 4 ms for a swing, 5 ms for cycles.
+        horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
 
     Raises:
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
     """
-    step = _step(phase, cycles, cadence, reference, dt, {
+    step = _step(phase, cycles, cadence, reference, horizon, {
         "mass": mass, "height": height, "stiffness": stiffness, "damping": damping, "brace": brace,
         "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
     })  # fmt: skip
@@ -103,16 +103,21 @@ def human_step(
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
         "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
-        "dt": step.dt,
+        "horizon": step.N,
     }  # fmt: skip
     return Problem(
         dynamics, step_cost(dynamics, step, wish, effort, control), x0=step.states[0], us=us, case="human-step",
-        parameters=parameters, stage=_stage(step),
+        parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        requirements=Requirements(
+            tracking=lambda run: judge_tracking(step, run),
+            goal=lambda run: judge_step(step, run, promised=cost == "default" and wish.clearance >= PROMISED),
+            success=lambda ends: arrives(step, ends),
+        ),
     )  # fmt: skip
 
 
 def _step(
-    phase: str, cycles: int, cadence: float, reference: str | None, dt: float | None, person: dict[str, Any]
+    phase: str, cycles: int, cadence: float, reference: str | None, horizon: int | None, person: dict[str, Any]
 ) -> Step:
     """Checked."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
@@ -124,8 +129,12 @@ def _step(
     gait = NORMAL_GAIT if reference is None else read_gait(reference)
     duration = 120.0 / cadence
     begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
-    asked = STAGES[phase] if dt is None else number("dt", dt, above=0.0, most=LONGEST_STAGE)
-    N = max(1, round(part * duration / asked))
+    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
+    if part * duration / N > LONGEST_STAGE:
+        least = int(np.ceil(part * duration / LONGEST_STAGE))
+        raise PlannerError(
+            f"horizon is {N}, expected at least {least}: a stage of more than {LONGEST_STAGE:g} s skips contacts."
+        )
     return Step(walker, gait, duration, begin, N, part * duration / N)
 
 
@@ -138,15 +147,12 @@ def weight(walker: Walker) -> float:
 
 def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
     """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
-    mechanism = step.walker.mechanism
-    carried = RigidBodyDynamics(mechanism, step.dt, prescribed=PELVIS)
-    nq, first = mechanism.nq, mechanism.joint(PELVIS[0]).start
-    xs, x = np.empty((step.N, carried.nx)), step.states[0]
+    carried = RigidBodyDynamics(step.walker.mechanism, step.dt, prescribed=PELVIS)
+    xs = np.empty((step.N + 1, carried.nx))
+    xs[0] = step.states[0]
     for n in range(step.N):
-        xs[n], x = x, carried.step(x[None], accelerations[n : n + 1])[0]
-    qdd = carried.rates(xs, accelerations)[:, mechanism.nv :]
-    tau = rnea(mechanism, xs[:, :nq], xs[:, nq:], qdd) - generalized_forces(mechanism, xs[:, :nq], xs[:, nq:])
-    return tau[:, first : first + len(PELVIS)]
+        xs[n + 1] = carried.step(xs[n : n + 1], accelerations[n : n + 1])[0]
+    return robot_wrench(carried, xs, accelerations)
 
 
 def _stage(step: Step) -> Stage:

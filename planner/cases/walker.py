@@ -55,7 +55,7 @@ TOUCH = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_dampi
 """Of heel and toe on the belt: so soft that a touch-down takes several stages, and a light stance sinks in by mm."""
 IMPRATIO = 1000.0  # of MuJoCo's, at which its friction is that of TOUCH
 POINT = 5e-4  # m, radius of the spheres at heel and toe, points but for MuJoCo
-STOP = Law(stiffness=1e3, damping=10.0, ramp=0.03, force_ramp=0.5)
+STOP = Law(stiffness=1e3, damping=10.0, ramp=0.03, force_ramp=0.02)
 """Of a straight knee: 200 N m/rad let it bend backwards by 7 degrees."""
 KNEE_RANGE = (-2.6, 0.0)  # rad
 
