@@ -23,7 +23,7 @@ import numpy as np
 SHOULDER_HEIGHT, HIP_HEIGHT, EYE_HEIGHT = 0.818, 0.530, 0.936  # H, figure 4.1
 SHOULDER_WIDTH, HIP_WIDTH = 0.259, 0.191  # H, figure 4.1
 UPPER_ARM, FOREARM, HAND, THIGH, SHANK = 0.186, 0.146, 0.108, 0.245, 0.246  # H, figure 4.1
-FOOT_HEIGHT = 0.039  # H, figure 4.1
+FOOT_HEIGHT, FOOT_LENGTH = 0.039, 0.152  # H, figure 4.1
 C7_HEIGHT = 0.830  # H, ours: a little above the shoulders
 
 TRUNK_MASS, TRUNK_COM = 0.497, 0.50  # table 4.1, greater trochanter to glenohumeral joint
@@ -75,6 +75,10 @@ _LIMBS = {
     "thigh": _Limb(0.100, 0.433, 0.323, THIGH, 1050.0),
     "shank": _Limb(0.061, 0.606, 0.416, SHANK, 1090.0),  # "foot and leg", femoral condyles to medial malleolus
 }
+LEG_MASS, LEG_COM, LEG_RADIUS = 0.0465, 0.433, 0.302  # table 4.1, "leg", femoral condyles to medial malleolus
+FOOT_MASS, FOOT_COM, FOOT_RADIUS = 0.0145, 0.50, 0.475  # table 4.1, "foot"
+HEEL_END = 0.065 / 1.75  # H, how far the foot reaches behind the ankle, ours
+_ALONG = {"thigh": 0.25, "shank": 0.20, "foot": 0.25}  # of the inertia across, ours: see leg_segments
 
 
 def segments(mass: float, height: float) -> dict[str, Segment]:
@@ -91,6 +95,30 @@ def segments(mass: float, height: float) -> dict[str, Segment]:
     chest = _trunk_part(CHEST_MASS * mass, reach * height, (1.0 - CHEST_COM) * reach * height)
     bodies["chest"] = _joined(chest, _head(mass, height, waist))
     return bodies
+
+
+def leg_segments(mass: float, height: float) -> dict[str, Segment]:
+    """Thigh, shank and foot of a leg that has a foot of its own, which segments() has not.
+
+    About their long axes they have a share of the inertia across, more than a cylinder's: it is the turning of whole
+    legs that matters, not of one limb about itself.
+
+    Args:
+        mass: M, kg.
+        height: H, m.
+    """
+    thigh = _LIMBS["thigh"]
+    rows = {"thigh": (thigh.mass, thigh.com, thigh.radius, THIGH), "shank": (LEG_MASS, LEG_COM, LEG_RADIUS, SHANK)}
+    found = {}
+    for name, (part, com, radius, length) in rows.items():
+        across = part * mass * (radius * length * height) ** 2
+        found[name] = Segment(
+            part * mass, (0.0, 0.0, -com * length * height), (across, across, _ALONG[name] * across)
+        )  # fmt: skip
+    across = FOOT_MASS * mass * (FOOT_RADIUS * FOOT_LENGTH * height) ** 2
+    com = ((FOOT_COM * FOOT_LENGTH - HEEL_END) * height, 0.0, -0.5 * FOOT_HEIGHT * height)
+    found["foot"] = Segment(FOOT_MASS * mass, com, (_ALONG["foot"] * across, across, across))
+    return found
 
 
 def _about_length(mass: float, length: float, density: float) -> float:
