@@ -78,7 +78,8 @@ def _draw(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndar
         rows = [[scenes.enter_context(tile) for tile in row] for row in _tiles(films, job)]
 
         def picture(frame: int) -> np.ndarray:
-            return np.concatenate([np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows])
+            parts = [np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows]
+            return _parted(np.concatenate(parts), rows)
 
         return picture(0) if job.kind == "frame" else _draw_video(picture, len(films[0]), job, progress)
 
@@ -119,6 +120,19 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
     return tiles
 
 
+def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
+    """The picture with lines between what several cameras see; two films from one camera need none."""
+    if rows[0][0].film.stage is None or not rows[0][0].film.stage.views:
+        return picture
+    height, width, _ = picture.shape
+    half = max(1, round(height / 720))
+    for x in np.cumsum(_shares(width, len(rows[0])))[:-1]:
+        picture[:, x - half : x + half] = 255
+    for y in np.cumsum(_shares(height, len(rows)))[:-1]:
+        picture[y - half : y + half] = 255
+    return picture
+
+
 def _shares(pixels: int, parts: int) -> list[int]:
     """The sizes of the parts; what the division leaves over goes to the last."""
     each = pixels // parts
@@ -141,7 +155,7 @@ class _Tile:
     def __init__(
         self, film: Film, size: tuple[int, int], job: Job, words: _Words, beside: Sequence[Film], narrow: bool
     ) -> None:  # fmt: skip
-        self._film = film
+        self.film = film
         self._stage = film.stage or Stage(title="")
         label = self._stage.views[0].label if self._stage.views else ""
         self._words = overlay.Overlay(
@@ -161,7 +175,7 @@ class _Tile:
 
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame`: (height, width, 3), uint8."""
-        drawn, film = self._scene.draw(frame), self._film
+        drawn, film = self._scene.draw(frame), self.film
         return self._words.write(drawn, film.t[frame], film.readings[frame], self._marks())
 
     def _marks(self) -> list[overlay.Mark]:

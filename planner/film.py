@@ -185,7 +185,8 @@ def _stage_of_values(values: dict[str, Any]) -> Stage:
     ghost = values["ghost"] and Ghost(states=np.zeros((0, 0)), **values["ghost"])
     readouts = tuple(Readout(**readout) for readout in values["readouts"])
     views = tuple(View(**view) for view in values["views"])
-    return Stage(**{**values, "readouts": readouts, "views": views, "ghost": ghost})
+    names = {"readouts": readouts, "views": views, "ghost": ghost, "scenery": tuple(values["scenery"])}
+    return Stage(**{**values, **names})
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:

@@ -34,6 +34,7 @@ _THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
 
 _SKY = {"name": "planner_sky", "type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88",
         "rgb2": "0.93 0.95 0.97", "width": "64", "height": "384"}  # fmt: skip
+_FLOOR = 2.0  # camera distances: a shape as large as that is a floor
 _SHADOWS = 1024  # pixels of the shadow map of a picture beside another
 _ROOM = 0.7  # of the height of a picture beside another is free of words
 _SHOWN_GROUPS = 3  # geom groups that MuJoCo draws unless told otherwise
@@ -87,6 +88,9 @@ class Scene:
         placed = not beside or self._stage.accompany is not None or bool(self._stage.views)
         self._fixed = self._stage.distance is not None and placed
         self._look_at, self._distance = self._place(width / height, beside, narrow)
+        # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
+        is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+        self._ground = is_plane | (model.geom_rbound > _FLOOR * self._distance)
         self._trails = self._paths()
         try:
             self._renderer: Any = mujoco.Renderer(model, rows, columns)
@@ -109,8 +113,7 @@ class Scene:
         self._renderer.update_scene(self._data, self._camera, self._option)
         scene = self._renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
-            if geom.type == self._mujoco.mjtGeom.mjGEOM_PLANE:
-                # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
+            if geom.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and self._ground[geom.objid]:
                 without_shadow(geom)
         if self._ghost:
             self._add_ghost(self._film.ghost_qpos[frame])
@@ -195,7 +198,7 @@ class Scene:
             shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
 
     def _add_ghost(self, qpos: np.ndarray) -> None:
-        mujoco, scene = self._mujoco, self._renderer.scene
+        mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._stage)
         self._pose(self._ghost_model, self._ghost_data, qpos)
         first = scene.ngeom
         mujoco.mjv_addGeoms(
@@ -204,7 +207,7 @@ class Scene:
         for geom in scene.geoms[first : scene.ngeom]:
             geom.pos[:] += self._stage.ghost_offset
             geom.matid = -1
-            geom.rgba[:] = ghost_paint(self._stage)
+            geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
             without_shadow(geom)
 

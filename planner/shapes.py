@@ -15,7 +15,7 @@ Paint = tuple[float, float, float, float]
 _DASH = 0.0016
 _TRAIL = 0.002
 _ARROW = 0.007
-_SLIM = 0.18  # of an arrow's length, the most that it is thick: shorter than its own head it would be a blot
+_SLIM = 0.045  # of an arrow's length, the most that its shaft's radius is: shorter than its own head it would be a blot
 _LEAST_ARROW = 0.015  # shorter it is a speck
 _DASHES = 24
 
