@@ -50,7 +50,8 @@ class Shapes:
         if not np.isfinite(foot).all() or not length > _LEAST_ARROW * self._distance:
             return
         width = min(_ARROW * self._distance, _SLIM * length)
-        self._connect(self._mujoco.mjtGeom.mjGEOM_ARROW, width, foot, foot + vector, paint)
+        # MuJoCo draws an arrow half as long as it is asked to.
+        self._connect(self._mujoco.mjtGeom.mjGEOM_ARROW, width, foot, foot + 2.0 * vector, paint)
 
     def _connect(self, kind: Any, width: float, start: np.ndarray, end: np.ndarray, paint: Paint) -> None:
         """A shape from start to end that casts no shadow."""

@@ -271,12 +271,12 @@ def test_the_belts_pattern_moves_with_it(replay):
 @pytest.mark.render
 def test_every_loaded_foot_has_an_arrow_along_its_force(replay):
     """From ahead the feet stand apart: an arrow over each, as long as its force, and tilted by the belt's pull."""
-    stage = {"force_scale": 0.01, "ghost": lifted(replay, 90.0), "force_offset": (0.3, 0.0, 0.0)}
+    stage = {"force_scale": 0.01, "ghost": lifted(replay, 90.0), "force_offset": (0.6, 0.0, 0.0)}
     film = Film.of(staged(replay, **stage), np.array([0.05]))
     for view, foot in ((film.views[1], 0), (film.views[1], 1), (film.views[0], 1)):
         with Scene(view, 640, 480) as scene:
             picture = scene.draw(0).astype(int)
-            tip = film.points[0, foot] + [0.3, 0.0, 0.0] + 0.009 * film.forces[0, foot]
+            tip = film.points[0, foot] + [0.6, 0.0, 0.0] + 0.0095 * film.forces[0, foot]
             column, row = scene.project(tip)
         red = (picture[..., 0] > 150) & (picture[..., 1] < 90)
         assert red[round(row) - 3 : round(row) + 4, round(column) - 3 : round(column) + 4].any()
