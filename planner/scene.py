@@ -130,8 +130,9 @@ class Scene:
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """Where a point of the scene is in the last drawn picture: (column, row), or None behind the camera."""
-        camera = self._renderer.scene.camera[0]
-        eye, ahead, up = np.asarray(camera.pos), np.asarray(camera.forward), np.asarray(camera.up)
+        camera, other = self._renderer.scene.camera  # two eyes; the picture is of their middle
+        eye = 0.5 * (np.asarray(camera.pos) + np.asarray(other.pos))
+        ahead, up = np.asarray(camera.forward), np.asarray(camera.up)
         x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)
         if depth <= camera.frustum_near:
             return None
