@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.errors import PlannerError
 from planner.film import Film
 from planner.gl import load_mujoco
 from planner.stage import Stage
@@ -44,22 +45,43 @@ def whole_motion(
         ghost: Whether the plan is drawn too.
         room: The part of the picture's height that words leave free.
     """
-    plan = box = swept_box(model, films[0].path_ghost_qpos)
+    scenery = scenery_of(model, stage)[0]
+    plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
     for film in films:
-        box = box.joined(
-            plan.joined(swept_box(model, film.path_qpos), _ASTRAY * float(np.max(plan.high - plan.low))), np.inf
-        )
+        swept = swept_box(model, film.path_qpos, scenery)
+        box = box.joined(plan.joined(swept, _ASTRAY * float(np.max(plan.high - plan.low))), np.inf)
     if ghost:
         box = box.beside(np.asarray(stage.ghost_offset))
     distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect, room)
     return 0.5 * (box.low + box.high), distance
 
 
-def swept_box(model: Any, path: np.ndarray) -> Box:
-    """The box around everything that moves, over the poses path (P, nq)."""
+def scenery_of(model: Any, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    """Which bodies (nbody,) and which tendons (ntendon,) of a model are a stage's scenery.
+
+    Raises:
+        PlannerError: The stage names what the model does not have.
+    """
+    bodies, tendons = np.zeros(model.nbody, bool), np.zeros(model.ntendon, bool)
+    named = {model.body(i).name: (bodies, i) for i in range(1, model.nbody)}
+    named |= {model.tendon(i).name: (tendons, i) for i in range(model.ntendon)}
+    for name in stage.scenery:
+        if name not in named:
+            known = ", ".join(filter(None, named)) or "none"
+            raise PlannerError(f"the stage's scenery is {name!r}, expected a body or tendon of the model: {known}.")
+        mask, i = named[name]
+        mask[i] = True
+    for i in range(1, model.nbody):
+        bodies[i] |= bodies[model.body_parentid[i]]
+    return bodies, tendons
+
+
+def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
+    """The box around everything that moves, but for the bodies (nbody,) of the scenery, over the poses path (P, nq)."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
-    moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0)
+    moving = np.flatnonzero((model.body_weldid[model.geom_bodyid] != 0) & ~scenery[model.geom_bodyid])
+    shown = np.flatnonzero(~scenery)[1:]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:
         data.qpos[:] = qpos
@@ -67,7 +89,7 @@ def swept_box(model: Any, path: np.ndarray) -> Box:
         R = data.geom_xmat[moving].reshape(-1, 3, 3)
         centre = data.geom_xpos[moving] + np.einsum("gij,gj->gi", R, model.geom_aabb[moving, :3])
         half = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[moving, 3:])
-        points = np.concatenate([centre - half, centre + half, data.xpos[1:]])
+        points = np.concatenate([centre - half, centre + half, data.xpos[shown]])
         if len(points):
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     if not np.isfinite(low).all():  # nothing but a world

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -56,6 +57,7 @@ def default_stage(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Sta
     return Stage(
         title=name[1] if name else "",
         readouts=tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS]),
+        scenery=_belts(mechanism),
         azimuth=azimuth,
         elevation=elevation,
         plots=tuple(plots),
@@ -75,6 +77,18 @@ def _curves(mechanism: Mechanism) -> tuple[Curves, Curves, Curves, Curves]:
                 found[0 if turns[i] else 1].append((int(mechanism.q_address[i]), label))
             found[2 if turns[i] else 3].append((mechanism.nq + i, label))
     return found
+
+
+def _belts(mechanism: Mechanism) -> tuple[str, ...]:
+    """Names of the bodies that carry the planes of contacts along."""
+    slides = {contact.plane.slide for contact in mechanism.contacts} - {-1}
+    if not slides:
+        return ()
+    named = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+    joints = {name for name, links in named if name and links.start in slides}
+    bodies = ElementTree.fromstring(mechanism.mjcf).iter("body")
+    carrying = [body for body in bodies if any(joint.get("name") in joints for joint in body.findall("joint"))]
+    return tuple(name for body in carrying if (name := body.get("name")))
 
 
 def _title(title: str, curves: Curves) -> str:

@@ -1,4 +1,6 @@
-"""Films into pictures: the frames of a video, of two side by side, a strip, a still.
+"""Films into pictures: the frames of a video, of two side by side, from several cameras, a strip, a still.
+
+The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
 
 If this process cannot draw, because mujoco was imported before there was a choice of a library, the same films are
 drawn in a child process (python -m planner.drawing JOBFILE ...).
@@ -16,7 +18,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,10 +75,11 @@ def _draw(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndar
     if job.kind == "strip":
         return _draw_strip(films[0], job)
     with ExitStack() as scenes:
-        views = [scenes.enter_context(_View(films, number, job)) for number in range(len(films))]
+        rows = [[scenes.enter_context(tile) for tile in row] for row in _tiles(films, job)]
 
         def picture(frame: int) -> np.ndarray:
-            return np.concatenate([view.draw(frame) for view in views], axis=1)
+            parts = [np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows]
+            return _parted(np.concatenate(parts), rows)
 
         return picture(0) if job.kind == "frame" else _draw_video(picture, len(films[0]), job, progress)
 
@@ -94,24 +97,76 @@ def _draw_video(picture: Callable[[int], np.ndarray], frames: int, job: Job, pro
     return image
 
 
-class _View:
-    """One film of a picture, with its words. A context manager."""
+def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
+    """The parts of a picture, row by row."""
+    seen = [film.views for film in films]  # by film and camera
+    if len(films) > 1:
+        seen = [list(row) for row in zip(*seen, strict=True)]
+    widths, heights = _shares(job.width, len(seen[0])), _shares(job.height, len(seen))
+    largest = np.max([film.largest for film in films], axis=0)
+    tiles: list[list[_Tile]] = []
+    for i, row in enumerate(seen):
+        tiles.append([])
+        for j, film in enumerate(row):
+            first = i == 0 if len(films) > 1 else j == 0  # of the cameras
+            last_row, last_column = i == len(seen) - 1, j == len(row) - 1
+            beside = [other for other in row if other is not film] if len(films) > 1 else []
+            words = _Words(
+                largest, first, last_row and j == 0, last_row and (len(films) > 1 or first),
+                job.speed if last_row and last_column else None,
+            )  # fmt: skip
+            narrow = len(row) > 1 or len(seen) > 1
+            tiles[-1].append(_Tile(film, (widths[j], heights[i]), job, words, beside, narrow))
+    return tiles
 
-    def __init__(self, films: Sequence[Film], number: int, job: Job) -> None:
-        film = self._film = films[number]
+
+def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
+    """The picture with lines between what several cameras see; two films from one camera need none."""
+    if rows[0][0].film.stage is None or not rows[0][0].film.stage.views:
+        return picture
+    height, width, _ = picture.shape
+    half = max(1, round(height / 720))
+    for x in np.cumsum(_shares(width, len(rows[0])))[:-1]:
+        picture[:, x - half : x + half] = 255
+    for y in np.cumsum(_shares(height, len(rows)))[:-1]:
+        picture[y - half : y + half] = 255
+    return picture
+
+
+def _shares(pixels: int, parts: int) -> list[int]:
+    """The sizes of the parts; what the division leaves over goes to the last."""
+    each = pixels // parts
+    return [each] * (parts - 1) + [pixels - each * (parts - 1)]
+
+
+class _Words(NamedTuple):
+    """What is written into one part of a picture."""
+
+    largest: np.ndarray  # (R,) of each readout
+    numbers: bool
+    legend: bool
+    caption: bool
+    speed: float | None
+
+
+class _Tile:
+    """A film from one camera, with its words. A context manager."""
+
+    def __init__(
+        self, film: Film, size: tuple[int, int], job: Job, words: _Words, beside: Sequence[Film], narrow: bool
+    ) -> None:  # fmt: skip
+        self.film = film
         self._stage = film.stage or Stage(title="")
-        first, last = number == 0, number == len(films) - 1
-        # What the division leaves over goes to the last.
-        width = job.width // len(films) + (job.width % len(films) if last else 0)
-        beside = [other for other in films if other is not film]
+        label = self._stage.views[0].label if self._stage.views else ""
         self._words = overlay.Overlay(
-            self._stage, width, job.height, largest=np.max([other.largest for other in films], axis=0),
-            speed=job.speed if last else None, legend=first, caption=film.caption, unstable=film.unstable,
+            self._stage, *size, largest=words.largest, speed=words.speed, legend=words.legend,
+            caption=film.caption if words.caption else None, unstable=film.unstable if words.caption else math.inf,
+            numbers=words.numbers, label=label,
         )  # fmt: skip
         oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
-        self._scene = Scene(film, width, job.height, oversize=oversize, beside=beside)
+        self._scene = Scene(film, *size, oversize=oversize, beside=beside, narrow=narrow)
 
-    def __enter__(self) -> _View:
+    def __enter__(self) -> _Tile:
         self._scene.__enter__()
         return self
 
@@ -120,7 +175,7 @@ class _View:
 
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame`: (height, width, 3), uint8."""
-        drawn, film = self._scene.draw(frame), self._film
+        drawn, film = self._scene.draw(frame), self.film
         return self._words.write(drawn, film.t[frame], film.readings[frame], self._marks())
 
     def _marks(self) -> list[overlay.Mark]:
@@ -133,19 +188,26 @@ class _View:
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
-    gap = max(1, round(job.height / 270))
     if film.stage is None or film.stage.accompany is None:  # one camera for all poses, so that their heights compare
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
-    rows = best_rows(film, job.width, job.height)
+    heights = _shares(job.height, len(film.views))
+    strips = [_draw_poses(seen, job.width, high) for seen, high in zip(film.views, heights, strict=True)]
+    return np.concatenate(strips)
+
+
+def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
+    """All poses from one camera: (height, width, 3)."""
+    gap = max(1, round(height / 270))
+    rows = best_rows(film, width, height)
     columns = math.ceil(len(film) / rows)
-    tile = (job.width - gap * (columns - 1)) // columns
-    high = (job.height - gap * (rows - 1)) // rows
-    unit = min(job.height / 540, tile / 160)
+    tile = (width - gap * (columns - 1)) // columns
+    high = (height - gap * (rows - 1)) // rows
+    unit = min(height / 540, tile / 160)
     band = min(round(30 * unit), high // 3)
-    strip = np.full((job.height, job.width, 3), 255, np.uint8)
+    strip = np.full((height, width, 3), 255, np.uint8)
     # What the division leaves over goes to both sides.
-    left = (job.width - tile * columns - gap * (columns - 1)) // 2
+    left = (width - tile * columns - gap * (columns - 1)) // 2
     with Scene(film, tile, high - band, ghost=False) as scene:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)

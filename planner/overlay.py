@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from planner.film import Caption
-from planner.scene import FORCE, GHOST
+from planner.scene import FORCE, ghost_paint
 from planner.stage import Stage
 
 Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
@@ -33,7 +33,8 @@ class Overlay:
 
     def __init__(
         self, stage: Stage, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
-        legend: bool = True, caption: Caption | None = None, unstable: float = math.inf,
+        legend: bool = True, caption: Caption | None = None, unstable: float = math.inf, numbers: bool = True,
+        label: str = "",
     ) -> None:  # fmt: skip
         """Lay out the panels, once for all frames.
 
@@ -46,8 +47,10 @@ class Overlay:
             legend: Say what is solid and what is a ghost.
             caption: Written at the bottom, or None.
             unstable: s, when the simulation ran away: said from then on.
+            numbers: Write title, time and readouts.
+            label: Written in the upper right corner: where it is seen from.
         """
-        self._stage = stage
+        self._stage, self._numbers = stage, numbers
         self._width, self._height = width, height
         unit = min(height / 720, width / 900)
         self._unit = unit
@@ -61,7 +64,9 @@ class Overlay:
         self._decimals = [decimals(scales[readout.unit]) for readout in stage.readouts]
         self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
         self._columns = self._lay_out_columns(largest)
-        self._panels = [self._readout_panel(), *self._legend_panels(speed, legend)]
+        self._panels = [*([self._readout_panel()] if numbers else []), *self._legend_panels(speed, legend)]
+        if label:
+            self._panels.append(self._right_panel(label, round(self._margin)))
         self._unstable, self._warning = unstable, self._warning_panel(unstable, 1.0 if caption is None else 2.3)
         if caption is not None:
             self._panels.append(self._caption_panel(caption))
@@ -87,6 +92,8 @@ class Overlay:
             )  # fmt: skip
         for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
+        if not self._numbers:
+            return np.asarray(image)
         x, y = self._margin + self._padding, self._margin + self._padding
         if self._stage.title:
             y += self._line * 1.15
@@ -155,7 +162,9 @@ class Overlay:
 
     def _legend_panels(self, speed: float | None, legend: bool) -> list[tuple[Image.Image, tuple[int, int]]]:
         """What is solid and what is a ghost, bottom left; how fast it plays, bottom right."""
-        entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), ("ghost: plan", _bytes(GHOST))]
+        ghost = "plan" if self._stage.ghost is None else self._stage.ghost.label
+        paint = _bytes(ghost_paint(self._stage))
+        entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
         if self._stage.force_scale > 0:
             entries.append(("contact force", _bytes(FORCE)))
         p, box, height = self._padding, 13 * self._unit, 34 * self._unit
@@ -170,11 +179,14 @@ class Overlay:
         bottom = round(self._height - self._margin - height)
         panels = [(panel, (round(self._margin), bottom))] if legend else []
         if speed is not None:
-            words = speed_words(speed)
-            panel, draw = _panel(2 * p + self._small.getlength(words), height, 8 * self._unit)
-            draw.text((p, height / 2), words, _INK, self._small, anchor="lm")
-            panels.append((panel, (round(self._width - self._margin - panel.width), bottom)))
+            panels.append(self._right_panel(speed_words(speed), bottom))
         return panels
+
+    def _right_panel(self, words: str, y: int) -> tuple[Image.Image, tuple[int, int]]:
+        p, height = self._padding, 34 * self._unit
+        panel, draw = _panel(2 * p + self._small.getlength(words), height, 8 * self._unit)
+        draw.text((p, height / 2), words, _INK, self._small, anchor="lm")
+        return panel, (round(self._width - self._margin - panel.width), y)
 
 
 def decimals(largest: float) -> int:

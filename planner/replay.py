@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from planner.mechanism_refusals import named
 from planner.mjcf import is_text, model_tree
 from planner.plan import Plan
 from planner.ranges import ranges_reached
+from planner.touches import Touches, Touching
 from planner.twin import Twin
 
 REFINEMENT = 20  # simulator steps per stage, at least
@@ -50,6 +51,7 @@ class Replay:
         substeps: Simulator steps per stage of the plan.
         warnings: What MuJoCo complained of, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
+        touches: The force of each contact.
     """
 
     plan: Plan
@@ -68,6 +70,7 @@ class Replay:
     substeps: int
     warnings: tuple[str, ...] = ()
     reached: tuple[str, ...] = ()
+    touches: Touches = field(default_factory=Touches.none)
 
     @property
     def timestep(self) -> float:
@@ -197,12 +200,11 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     mujoco = load_mujoco()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
     data = mujoco.MjData(model)
-    probe = mujoco.MjData(model) if may_touch(model) else None
     nq, nv, M = model.nq, model.nv, plan.N * substeps
     plan_xs = between_knots(plan, substeps)
     w = np.full((M + 1, nq + nv + model.na), np.nan)
     ctrl = np.repeat(plan.us, substeps, axis=0)
-    force, point, touching = np.zeros(M + 1), np.full((M + 1, 3), np.nan), ""
+    touching = Touching(model, M)
     assert plan.problem is not None  # replay has checked
     w[0] = twin.sim_of(plan.problem.x0)  # the problem's start, not what the plan says of it
     data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
@@ -211,24 +213,23 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
             asked = ctrl[i] + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
             ctrl[i] = plan.within_bounds(i // substeps, asked)
         data.ctrl[:] = ctrl[i]
-        if probe is not None:
-            force[i], point[i] = contact_now(mujoco, model, data, probe)
-            touching = touching or _touching(model, probe, i * model.opt.timestep)
+        touching.look(i, data)
         mujoco.mj_step(model, data)
         w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
         if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < RUNAWAY):
             break
     unstable = unstable_at(model, w)
-    if probe is not None and not unstable:
-        force[M], point[M] = contact_now(mujoco, model, data, probe)
+    if not unstable:
+        touching.look(M, data)
     t = model.opt.timestep * np.arange(M + 1)
     reached = ranges_reached(model, t, w, ctrl, stopped_dofs(plan))
+    surprise = "" if knows_contacts(plan) else touching.sentence(model.opt.timestep)
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
         t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
-        plan_xs=plan_xs, contact_force=force, contact_point=point, substeps=substeps,
-        warnings=(*unstable, *warnings_of(mujoco, data)),
-        reached=(*reached, *([touching] if touching and not knows_contacts(plan) else [])),
+        plan_xs=plan_xs, contact_force=touching.force, contact_point=touching.point, substeps=substeps,
+        warnings=(*unstable, *warnings_of(mujoco, data)), reached=(*reached, *([surprise] if surprise else [])),
+        touches=touching.touches(t),
     )  # fmt: skip
 
 
@@ -255,39 +256,6 @@ def stopped_dofs(plan: Plan) -> frozenset[int]:
     """The degrees of freedom whose ends of range are part of a plan's dynamics."""
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
     return frozenset(stop.dof for stop in mechanism.stops) if mechanism is not None else frozenset()
-
-
-def _touching(model: Any, probe: Any, t: float) -> str:
-    """The first contact of a machine that was planned without, in a sentence; "" for none."""
-    if probe.ncon == 0:
-        return ""
-    one, other = (named(model, "geom", int(geom)) for geom in probe.contact.geom[0])
-    return f"{one} and {other} touch from t = {t:.4g} s, of which the plan knows nothing."
-
-
-def may_touch(model: Any) -> bool:
-    """Whether two geoms of a model could ever make contact, as far as its masks tell."""
-    bits = load_mujoco().mjtDisableBit
-    if model.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
-        return False
-    if model.npair or model.nflex:
-        return True
-    fits = (model.geom_contype[:, None] & model.geom_conaffinity[None]) != 0
-    body = model.body_weldid[model.geom_bodyid]
-    return bool(np.any((fits | fits.T) & (body[:, None] != body[None])))
-
-
-def contact_now(mujoco: Any, model: Any, data: Any, probe: Any) -> tuple[float, np.ndarray]:
-    """Total normal contact force and where it acts, at the current state and not at a stage of the last step."""
-    probe.qpos[:], probe.qvel[:], probe.act[:], probe.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
-    probe.qacc_warmstart[:] = data.qacc_warmstart
-    mujoco.mj_forward(model, probe)
-    total, moment, wrench = 0.0, np.zeros(3), np.zeros(6)
-    for c in range(probe.ncon):
-        mujoco.mj_contactForce(model, probe, c, wrench)
-        total += wrench[0]
-        moment += wrench[0] * probe.contact.pos[c]
-    return total, moment / total if total > 0.0 else np.full(3, np.nan)
 
 
 def warnings_of(mujoco: Any, data: Any) -> tuple[str, ...]:

@@ -63,7 +63,7 @@ ORDER = [
     ["control_spline", "shooting"],
     ["cases"],
     ["problem_file"],
-    ["ranges"],
+    ["ranges", "touches"],
     ["replay"],
     ["hold"],
     ["proof"],
@@ -73,7 +73,7 @@ ORDER = [
     ["free_time"],
     ["refine", "payload"],
     ["check", "run_folder"],
-    ["camera", "film", "drawing", "overlay", "scene", "encode", "render"],
+    ["camera", "film", "drawing", "overlay", "scene", "shapes", "encode", "render"],
     ["plots"],
     ["report"],
     ["paper_studies"],
@@ -123,7 +123,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
-    users |= {"camera", "ranges", "hold", "drawing", "refine", "driven_twin"}
+    users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes", "driven_twin"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

@@ -20,6 +20,7 @@ from planner.plan import Plan, Status
 from planner.replay import Replay
 from planner.scene import Scene
 from planner.stage import Readout, Stage
+from planner.touches import Touches
 from planner.twin import Twin
 
 ROOT = Path(__file__).parents[1]
@@ -42,6 +43,8 @@ def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
     text = model_text(model_path("hopper") / "scene.xml")
     twin = Twin(mjcf=text, to_x=to_x, to_x_offset=[0.0], to_sim=to_sim, to_sim_offset=np.zeros((1, 5)))
     xs, contact = y[:, None], y <= 0.0
+    points = np.where(contact[:, None], np.zeros((201, 3)), np.nan)
+    forces = np.where(contact, force, 0.0)[:, None] * [0.0, 0.0, 1.0]
     problem = None if stage is None else SimpleNamespace(stage=stage, dynamics=SimpleNamespace(nx=1))
     plan = Plan(
         t=t[::100], xs=xs[::100], us=np.zeros((2, 1)), K=np.zeros((2, 1, 1)), cost=0.0, gradient_norm=0.0,
@@ -50,8 +53,8 @@ def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
     return Replay(
         plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
         act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
-        contact_force=np.where(contact, force, 0.0),
-        contact_point=np.where(contact[:, None], np.zeros((201, 3)), np.nan), substeps=100,
+        contact_force=np.where(contact, force, 0.0), contact_point=points, substeps=100,
+        touches=Touches(("foot on floor",), t, forces[:, None], points[:, None]),
     )  # fmt: skip
 
 
@@ -80,9 +83,9 @@ def test_film_interpolates_linearly_and_maps_the_plan():
     np.testing.assert_allclose(film.ghost_qpos[:, 0], film.qpos[:, 0] + 1.0)
     np.testing.assert_allclose(film.readings[:, 0, 1] - film.readings[:, 0, 0], 1.0)
     np.testing.assert_allclose(film.shift[:, 2], 0.5 * film.qpos[:, 0])
-    assert film.force[0] == pytest.approx(400.0)  # the mean over an exposure of a constant
-    assert film.force[1] == 0.0
-    assert np.all(np.isnan(film.point[1]))
+    assert film.forces[0, 0, 2] == pytest.approx(400.0)  # the mean over an exposure of a constant
+    assert film.forces[1, 0, 2] == 0.0
+    assert np.all(np.isnan(film.points[1]))
 
 
 def test_film_survives_its_file(tmp_path):
@@ -94,7 +97,7 @@ def test_film_survives_its_file(tmp_path):
     assert again.stage is not None
     assert again.stage.readouts == STAGE.readouts
     assert again.stage.distance == STAGE.distance
-    for name in ("t", "qpos", "ghost_qpos", "force", "point", "readings", "largest", "shift"):
+    for name in ("t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 
 

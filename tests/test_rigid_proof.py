@@ -15,8 +15,9 @@ from planner.mjcf import edited
 from planner.plan import Plan
 from planner.problem import Problem, Requirements
 from planner.proof.same_step import munthe_kaas, rounding_amplification, same_step
-from planner.replay import compile_model, may_touch
+from planner.replay import compile_model
 from planner.space import exp_quaternion
+from planner.touches import may_touch
 
 
 def values(section):

@@ -155,7 +155,7 @@ def _stage(height: float) -> Stage:
         distance=1.75 * top + 15.0,
         azimuth=103.0,
         elevation=-13.0,
-        force_scale=0.02,
+        force_scale=0.01,
         force_unit="in/s^2, per mass",
         force_offset=(-11.0, 0.0, 0.0),
         speed=0.25,

@@ -1,6 +1,23 @@
-"""Plots: a plan beside its replays (plots.png), and what the proof measured (proof.png)."""
+"""Plots: a plan beside its replays (plots.png), what the proof measured (proof.png), and parts for pictures of a case.
 
+The parts know neither plan nor proof: stick figures over a motion, paths in space, charts with bands of what is normal.
+"""
+
+from planner.plots.charts import draw_charts, plot_charts
+from planner.plots.paths import draw_paths, plot_paths
 from planner.plots.plan import draw_plan, plot_plan
 from planner.plots.proof import draw_proof, plot_proof
+from planner.plots.stick_figures import draw_stick_figures, plot_stick_figures
 
-__all__ = ["draw_plan", "draw_proof", "plot_plan", "plot_proof"]
+__all__ = [
+    "draw_charts",
+    "draw_paths",
+    "draw_plan",
+    "draw_proof",
+    "draw_stick_figures",
+    "plot_charts",
+    "plot_paths",
+    "plot_plan",
+    "plot_proof",
+    "plot_stick_figures",
+]

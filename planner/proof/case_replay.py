@@ -12,7 +12,8 @@ from planner.plan import Plan
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
 from planner.ranges import ranges_reached
-from planner.replay import RUNAWAY, Replay, between_knots, contact_now, may_touch, warnings_of
+from planner.replay import RUNAWAY, Replay, between_knots, warnings_of
+from planner.touches import Touching
 from planner.twin import Twin
 
 
@@ -41,9 +42,8 @@ def replay_case(
         piece, commands = rollouts.pieces(batch, MODES[feedback])
         model = batch.models[0]
         data, complaints = mujoco.MjData(model), ()
-        probe = mujoco.MjData(model) if may_touch(model) else None
         w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
-        force, point = np.zeros(M + 1), np.full((M + 1, 3), np.nan)
+        touching = Touching(model, M)
         w[0] = batch.start[0]
         data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [model.nq, model.nq + model.nv])
         for i in range(M):
@@ -56,22 +56,22 @@ def replay_case(
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
-            if probe is not None:
-                force[i], point[i] = contact_now(mujoco, model, data, probe)
+            touching.look(i, data)
             mujoco.mj_step(model, data)
             w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
                 w[i + 1] = np.nan
                 break
-        if probe is not None and np.isfinite(w[M]).all():
-            force[M], point[M] = contact_now(mujoco, model, data, probe)
+        if np.isfinite(w[M]).all():
+            touching.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = CONTROL_STEPS * rollouts.substeps
         return Replay(
             plan=plan, twin=twin, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act, ctrl=ctrl,
-            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=force, contact_point=point,
-            substeps=substeps, warnings=warnings_of(mujoco, data), reached=ranges_reached(model, t, w, ctrl),
+            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=touching.force,
+            contact_point=touching.point, substeps=substeps, warnings=warnings_of(mujoco, data),
+            reached=ranges_reached(model, t, w, ctrl), touches=touching.touches(t),
         )  # fmt: skip
 
 

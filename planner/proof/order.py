@@ -20,7 +20,8 @@ from planner.plan import Plan
 from planner.problem import Problem
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, cost_scale
-from planner.replay import Replay, matching_model, may_touch
+from planner.replay import Replay, matching_model
+from planner.touches import may_touch
 from planner.twin import Twin
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}

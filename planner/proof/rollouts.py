@@ -23,7 +23,8 @@ from planner.errors import PlannerError
 from planner.gl import load_mujoco, load_rollout
 from planner.plan import Plan
 from planner.proof.perturbation import Draw, Nominal
-from planner.replay import MOST_STEPS, RUNAWAY, between_knots, matching_model, may_touch
+from planner.replay import MOST_STEPS, RUNAWAY, between_knots, matching_model
+from planner.touches import may_touch
 from planner.twin import Twin
 
 MODES = ("open-loop", "feedback")
