@@ -29,6 +29,7 @@ TOUCHES = 0.5  # N
 STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be on the belt
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start of a gait to its end
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
+PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
 ARRIVES = 5.0  # deg, RMS over the joints at the end from the normal gait: what counts for a perturbed step
 
 
@@ -142,7 +143,7 @@ def closing(step: Step) -> Periodic:
         [np.inf if name == "belt" else place if name in PELVIS[:3] else turn for name in names]
         for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
     ]
-    return Periodic(np.concatenate(sides))
+    return Periodic(np.concatenate(sides), passes=PASSES, settled=SETTLED)
 
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
