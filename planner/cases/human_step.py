@@ -46,7 +46,7 @@ MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
-TOLERANCE = {"swing": 1e-5, "cycle": 1e-4}
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4}
 """Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs."""
 
 
