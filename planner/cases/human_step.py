@@ -18,6 +18,7 @@ It finds what the paper found: the swinging hip is lifted, which clears the foot
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -147,7 +148,7 @@ def weight(walker: Walker) -> float:
 
 def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
     """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
-    carried = RigidBodyDynamics(step.walker.mechanism, step.dt, prescribed=PELVIS)
+    carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
     xs = np.empty((step.N + 1, carried.nx))
     xs[0] = step.states[0]
     for n in range(step.N):
@@ -166,6 +167,7 @@ def _stage(step: Step) -> Stage:
     def of_pelvis(*joints: str) -> tuple[tuple[int, str], ...]:
         return tuple((names.index(joint), joint.removeprefix("pelvis_")) for joint in joints)
 
+    axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
     unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
     moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
     return Stage(
@@ -185,7 +187,7 @@ def _stage(step: Step) -> Stage:
               for side in step.walker.legs),
             Panel("Pelvis", "m", states=of_pelvis(*PELVIS[:3])),
             Panel("Pelvis", "angle, rad", states=of_pelvis(*PELVIS[3:])),
-            Panel("Pelvis, driven", unit, controls=tuple(enumerate("xyz"))),
-            Panel("Pelvis, turned", moment, controls=tuple((3 + i, n) for i, n in enumerate(("tilt", "list", "rotation")))),
+            Panel("Pelvis, driven", unit, controls=axes[:3]),
+            Panel("Pelvis, turned", moment, controls=axes[3:]),
         ),
     )  # fmt: skip
