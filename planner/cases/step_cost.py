@@ -11,8 +11,8 @@ e are the distances of pelvis, joints and controls from the normal gait (control
 
 Without the last one the cheapest way to copy the angles of a gait is to carry the patient through the air.
 
-"study" are the numbers with which the case was first solved; the default asks for more clearance, which is what it is
-for, and its lengths go with the body.
+"study" are the numbers with which the case was first solved; the default wants more clearance and over the whole
+swing, which is what the training is for, and its lengths go with the body.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.step import Step
-from planner.cases.walker import SIDES
+from planner.cases.step import SWING, Step
 from planner.cost import SumCost, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.penalty_cost import PenaltyCost
@@ -88,13 +87,13 @@ class Wishes:
     reach_tolerance: float = 0.003
 
 
-_JOINTS = {name: np.radians(deg) for name, deg in
-           {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}.items()}  # fmt: skip
+_DEGREES = {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}
+_JOINTS = {name: float(np.radians(degrees)) for name, degrees in _DEGREES.items()}
 STUDY_SWING = Wishes(
     joints=_JOINTS,
     final_joints={name: np.radians(4.0 if name == "ankle" else 2.0) for name in _JOINTS},
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.2, final_turn_rate=1.0, final_joint_rate=0.5,
-    clear=(0.15, 0.10, 0.62, 1.0),
+    clear=(0.15, 0.10, *SWING),
 )  # fmt: skip
 STUDY_CYCLE = Wishes(
     joints=_JOINTS,
@@ -102,6 +101,8 @@ STUDY_CYCLE = Wishes(
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
     clear=(0.20, 0.15, 0.66, 0.95),
 )  # fmt: skip
+CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing:
+CLEAR = (0.20, 0.20, *SWING)
 STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
 
 
@@ -110,8 +111,9 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
         scale = step.walker.scale
-        lengths = ("place", "final_place", "shanks_apart", "feet_apart")
-        found = replace(found, clearance=0.03 * scale, **{name: scale * getattr(found, name) for name in lengths})
+        found = replace(found, clearance=CLEARANCE)
+        lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
+        found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
     if clearance is not None:
         found = replace(found, clearance=clearance)
     return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
@@ -223,7 +225,6 @@ def _apart(step: Step, wish: Wishes) -> list[Any]:
 
 
 def _segments(side: str) -> tuple[Segment, Segment]:
-    assert side in SIDES
     return (
         Segment(Point(f"{side}_knee_centre"), Point(f"{side}_ankle_centre")),
         Segment(Point(f"{side}_heel_point"), Point(f"{side}_toe_point")),

@@ -1,7 +1,7 @@
 """What a step came to, in a clinician's terms, and what a proof of it is held to.
 
-tracking    the joints of the legs, RMS over all of them and the whole replay, against the plan
-goal        least clearance of a swinging foot, in the plan and in MuJoCo; that a gait ends as it began
+Step 3 asks how far MuJoCo's legs are from the plan's, RMS over all joints and the whole replay; step 4 whether the
+swinging foot is clear of the belt, in the plan and in MuJoCo, and whether a gait ends as it began.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
         rms={name: float(np.degrees(np.sqrt(np.mean(away[:, i] ** 2)))) for name, i in joints.items()},
         clearance={side: clearance(step, q, side) for side in sides},
         hip_lift={side: float(lifts[side][_swing(step, side)].max(initial=-np.inf)) for side in sides},
-        in_stance={side: float(np.mean(upward[side][standing[side]] > TOUCHES)) for side in sides if standing[side].any()},
-        in_swing={side: float(np.mean(upward[side][swinging[side]] > TOUCHES)) for side in sides if swinging[side].any()},
-        stance_force={side: float(np.mean(upward[side][standing[side]])) for side in sides if standing[side].any()},
+        in_stance={side: _mean(upward[side][standing[side]] > TOUCHES) for side in sides},
+        in_swing={side: _mean(upward[side][swinging[side]] > TOUCHES) for side in sides},
+        stance_force={side: _mean(upward[side][standing[side]]) for side in sides},
         largest_force=float(max(force.max() for force in upward.values())),
         straightest_knee=float(np.degrees(max(knees))),
         pelvis=np.stack([pelvis.min(axis=0), pelvis.max(axis=0)], axis=1),
@@ -152,7 +152,7 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
     for who, xs in (("planned", run.plan.xs), ("replayed", run.xs[:: run.substeps])):
         found = measures(step, xs)
         least = min(found.clearance.values())
-        note = f"how far the lowest heel or toe of a swing is under {1e3 * CLEAR:g} mm; {who}, it is at {1e3 * least:.1f} mm"
+        note = f"of heel and toe under {1e3 * CLEAR:g} mm in the middle of a swing; the least is {1e3 * least:.1f} mm"
         figures += [
             Figure(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
             Figure(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip over normal gait"),
@@ -187,6 +187,10 @@ def arrives(step: Step, ends: np.ndarray) -> np.ndarray:
     joints = [m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG]
     away = np.degrees(ends[:, joints] - step.states[-1, joints])
     return np.sqrt(np.mean(away**2, axis=1)) < ARRIVES
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.mean(values)) if values.size else 0.0
 
 
 def _mean_rms(found: Measures) -> float:
