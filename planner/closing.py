@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import choice, count
+from planner.arguments import choice, count, number
 from planner.errors import PlannerError
 from planner.space import StateSpace
 
@@ -23,6 +23,7 @@ class Periodic:
             back, like the travel of a belt. A number holds for all.
         step: How solve_periodic changes the start: "newton" or "follow".
         passes: Most solves of solve_periodic.
+        settled: Part of the cost: what changed it by less in a pass "newton" has done with, and only closes the gap.
 
     Raises:
         PlannerError: Negative, not numbers, or nothing that must come back.
@@ -31,6 +32,7 @@ class Periodic:
     tolerance: np.ndarray
     step: str = "newton"
     passes: int = 8
+    settled: float = 1e-3
 
     def __post_init__(self) -> None:
         try:
@@ -44,6 +46,7 @@ class Periodic:
             )
         choice("step", self.step, STEPS)
         count("passes", self.passes)
+        number("settled", self.settled, least=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 
@@ -79,10 +82,10 @@ class Periodic:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
-        return {"tolerance": tolerance, "step": self.step, "passes": self.passes}
+        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "settled": self.settled}
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
         """What to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
-        return cls(tolerance, table["step"], table["passes"])
+        return cls(**{**table, "tolerance": tolerance})

@@ -1,4 +1,4 @@
-"""The ends of a periodic motion: how a solved motion answers to its start and to the goal at its end, and both changed.
+"""The ends of a periodic motion: how a solved motion answers to its start and its end's goal, and better ones.
 
 The motion of least cost that comes back, minimize L(x, U) subject to x(N) = x(0) over x(0) and U, has
 
@@ -12,19 +12,16 @@ tells how they answer, with the closed loop's Phi_n = product of A + B K from n 
     d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
     d costate(0) = P(0) dx0 - Phi' W dr
 
-Newton's method with the Hessian of Gauss and Newton. In x0 and y = x0 - r this is the saddle point of
-V(x0, x0 - y) - 1/2 |y|^2_W, least in x0 and greatest in y, so mu W on both diagonals makes a step as short as one
-likes:
-
-    (V_xx + mu W) dx0 + V_xy dy = -(costate(0) - nu),      -V_yx dx0 + (W G W + mu W) dy = W (x(N) - x(0)).
-
-What need not come back keeps its start and its goal.
+So the LQ problem's periodic motions are those of (Phi - I) dx0 + G W dr = x(0) - x(N), and L on them is a convex
+quadratic in (dx0, dr). A step is the least one that closes the gap, which is well conditioned and small, and beside
+it, in the null space, Newton's for L, damped by mu until what it promises is kept: that is the part that may be large,
+since a motion of a cycle cares little about some of its start. What need not come back keeps its start and its goal.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,8 +41,10 @@ PARAMETER = "ends"
 
 
 TRUST = 0.3
-"""Of J: as far may the cost of a step's controls be from the LQ problem's, for the step to be taken."""
+"""Of L: as far may the cost of a step's controls be from the LQ problem's, for the step to be taken."""
 _DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # relative to the final weight
+_PARTS = (0.5, 0.25, 0.125, 0.0625)  # of the gap to close, where closing all of it is too much
+_SINGULAR = 1e-10
 
 
 class Ends(NamedTuple):
@@ -53,6 +52,14 @@ class Ends(NamedTuple):
 
     start: np.ndarray
     goal: np.ndarray
+
+
+class Step(NamedTuple):
+    """Changes (ndx,) of start and goal, and the decrease of L that they promise beside what closing the gap costs."""
+
+    dx: np.ndarray
+    dr: np.ndarray
+    decrease: float
 
 
 class Response(NamedTuple):
@@ -84,32 +91,32 @@ class Response(NamedTuple):
     K: np.ndarray
     F: np.ndarray
 
-    @property
-    def scale(self) -> np.ndarray:
-        """(m,) the root of the final weight of what must come back: with it both equations are in roots of J's unit."""
-        return np.sqrt(np.diag(self.W)[self.closes])
+    def step(self, mu: float, part: float = 1.0) -> Step:
+        """The step damped by mu, which closes a part of the gap."""
+        c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
+        scale = np.sqrt(np.diag(self.W)[c])  # makes lengths of steps roots of J's unit
+        both = np.r_[c, len(I) + c]
+        shrink = np.tile(1.0 / scale, 2)
+        closing = (scale[:, None] * np.hstack([self.Phi - I, self.G @ self.W])[np.ix_(c, both)]) * shrink
+        H, g = self._running()
+        H, g = np.outer(shrink, shrink) * H[np.ix_(both, both)], shrink * g[both]
+        U, s, Vt = np.linalg.svd(closing)
+        if s[-1] < _SINGULAR * s[0]:
+            raise PlannerError("no change of start and goal closes the gap, expected what must come back to be driven.")
+        least = -Vt[:m].T @ ((U.T @ (part * scale * self.gap[c])) / s)
+        Z = Vt[m:].T
+        pull, along = Z.T @ (g + H @ least), Z.T @ H @ Z
+        w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
+        change = np.zeros(2 * len(I))
+        change[both] = shrink * (least + Z @ w)
+        return Step(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
 
-    @property
-    def left(self) -> np.ndarray:
-        """(2m,) costate(0) - nu and x(N) - x(0), scaled."""
-        costs = (self.costate - self.nu)[self.closes] / self.scale
-        return np.concatenate([costs, self.gap[self.closes] * self.scale])
-
-    def step(self, mu: float) -> tuple[np.ndarray, np.ndarray]:
-        """Changes (ndx,) of start and goal that leave nothing, were the problem quadratic, damped by mu."""
-        W, WPhi, WGW = self.W, self.W @ self.Phi, self.W @ self.G @ self.W
-        V_xr = W - WPhi.T - WGW
-        scaled = np.outer(1.0 / self.scale, 1.0 / self.scale)
-        V_xx, V_xy, D = (
-            scaled * block[np.ix_(self.closes, self.closes)] for block in (self.P - WPhi + V_xr, -V_xr, WGW)
-        )
-        m = len(self.closes)
-        saddle = np.block([[V_xx, V_xy], [-V_xy.T, D]]) + mu * np.eye(2 * m)
-        right = self.left * np.repeat([-1.0, 1.0], m)
-        dx, dy = (np.linalg.lstsq(saddle, right, rcond=1e-14)[0]).reshape(2, m) / self.scale
-        changes = np.zeros((2, len(W)))
-        changes[:, self.closes] = dx, dx - dy
-        return changes[0], changes[1]
+    def _running(self) -> tuple[np.ndarray, np.ndarray]:
+        """Hessian and gradient by (dx0, dr) of the LQ problem's J without what draws its end to the goal."""
+        WPhi, W = self.W @ self.Phi, self.W
+        to_goal = np.hstack([self.Phi, self.G @ W - np.eye(len(W))])  # x(N) - r
+        H = np.block([[self.P, -WPhi.T], [-WPhi, W - W @ self.G @ W]]) - to_goal.T @ W @ to_goal
+        return H, np.concatenate([self.costate, -self.nu]) - to_goal.T @ self.nu
 
     def promised(self, dx: np.ndarray, dr: np.ndarray) -> float:
         """J of the LQ problem at changed ends."""
@@ -151,7 +158,7 @@ def with_ends(problem: Problem, ends: Ends, us: np.ndarray) -> Problem:
     """
     old = plain(problem)
     table = old.parameters | {PARAMETER: [end.tolist() for end in ends]}
-    if old.case in cases.CASES and PARAMETER in old.parameters and same_numbers(old, _case(old, old.parameters)):
+    if old.case in cases.CASES and PARAMETER in old.parameters and _is_built(old):
         new = replace(_case(old, table), limits=old.limits, us=us)
     else:
         cost = tracking(old)
@@ -162,7 +169,13 @@ def with_ends(problem: Problem, ends: Ends, us: np.ndarray) -> Problem:
     return new if problem.objective is None else with_objective(new, problem.objective.weights)
 
 
-def _case(problem: Problem, parameters: dict) -> Problem:
+def _is_built(problem: Problem) -> bool:
+    """Whether a problem is what its case makes of its parameters."""
+    made = _case(problem, problem.parameters)
+    return made.periodic is not None and same_numbers(problem, made)
+
+
+def _case(problem: Problem, parameters: dict[str, Any]) -> Problem:
     assert problem.case is not None  # with_ends has looked
     return cases.build(problem.case, **parameters)
 
@@ -207,20 +220,34 @@ def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> 
     return np.where(held[:, None, :], 0.0, B)
 
 
-def newton(found: Response) -> Problem | None:
+def moved(found: Response, close: bool = False) -> Problem | None:
     """The problem with ends nearer to a periodic motion of least cost, and the motion there as its first guess.
 
-    As little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells. None where
-    it is not for any step worth the name.
+    The step is as little damped as the LQ problem is to be trusted: what its controls cost in the problem itself tells.
+    None where it is not for any step worth the name.
+
+    Args:
+        found: Where it is now.
+        close: Only to close the gap, not to lower the cost.
     """
     plan = found.plan
     problem, _ = periodic_problem(plan)
     space, ends = space_of(problem.dynamics), ends_of(problem)
-    for mu in _DAMPINGS:
-        dx, dr = found.step(mu)
-        moved = Ends(space.integrate(ends.start, dx), space.integrate(ends.goal, dr))
-        new = with_ends(problem, moved, plan.us)
-        cost, us = roll_out(new, plan.us + found.F @ dr, found.K, plan.xs)
-        if abs(cost - found.promised(dx, dr)) <= TRUST * plan.cost:
+    for mu, part in (
+        *((mu, 1.0) for mu in (_DAMPINGS[-1:] if close else _DAMPINGS)),
+        *((_DAMPINGS[-1], part) for part in _PARTS),
+    ):
+        step = found.step(mu, part)
+        there = Ends(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
+        new = with_ends(problem, there, plan.us)
+        cost, us = roll_out(new, plan.us + found.F @ step.dr, found.K, plan.xs)
+        if abs(cost - found.promised(step.dx, step.dr)) <= TRUST * (plan.cost - drawn(plan)):
             return replace(new, us=us)
     return None
+
+
+def drawn(plan: Plan) -> float:
+    """What draws the end of a plan to its goal, of its cost."""
+    cost = tracking(periodic_problem(plan)[0])
+    away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
+    return float(0.5 * away @ cost.Q[-1] @ away)

@@ -1,7 +1,8 @@
 """Periodic motions by passes: a gait, a swing that goes on. The start is an unknown, and the end must meet it.
 
     repeat   solve from the start x0 with the final cost drawn to the goal r                          planner.slq
-             "newton": change x0 and r by what the LQ problem says is left of x(N) = x(0)             planner.ends
+             "newton": change x0 and r so that the gap closes and, where the gap leaves
+                       freedom, the cost falls, as the LQ problem tells                               planner.ends
              "follow": start from where the motion arrived, and have it arrive there again
     until    the end is within the tolerance of the start (and, for "newton", little is left to gain).
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from planner.arguments import choice, count, shown
 from planner.closing import STEPS
-from planner.ends import Ends, ends_of, newton, periodic_problem, response, tracking, with_ends
+from planner.ends import Ends, drawn, ends_of, moved, periodic_problem, response, tracking, with_ends
 from planner.errors import PlannerError
 from planner.jsonable import finite
 from planner.plan import Plan, Status
@@ -31,9 +32,8 @@ from planner.slq import solve
 from planner.warm_start import warm_start
 
 LEFT = 1e-4
-"""Newton passes go on until what is left of their equations, squared and halved, is below this of the cost."""
-SETTLED = 5e-3
-"""Or until the motion comes back and its cost has changed by less than this part of it since the pass before."""
+"""Newton passes go on until the decrease that they promise is below this part of the cost, or the cost has settled."""
+_TO_CLOSE = 2  # passes that only close the gap, kept for the end when no motion came back yet
 _SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
 
@@ -44,7 +44,7 @@ class Pass(NamedTuple):
         number: Counted from 0.
         cost: J of the pass without what draws the end to its goal.
         miss: The largest gap between end and start, as a multiple of its tolerance.
-        left: Norm of what is left of the Newton equations, root of J's unit; nan where none were made.
+        left: Decrease of the cost that the next Newton step promises, undamped; nan where there is none.
         iterations: The solve took.
         status: How it ended.
     """
@@ -98,9 +98,9 @@ def solve_periodic(
     if by_newton and problem.ranges is not None:
         raise PlannerError('ranges of states are no part of the step "newton", expected step="follow" with them.')
     tracking(problem)
-    search = _Search(problem, by_newton, callback, options)
+    search = _Search(problem, by_newton, passes, callback, options)
     try:
-        while search.next is not None and len(search.lines) < passes:
+        while search.next is not None and len(search.lines) < search.passes:
             search.go(search.next)
     except (KeyboardInterrupt, StopIteration):
         search.interrupted = True
@@ -113,15 +113,17 @@ class _Search:
     Args:
         problem: With `periodic`.
         by_newton: Which step.
+        passes: Most.
         callback: Of each Pass.
         options: Of solve().
     """
 
     def __init__(
-        self, problem: Problem, by_newton: bool, callback: Callable[[Pass], object] | None, options: dict[str, Any]
-    ) -> None:
+        self, problem: Problem, by_newton: bool, passes: int, callback: Callable[[Pass], object] | None,
+        options: dict[str, Any],
+    ) -> None:  # fmt: skip
         self.next: Problem | None = problem
-        self.by_newton, self.callback, self.options = by_newton, callback, options
+        self.by_newton, self.passes, self.callback, self.options = by_newton, passes, callback, options
         self.lines: list[Pass] = []
         self.interrupted = False
         self.best: tuple[tuple[bool, float], Plan] | None = None  # how far it is from the wanted, and the plan
@@ -134,7 +136,7 @@ class _Search:
         ran = bool(np.isfinite(plan.xs).all())
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf
         answer = response(plan) if self.by_newton and ran else None
-        left = math.nan if answer is None else float(np.linalg.norm(answer.left))
+        left = math.nan if answer is None else answer.step(0.0).decrease
         cost = plan.cost - drawn(plan)
         line = Pass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
@@ -146,12 +148,18 @@ class _Search:
             raise KeyboardInterrupt
         if self.callback is not None:
             self.callback(line)
-        settled = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= SETTLED * abs(cost)
-        little = answer is None or settled or 0.5 * left**2 <= LEFT * abs(cost)
+        settled = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.settled * abs(cost)
+        little = answer is None or settled or left <= LEFT * abs(cost)
         if not ran or (little and not open_):
             self.next = None
         else:
-            self.next = _followed(plan) if answer is None else newton(answer)
+            self.next = _followed(plan) if answer is None else moved(answer, close=settled or self._is_late)
+
+    @property
+    def _is_late(self) -> bool:
+        """Whether the passes that are left are to bring one motion back at least."""
+        assert self.best is not None  # there was a pass
+        return self.best[0][0] and self.passes - len(self.lines) <= _TO_CLOSE
 
     def found(self, options: dict[str, Any]) -> Plan:
         """The best plan, with how the passes went."""
@@ -173,11 +181,3 @@ def _followed(plan: Plan) -> Problem:
     ends = Ends(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
     changed = with_ends(problem, ends, plan.us)
     return replace(changed, us=warm_start(plan, changed))
-
-
-def drawn(plan: Plan) -> float:
-    """What draws the end of a plan to its goal, of its cost."""
-    assert plan.problem is not None
-    cost = tracking(plan.problem)
-    away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
-    return float(0.5 * away @ cost.Q[-1] @ away)

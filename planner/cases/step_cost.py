@@ -11,8 +11,8 @@ e are the distances of pelvis, joints and controls from the normal gait (control
 
 Without the last one the cheapest way to copy the angles of a gait is to carry the patient through the air.
 
-"study" are the numbers with which the case was first solved; the default asks for more clearance, which is what it is
-for, and its lengths go with the body.
+"study" are the numbers with which the case was first solved; the default wants more clearance and over the whole
+swing, which is what the training is for, and its lengths go with the body.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.step import Step
-from planner.cases.walker import SIDES
+from planner.cases.step import SWING, Step
 from planner.cost import SumCost, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.penalty_cost import PenaltyCost
@@ -88,13 +87,13 @@ class Wishes:
     reach_tolerance: float = 0.003
 
 
-_JOINTS = {name: np.radians(deg) for name, deg in
-           {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}.items()}  # fmt: skip
+_DEGREES = {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}
+_JOINTS = {name: float(np.radians(degrees)) for name, degrees in _DEGREES.items()}
 STUDY_SWING = Wishes(
     joints=_JOINTS,
     final_joints={name: np.radians(4.0 if name == "ankle" else 2.0) for name in _JOINTS},
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.2, final_turn_rate=1.0, final_joint_rate=0.5,
-    clear=(0.15, 0.10, 0.62, 1.0),
+    clear=(0.15, 0.10, *SWING),
 )  # fmt: skip
 STUDY_CYCLE = Wishes(
     joints=_JOINTS,
@@ -102,6 +101,8 @@ STUDY_CYCLE = Wishes(
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
     clear=(0.20, 0.15, 0.66, 0.95),
 )  # fmt: skip
+CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing:
+CLEAR = (0.20, 0.20, *SWING)
 STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
 
 
@@ -110,14 +111,18 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
         scale = step.walker.scale
-        lengths = ("place", "final_place", "shanks_apart", "feet_apart")
-        found = replace(found, clearance=0.03 * scale, **{name: scale * getattr(found, name) for name in lengths})
+        found = replace(found, clearance=CLEARANCE)
+        lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
+        found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
     if clearance is not None:
         found = replace(found, clearance=clearance)
     return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
 
 
-def step_cost(dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0) -> SumCost:
+def step_cost(
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0,
+    goal: np.ndarray | None = None,
+) -> SumCost:  # fmt: skip
     """The cost of a plan of a step.
 
     Args:
@@ -126,21 +131,23 @@ def step_cost(dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any
         wish: Its tolerances.
         effort: (6,) tolerances of the controls.
         control: (6,) or (N, 6) what they are tolerances from.
+        goal: (nx,) what the end is drawn to; the normal gait's by default.
     """
     terms = _clearance(step, wish) + (_standing(step, wish) if step.walker.belt else _reach(step, wish))
-    return _tracking(dynamics, step, wish, effort, control) + PenaltyCost(
+    return _tracking(dynamics, step, wish, effort, control, goal) + PenaltyCost(
         dynamics, step.N, terms + _apart(step, wish)
     )  # fmt: skip
 
 
 def _tracking(
-    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any, goal: np.ndarray | None
 ) -> TrackingCost:  # fmt: skip
+    states = step.states if goal is None else np.vstack([step.states[:-1], goal])
     on_the_way = _by_joint(step, wish.place, wish.turn, wish.joints)
     final = _by_joint(step, wish.final_place, wish.final_turn, wish.final_joints)
     rates = _by_joint(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
     return TrackingCost.joints(
-        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=step.states,
+        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=states,
         position={joint: 1.0 / (PERIOD * tolerance**2) for joint, tolerance in on_the_way.items()},
         final_position={joint: 1.0 / tolerance**2 for joint, tolerance in final.items()},
         final_velocity={joint: 1.0 / tolerance**2 for joint, tolerance in rates.items()},
@@ -218,7 +225,6 @@ def _apart(step: Step, wish: Wishes) -> list[Any]:
 
 
 def _segments(side: str) -> tuple[Segment, Segment]:
-    assert side in SIDES
     return (
         Segment(Point(f"{side}_knee_centre"), Point(f"{side}_ankle_centre")),
         Segment(Point(f"{side}_heel_point"), Point(f"{side}_toe_point")),
