@@ -30,6 +30,8 @@ from planner.mechanism_contacts import contact_attributes, stop_attributes
 from planner.momentum import angular_momentum, center_of_mass
 from planner.objective import Objective, with_objective
 from planner.payload import largest_payload, static_limit
+from planner.penalty_cost import PenaltyCost
+from planner.penalty_terms import Distance, Gap, Height, Point, Segment
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -85,6 +87,7 @@ __all__ = [
     "ContactForces",
     "Cost",
     "Descended",
+    "Distance",
     "DrivenMotion",
     "Dynamics",
     "EnergyCost",
@@ -92,6 +95,8 @@ __all__ = [
     "FileError",
     "FrameCost",
     "FunctionDynamics",
+    "Gap",
+    "Height",
     "HopperDynamics",
     "Iteration",
     "JerkCost",
@@ -100,10 +105,12 @@ __all__ = [
     "Mechanism",
     "ModelError",
     "Objective",
+    "PenaltyCost",
     "Perturbation",
     "Plan",
     "Plane",
     "PlannerError",
+    "Point",
     "Problem",
     "Proof",
     "Quadratic",
@@ -112,6 +119,7 @@ __all__ = [
     "RenderingUnavailable",
     "Replay",
     "RigidBodyDynamics",
+    "Segment",
     "SplineControls",
     "SplineMotion",
     "Start",

@@ -120,8 +120,10 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
     if meta["mjcf"] is not None:
+        texts = [meta["mjcf"], (meta["twin"] or {}).get("source", "")]
         try:
-            check_stored(meta["mjcf"], {name.removeprefix(ASSET): arrays[name].tobytes() for name in assets})
+            for text in filter(None, map(str, texts)):
+                check_stored(text, {name.removeprefix(ASSET): arrays[name].tobytes() for name in assets})
         except ModelError as error:
             raise FileError(f"{named} is damaged: {error}") from None
     return arrays, meta

@@ -2,6 +2,9 @@
 
 Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
 that are not modelled (two bodies that both move, meshes) are excluded and said to be.
+
+Those numbers are relative to MuJoCo's body_invweight0, so a model whose inertias are changed needs others for the same
+law: `keep_law` writes them.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from planner.contact import Touch
 from planner.errors import ModelError
 from planner.mechanism_contacts import CONTACT_RAMP, Pair, at_home, contact_attributes, matched, pairs
 from planner.mechanism_refusals import named
+from planner.mjcf import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
@@ -57,6 +61,40 @@ def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
     return [_phrase(model, left_out)] if left_out else []
 
 
+def keep_law(root: ElementTree.Element, model: Any, weights: np.ndarray, still: np.ndarray) -> None:
+    """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
+
+    Args:
+        root: Of the file, includes resolved; changed.
+        model: What the root compiles to, with the law in it.
+        weights: (nbody,) body_invweight0[:, 0] of the model with the other inertias, 1/kg.
+        still: (nbody,) bodies that no force moves: what touches between two of them is excluded.
+
+    Raises:
+        ModelError: Geoms that are not elements of the file itself.
+    """
+    body_names, geom_names = _names(root, model)
+    all_of_them = pairs(model)
+    for section in root.findall("contact"):
+        for element in section.findall("pair"):
+            section.remove(element)
+    section = ElementTree.SubElement(root, "contact")
+    for pair in all_of_them:
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+        if np.all(still[bodies]):
+            _exclude(root, section, *(body_names[body] for body in bodies))
+            continue
+        ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
+        numbers = {
+            "friction": pair.friction, "solref": ratio * pair.solref, "solreffriction": ratio * pair.solreffriction,
+            "solimp": pair.solimp,
+        }  # fmt: skip
+        law = {name: " ".join(map(written, values)) for name, values in numbers.items()}
+        geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
+        extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
+        ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
+
+
 def _phrase(model: Any, left_out: list[Pair]) -> str:
     first = " and ".join(named(model, "geom", i) for i in left_out[0].geoms)
     more = "" if len(left_out) == 1 else f" and {len(left_out) - 1} more pairs"
@@ -83,11 +121,24 @@ def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[str]]
     """Names of all bodies and geoms, given to those that have none."""
     worlds = root.findall("worldbody")
     bodies = [body for world in worlds for body in _bodies(world)]
-    geoms = [geom for parent in (*worlds, *bodies) for geom in _geoms(parent)]
+    geoms = [geom for parent in (*worlds, *bodies) for geom in _own(parent, "geom")]
     return (
         ["world", *_named("body", bodies, [model.body(i).name for i in range(1, model.nbody)])],
         _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)]),
     )
+
+
+def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
+    """The elements of all joints, in MuJoCo's order.
+
+    Raises:
+        ModelError: Joints that are not elements of the file itself.
+    """
+    bodies = [body for world in root.findall("worldbody") for body in _bodies(world)]
+    joints = [joint for body in bodies for joint in _own(body, "joint", "freejoint")]
+    if [joint.get("name", "") for joint in joints] != [model.joint(j).name for j in range(model.njnt)]:
+        raise ModelError("the file has not all joints of the model (<attach>, <replicate>), so none is driven.")
+    return joints
 
 
 def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
@@ -110,9 +161,10 @@ def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
             yield from _bodies(child)
 
 
-def _geoms(body: ElementTree.Element) -> Iterator[ElementTree.Element]:
+def _own(body: ElementTree.Element, *tags: str) -> Iterator[ElementTree.Element]:
+    """A body's elements of some kinds, but for those of the bodies that hang on it."""
     for child in body:
-        if child.tag == "geom":
+        if child.tag in tags:
             yield child
         elif child.tag == "frame":
-            yield from _geoms(child)
+            yield from _own(child, *tags)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import Any
 from xml.etree import ElementTree
 
@@ -22,15 +23,25 @@ def stage_of(problem: Any) -> Stage | None:
     """The stage of a problem: its own, or what its mechanism says; None without either."""
     stage = getattr(problem, "stage", None)
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    return default_stage(mechanism) if stage is None and isinstance(mechanism, Mechanism) else stage
+    if stage is not None or not isinstance(mechanism, Mechanism):
+        return stage
+    return default_stage(mechanism, getattr(problem.dynamics, "prescribed", ()))
 
 
-def default_stage(mechanism: Mechanism) -> Stage:
-    """A camera across the plane of motion, the first joints as numbers, and plots of states and controls."""
+def default_stage(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Stage:
+    """A camera across the plane of motion, the first joints as numbers, and plots of states and controls.
+
+    Args:
+        mechanism: The machine.
+        prescribed: Names of joints whose accelerations are controls too.
+    """
     azimuth, elevation = _view(mechanism)
     name = re.search(r"<mujoco[^>]*\bmodel=[\"']([^\"']+)[\"']", mechanism.mjcf)
     angles, lengths, turning, moving = _curves(mechanism)
     controls = [(i, name or f"control {i}") for i, name in enumerate(mechanism.actuators.names)]
+    for joint, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
+        if joint in prescribed:
+            controls += [(len(controls) + k, f"acceleration of {joint}") for k in range(links.stop - links.start)]
     panels = (
         ("Joint angles", "angle, rad", angles),
         ("Positions", "position, m", lengths),

@@ -72,7 +72,12 @@ def is_its_case(problem: Problem) -> bool:
         stored = _case(problem, 1, problem.parameters["integrator"])
     except PlannerError:
         return False
-    if stored.parameters != problem.parameters:
+    return stored.parameters == problem.parameters and same_numbers(problem, stored)
+
+
+def same_numbers(problem: Problem, stored: Problem) -> bool:
+    """Whether two problems have the same start, dynamics and cost, as far as random motions tell."""
+    if (problem.N, problem.dynamics.nx, problem.dynamics.nu) != (stored.N, stored.dynamics.nx, stored.dynamics.nu):
         return False
     rng, space = np.random.default_rng(0), space_of(problem.dynamics)
     xs = space.integrate(np.tile(problem.x0, (problem.N + 1, 1)), rng.normal(size=(problem.N + 1, space.ndx)))

@@ -56,16 +56,16 @@ def read(
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
     root, files = model_tree(model, assets)
-    compiled = _compiled(root, files, name)
+    compiled = compile_tree(root, files, name)
     left_out: list[str] = []
     if isinstance(contacts, Touch):
         left_out = give_law(root, compiled, contacts)
-        compiled = _compiled(root, files, name)
+        compiled = compile_tree(root, files, name)
     found = _found(compiled, off)
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
         take_out(root, {refusal.kind for refusal in found}, compiled)
-        compiled = _compiled(root, files, name)
+        compiled = compile_tree(root, files, name)
         _refuse(_found(compiled, False), name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
@@ -80,7 +80,12 @@ def _found(compiled: Any, all_contacts: bool) -> list[refusals.Refusal]:
     return [one for one in found if one.kind != "contacts"] + list(contact_refusals(compiled))
 
 
-def _compiled(root: ElementTree.Element, files: dict[str, bytes], name: str) -> Any:
+def compile_tree(root: ElementTree.Element, files: dict[str, bytes], name: str) -> Any:
+    """MuJoCo's model of an XML tree and the files that it names.
+
+    Raises:
+        ModelError: MuJoCo cannot load it; the message calls it by `name`.
+    """
     mujoco = load_mujoco()
     try:
         return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"), files)

@@ -56,6 +56,10 @@ class Status(StrEnum):
         "The limits were not met to their tolerance within the rounds of the augmented Lagrangian; give the motion "
         "more time or wider limits, or start from a guess that meets them."
     )
+    NOT_PERIODIC = (
+        "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
+        "give what must come back a larger final weight."
+    )
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.arguments import LONGEST_HORIZON, array, count, shown
+from planner.arguments import LONGEST_HORIZON, array, count, number, shown
+from planner.closing import Periodic
 from planner.cost import Cost, check_cost, states, tracking_of
+from planner.driven_twin import twin_of
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.figures import Section
@@ -59,11 +61,14 @@ class Problem:
         us: (N, nu) first guess of the controls; zero by default.
         horizon: N; needed only when neither us nor the cost tells it.
         twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
-            from, None when there is none.
+            from, its prescribed joints driven (planner.driven_twin); None when there is none.
         stage: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
+        decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
+            digits of it are worth no iterations; None for solve's own.
+        periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
@@ -85,6 +90,8 @@ class Problem:
     parameters: dict[str, Any] = field(default_factory=dict)
     limits: Limits | None = None
     objective: Objective | None = None
+    periodic: Periodic | None = None
+    decrease_tolerance: float | None = None
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
@@ -115,12 +122,16 @@ class Problem:
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.decrease_tolerance is not None:
+            number("decrease_tolerance", self.decrease_tolerance, least=0.0)
+        if self.periodic is not None:
+            object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
         if self.limits is not None:
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
             object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
-        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and not self.dynamics.prescribed:
-            object.__setattr__(self, "twin", Twin.of(self.dynamics.mechanism))
+        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and self.dynamics.mechanism.mjcf:
+            object.__setattr__(self, "twin", twin_of(self.dynamics.mechanism, self.dynamics.prescribed))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
 
@@ -131,7 +142,10 @@ class Problem:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
             raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
-        for name, kind in (("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits)):
+        parts = (
+            ("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits), ("periodic", Periodic)
+        )  # fmt: skip
+        for name, kind in parts:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")

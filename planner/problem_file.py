@@ -32,6 +32,7 @@ import numpy as np
 from planner.arguments import array, choice, count, number, shown
 from planner.cost import TrackingCost, states
 from planner.default_stage import default_stage
+from planner.driven_twin import driven_dofs
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import FileError, ModelError, PlannerError
 from planner.figures import Figure, Section
@@ -60,6 +61,7 @@ KEYS = {
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
     "contacts": "on, or off to take them out of a model whose shapes may collide",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
+    "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
     "seed": "of the first guesses after the first",
     "tolerance": "how far from the goal passes: rad, m, rad/s, m/s, where final weights are above 0",
@@ -149,7 +151,7 @@ def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
     if twin is None:
         raise PlannerError("its model is missing.")
     table = _checked(table, "the plan")
-    return _problem(table, _mechanism(twin.mjcf, table, twin.assets), "the plan")
+    return _problem(table, _mechanism(twin.planned, table, twin.assets), "the plan")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -198,9 +200,9 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     choice("contacts", table["contacts"], ("on", "off"))
     mechanism = read(model, ignore=tuple(ignore), contacts=table["contacts"], assets=assets)
-    if mechanism.nu == 0:
+    if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
-        raise ModelError(f"{name} has no actuators, expected at least one: nothing else is planned.")
+        raise ModelError(f"{name} has no actuators, expected at least one, or prescribed joints: nothing is planned.")
     return mechanism
 
 
@@ -229,18 +231,36 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         table["objective"] = weights_of(table["objective"])
     if "durations" in table:
         table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
-    dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"])
+    prescribed = _prescribed(table, mechanism)
+    dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"], prescribed)
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
     _check_departure(x0, cost, table["tolerance"])
-    stage = default_stage(mechanism)
+    stage = default_stage(mechanism, prescribed)
     problem = Problem(
-        dynamics, cost, x0, twin=Twin.of(mechanism), case=CASE, parameters=table,
-        us=np.tile(hold(mechanism, x0), (N, 1)) if table["guess"] == "hold" else None,
+        dynamics, cost, x0, case=CASE, parameters=table,
+        us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
         stage=replace(stage, title=table["title"] or stage.title),
         limits=limits,
         requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
     )  # fmt: skip
     return with_objective(problem, table["objective"]) if "objective" in table else problem
+
+
+def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
+    names = table.get("prescribed", [])
+    known = [name for name in mechanism.joint_names if name]
+    if not isinstance(names, list):
+        raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
+    return tuple(choice("a joint in prescribed", name, known) for name in names)
+
+
+def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
+    """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
+    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    moment = mechanism.actuators.moment.copy()
+    moment[:, driven] = 0.0  # actuators do nothing there
+    free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
+    return np.concatenate([hold(free, x0), np.zeros(len(driven))])
 
 
 def _stages(duration: Any, dt: Any) -> tuple[float, int]:

@@ -307,6 +307,33 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     return b.out(J)
 
 
+def points_of(
+    mechanism: Mechanism, q: Any, links: np.ndarray, offsets: np.ndarray, *, moving: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (..., P, 3) of points of links in the world and, where asked, their Jacobians (..., P, 3, nv).
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq).
+        links: (P,) which carry the points; -1 for the world.
+        offsets: (P, 3) m, in the links' frames.
+        moving: Whether Jacobians are wanted; else they are empty.
+    """
+    b = _Batch(mechanism, q=q)
+    T, screws, origin = _places(b)
+    T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
+    T = T[:, links]
+    places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]
+    if not moving:
+        return b.out(places), np.empty(0)
+    J = np.zeros((b.K, len(links), mechanism.nv, 3))
+    for p, link in enumerate(links):
+        chain = _moving(mechanism, int(link))
+        arm = places[:, p] - origin[:, link]
+        J[:, p, chain] = screws[:, chain, 3:] + np.cross(screws[:, chain, :3], arm[:, None])
+    return b.out(places), b.out(np.swapaxes(J, 2, 3))
+
+
 def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     """Derivative of the bodies' poses by q as twists (..., nbody, 6, nv): linear and angular rows, as jacobian()."""
     b = _Batch(mechanism, q=q)

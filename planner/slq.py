@@ -42,6 +42,8 @@ UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
 
+DECREASE = 1e-10  # of solve, where neither it nor the problem has a decrease_tolerance
+
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
 # fails, lowered tenfold after a full step, zero below its least value.
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
@@ -57,7 +59,7 @@ def solve(
     hessian: str = "gauss-newton",
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
-    decrease_tolerance: float = 1e-10,
+    decrease_tolerance: float | None = None,
     callback: Callable[[Any], object] | None = None,
     starts: int = 1,
     seed: int = 0,
@@ -75,7 +77,8 @@ def solve(
             cost is small against the curvature; each takes longer, and many sweeps of it are indefinite.
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
-        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J).
+        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
+            own, where it has none 1e-10.
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
@@ -100,6 +103,8 @@ def solve(
     exact = choice("hessian", hessian, HESSIANS) == "exact"
     count("max_iterations", max_iterations)
     number("gradient_tolerance", gradient_tolerance, least=0.0)
+    if decrease_tolerance is None:
+        decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
     number("decrease_tolerance", decrease_tolerance, least=0.0)
     count("starts", starts, most=MOST_STARTS)
     count("seed", seed, least=0)

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.closing import Periodic
 from planner.cost import TrackingCost
 from planner.default_stage import default_stage
+from planner.driven_twin import twin_of
 from planner.dynamics import RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.mechanism import Mechanism
@@ -19,6 +21,7 @@ from planner.problem import Problem
 from planner.twin import Twin
 
 KIND = "mechanism and tracking cost"
+DRIVEN = "mechanism with prescribed joints and tracking cost"
 _COST = ("Q", "R", "x_ref", "u_ref")
 PARTS = (*_COST, "x0", "us")
 
@@ -28,12 +31,17 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
     if problem is None or problem.case is not None or type(problem.cost) is not TrackingCost:
         return None
     dynamics, twin = problem.dynamics, problem.twin
-    if type(dynamics) is not RigidBodyDynamics or dynamics.prescribed or problem.requirements is not None:
+    if type(dynamics) is not RigidBodyDynamics or problem.requirements is not None:
         return None
-    if twin is None or twin.mjcf != dynamics.mechanism.mjcf:  # the model of the file is not the mechanism's
+    own = twin_of(dynamics.mechanism, dynamics.prescribed)
+    if twin is None or (twin.mjcf, twin.source) != (own.mjcf, own.source):  # the file's model is not the mechanism's
         return None
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
     facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
+    if dynamics.prescribed:
+        facts |= {"kind": DRIVEN, "prescribed": list(dynamics.prescribed)}
+    if problem.periodic is not None:
+        facts["periodic"] = problem.periodic.to_list()
     return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
@@ -44,12 +52,17 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
         PlannerError: A part is missing or does not fit.
     """
     missing = [name for name in PARTS if name not in arrays]
-    if facts.get("kind") != KIND or twin is None or missing:
+    prescribed = facts.get("prescribed", []) if facts.get("kind") == DRIVEN else []
+    if facts.get("kind") not in (KIND, DRIVEN) or twin is None or missing:
         what = f"without {', '.join(missing)}" if missing else f"of the kind {facts.get('kind')!r}"
         raise PlannerError(f"its problem is {what}, expected {KIND} with {', '.join(PARTS)} and a model.")
     from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
 
-    mechanism: Mechanism = read(twin.mjcf, assets=twin.assets)
-    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"))  # pyright: ignore
+    mechanism: Mechanism = read(twin.planned, assets=twin.assets)
+    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    return Problem(dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=default_stage(mechanism))
+    periodic = None if facts.get("periodic") is None else Periodic.from_list(facts["periodic"])
+    stage = default_stage(mechanism, prescribed)
+    return Problem(
+        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=stage, periodic=periodic
+    )  # fmt: skip

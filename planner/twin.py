@@ -42,6 +42,7 @@ class Twin:
         to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
         to_sim_offset: (K, nw).
         assets: Files that the text names, meshes for example, by the name it uses.
+        source: The text that the plan's mechanism was read from, where it is another one: see planner.driven_twin.
     """
 
     mjcf: str
@@ -50,6 +51,7 @@ class Twin:
     to_sim: np.ndarray
     to_sim_offset: np.ndarray
     assets: dict[str, bytes] = field(default_factory=dict)
+    source: str = ""
 
     def __post_init__(self) -> None:
         for name, sizes in _MAPS.items():
@@ -75,9 +77,15 @@ class Twin:
         """The simulator's state (..., nw) of plan states x (..., nx)."""
         return np.min(np.einsum("kwx,...x->...kw", self.to_sim, x) + self.to_sim_offset, axis=-2)
 
+    @property
+    def planned(self) -> str:
+        """The text that the plan's mechanism was read from."""
+        return self.source or self.mjcf
+
     def to_dict(self) -> dict[str, Any]:
-        """The maps (not the text and its files) as JSON values."""
-        return {name: getattr(self, name).tolist() for name in _MAPS}
+        """The maps (not the text and its files) as JSON values, and the source where it is another text."""
+        maps = {name: getattr(self, name).tolist() for name in _MAPS}
+        return maps | ({"source": self.source} if self.source else {})
 
     @classmethod
     def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
@@ -86,6 +94,8 @@ class Twin:
         Raises:
             PlannerError: The maps or the text are missing, or do not fit together.
         """
-        if not isinstance(mjcf, str) or set(maps) != set(_MAPS):
+        maps, source = dict(maps), maps.get("source", "")
+        maps.pop("source", None)
+        if not (isinstance(mjcf, str) and isinstance(source, str)) or set(maps) != set(_MAPS):
             raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
-        return cls(mjcf, **maps, assets=assets or {})
+        return cls(mjcf, **maps, assets=assets or {}, source=source)

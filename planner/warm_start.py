@@ -30,7 +30,8 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
         problem: The new one; a whole number of its stages is one of the plan's.
     """
     parts = problem.N // plan.N
-    us, K, xs = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0), between_knots(plan, parts)
+    us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
+    xs = plan.xs if parts == 1 else between_knots(plan, parts)  # a discrete map has nothing between
     tries = [roll_out(problem, problem.first_guess), roll_out(problem, us), roll_out(problem, us, K, xs)]
     retuned = _gains(problem, xs, us)
     if retuned is not None:

@@ -27,6 +27,7 @@ ORDER = [
     ["contact_edits", "mechanism_edits"],
     ["mechanism_reader"],
     ["twin", "archive"],
+    ["driven_twin"],
     ["default_stage"],
     ["poe"],
     ["poe_sensitivities"],
@@ -37,8 +38,12 @@ ORDER = [
     ["dynamics"],
     ["rates"],
     ["weights"],
+    ["closing"],
     ["cost"],
     ["frame_cost"],
+    ["penalty_terms"],
+    ["penalty_measures"],
+    ["penalty_cost"],
     ["state_ranges"],
     ["limits"],
     ["energy_cost"],
@@ -63,6 +68,8 @@ ORDER = [
     ["hold"],
     ["proof"],
     ["finer", "warm_start"],
+    ["ends"],
+    ["periodic"],
     ["free_time"],
     ["refine", "payload"],
     ["check", "run_folder"],
@@ -116,7 +123,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
-    users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes"}
+    users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes", "driven_twin"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

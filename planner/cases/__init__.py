@@ -10,6 +10,7 @@ from planner.arguments import choice
 from planner.cases.acrobot import acrobot
 from planner.cases.high_dive import high_dive
 from planner.cases.hopper import hopper
+from planner.cases.human_step import human_step
 from planner.cases.puma import puma
 from planner.cases.two_link import two_link
 from planner.errors import PlannerError
@@ -17,9 +18,10 @@ from planner.problem import Problem
 
 CASES: dict[str, Callable[..., Problem]] = {
     "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma, "high-dive": high_dive,
+    "human-step": human_step,
 }  # fmt: skip
 
-__all__ = ["CASES", "acrobot", "build", "high_dive", "hopper", "puma", "two_link"]
+__all__ = ["CASES", "acrobot", "build", "high_dive", "hopper", "human_step", "puma", "two_link"]
 
 
 def build(name: str, /, **parameters: Any) -> Problem:

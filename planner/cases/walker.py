@@ -55,8 +55,9 @@ TOUCH = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_dampi
 """Of heel and toe on the belt: so soft that a touch-down takes several stages, and a light stance sinks in by mm."""
 IMPRATIO = 1000.0  # of MuJoCo's, at which its friction is that of TOUCH
 POINT = 5e-4  # m, radius of the spheres at heel and toe, points but for MuJoCo
-STOP = Law(stiffness=1e3, damping=10.0, ramp=0.03, force_ramp=0.5)
-"""Of a straight knee: 200 N m/rad let it bend backwards by 7 degrees."""
+STOP = Law(stiffness=1e3, damping=20.0, ramp=0.03, force_ramp=0.1)
+"""Of a straight knee: 200 N m/rad let it bend backwards by 7 degrees. It damps only while it pushes, so it needs twice
+the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""
 KNEE_RANGE = (-2.6, 0.0)  # rad
 
 LIGHTEST, HEAVIEST = 20.0, 300.0  # kg
@@ -153,13 +154,15 @@ class Walker:
                     TOUCH.stiffness, TOUCH.damping, TOUCH.slip_damping, TOUCH.friction,
                     weights.of_joint("belt") + weights.of_body(f"{side}_foot"), IMPRATIO,
                 )  # fmt: skip
+        for name, law in (("contact_ramp", TOUCH), ("stop_ramp", STOP)):
+            edits[f"custom/numeric[@name='{name}']"] = {"data": _text(law.ramp, law.force_ramp or 0.0)}
         return edited(text, edits)
 
     def _root(self) -> ElementTree.Element:
         """The file's root with masses, lengths and springs of this person, and without what is not modelled."""
         root = ElementTree.fromstring(model_text(model_path("human_step") / "scene.xml"))
-        world, contact = root.find("worldbody"), root.find("contact")
-        assert world is not None and contact is not None
+        contact = root.find("contact")
+        assert contact is not None  # the file has one
         named = {body.attrib["name"]: (parent, body) for parent in root.iter() for body in parent.findall("body")}
         absent = [f"{side}_thigh" for side in SIDES if side not in self.legs] + ([] if self.belt else ["belt"])
         for name in absent:

@@ -82,6 +82,8 @@ def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None
             options["choices"] = INTEGRATORS
         elif words:
             options["choices"] = words
+        elif str in _leaves(hints[name]):
+            options |= {"metavar": "FILE"}
         elif int in _leaves(hints[name]):
             options |= {"type": _whole, "metavar": "N"}
         else:

@@ -2,7 +2,15 @@
 
 from planner.dynamics.function import FunctionDynamics
 from planner.dynamics.hopper import HopperDynamics
-from planner.dynamics.protocol import INTEGRATORS, CompiledDynamics, Dynamics
+from planner.dynamics.protocol import INTEGRATORS, CompiledDynamics, Dynamics, PenalisedDynamics
 from planner.dynamics.rigid_body import RigidBodyDynamics
 
-__all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "FunctionDynamics", "HopperDynamics", "RigidBodyDynamics"]
+__all__ = [
+    "INTEGRATORS",
+    "CompiledDynamics",
+    "Dynamics",
+    "FunctionDynamics",
+    "HopperDynamics",
+    "PenalisedDynamics",
+    "RigidBodyDynamics",
+]

@@ -96,3 +96,26 @@ class CompiledDynamics(Protocol):
     def second_order_nominal(self, w: Workspace, memory: Any, second: Any) -> None:
         """Fill w.T along w.xs, w.us for w.costates; after linearize_nominal."""
         ...
+
+
+@runtime_checkable
+class PenalisedDynamics(CompiledDynamics, Protocol):
+    """Compiled dynamics of a mechanism, whose search and sweep can have the terms of PenaltyCosts in them.
+
+    Attributes:
+        mechanism: That the terms must be of.
+        penalised_kernels: What it is compiled of then, in place of `kernels`.
+    """
+
+    @property
+    def mechanism(self) -> Any: ...  # noqa: D102
+    @property
+    def penalised_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def penalties(self, measures: Any) -> Any:
+        """The kernels' table of a planner.penalty_measures.Measures, for Workspace.use_penalties."""
+        ...
+
+    def penalise_nominal(self, w: Workspace, memory: Any) -> None:
+        """Add the penalties' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+        ...

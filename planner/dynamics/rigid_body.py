@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from threading import local
+from typing import Any
 
 import numpy as np
 
 from planner.arguments import array, choice, number, shown
 from planner.dynamics.protocol import INTEGRATORS
 from planner.errors import PlannerError
-from planner.kernels import tree_linearize, tree_second, tree_solve, tree_step
+from planner.kernels import penalties, tree_linearize, tree_second, tree_solve, tree_step
 from planner.kernels.jit import announce
 from planner.kernels.lanes import padded
 from planner.kernels.model import Model
+from planner.kernels.penalty_table import PenaltyTable
 from planner.kernels.tree_memory import SEMI_IMPLICIT_EULER, TreeMemory
 from planner.kernels.workspace import Workspace
 from planner.mechanism import Mechanism
@@ -58,6 +60,7 @@ class RigidBodyDynamics:
         self.has_slopes = False
         self._steps = local()
         self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
+        self.penalised_kernels = ("tree search penalised", *self.kernels[1:], "penalties")
         self.second_order_kernels = ("tree second order", "costates")
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,9 +172,18 @@ class RigidBodyDynamics:
         self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        return tree_solve.search_step(
-            w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope
-        )
+        m, r, arguments = self._model.table, memory.table, (w.search, self.dt, rule, feedback, cost, slope)
+        if w.penalties is not None:
+            return tree_solve.search_step_penalised(w.table, m, r, w.penalties.table, *arguments)
+        return tree_solve.search_step(w.table, m, r, *arguments)
+
+    def penalties(self, measures: Any) -> PenaltyTable:
+        """The kernels' table of the terms of a PenaltyCost of this mechanism, a planner.penalty_measures.Measures."""
+        return PenaltyTable(self._model, measures)
+
+    def penalise_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+        """Add the penalties' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+        penalties.penalise(w.table, self._model.table, memory.table, w.penalties.table)
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""

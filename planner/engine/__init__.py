@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from weakref import WeakKeyDictionary
 
-from planner.cost import TrackingCost
-from planner.dynamics import CompiledDynamics
+from planner.cost import SumCost, TrackingCost
+from planner.dynamics import CompiledDynamics, PenalisedDynamics
 from planner.engine.compiled import CompiledEngine
 from planner.engine.in_numpy import NumpyEngine
 from planner.engine.protocol import Engine, Outcome
+from planner.penalty_cost import PenaltyCost
 from planner.problem import Problem
 
 __all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "borrow", "give_back"]
@@ -25,9 +26,25 @@ def borrow(problem: Problem) -> Engine:
     except IndexError:
         pass
     ranges = problem.ranges is None or getattr(problem.dynamics, "has_ranges", True)
-    if isinstance(problem.cost, TrackingCost) and isinstance(problem.dynamics, CompiledDynamics) and ranges:
-        return CompiledEngine(problem, problem.dynamics, problem.cost)
+    costs = compiled_costs(problem)
+    if costs is not None and isinstance(problem.dynamics, CompiledDynamics) and ranges:
+        return CompiledEngine(problem, problem.dynamics, *costs)
     return NumpyEngine(problem)
+
+
+def compiled_costs(problem: Problem) -> tuple[TrackingCost, tuple[PenaltyCost, ...]] | None:
+    """The one TrackingCost and the PenaltyCosts that a cost is the sum of, if it is and kernels have them all."""
+    terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
+    tracking = [term for term in terms if isinstance(term, TrackingCost)]
+    penalties = tuple(term for term in terms if isinstance(term, PenaltyCost))
+    if len(tracking) != 1 or len(terms) != 1 + len(penalties):
+        return None
+    dynamics = problem.dynamics
+    if not penalties:
+        return tracking[0], ()
+    if isinstance(dynamics, PenalisedDynamics) and all(term.mechanism is dynamics.mechanism for term in penalties):
+        return tracking[0], penalties
+    return None
 
 
 def give_back(problem: Problem, engine: Engine) -> None:

@@ -1,14 +1,15 @@
-"""The engine of dynamics and a tracking cost that are compiled: a few compiled calls per iteration."""
+"""The engine of dynamics and costs that are compiled: a few compiled calls per iteration."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from planner.cost import TrackingCost
-from planner.dynamics import CompiledDynamics
+from planner.dynamics import CompiledDynamics, PenalisedDynamics
 from planner.engine.in_numpy import NumpyEngine
 from planner.engine.protocol import Outcome, promised
 from planner.kernels import search
@@ -18,20 +19,27 @@ from planner.kernels.quadratic import gradients
 from planner.kernels.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.second_order import costates
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
+from planner.penalty_cost import PenaltyCost
+from planner.penalty_measures import joined
 from planner.problem import Problem
 from planner.space import space_of
 from planner.state_ranges import Hinges
 
 
 class CompiledEngine:
-    """Dynamics and a tracking cost that are compiled."""
+    """Dynamics and costs that are compiled: a tracking cost and, where dynamics take them, penalties."""
 
-    def __init__(self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost) -> None:
+    def __init__(
+        self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost, penalties: Sequence[PenaltyCost] = ()
+    ) -> None:
         self._problem, self._dynamics = problem, dynamics
         ranges = problem.ranges
         hinges = None if ranges is None else (ranges.component, ranges.at_end)
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured, problem.bounds, hinges)
         self._memory = dynamics.memory(problem.N)
+        self._penalised = dynamics if penalties and isinstance(dynamics, PenalisedDynamics) else None
+        if self._penalised is not None:
+            self._w.use_penalties(self._penalised.penalties(joined([term.measures for term in penalties])))
         self.largest_control_weight = float(np.abs(cost.R).max())
         self._second: Any = None
         self._exact = False
@@ -55,7 +63,8 @@ class CompiledEngine:
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._problem.bounds is None else " bounded"
         more = self._dynamics.second_order_kernels if exact else ()
-        compile_together((sweep, "gradients", *self._dynamics.kernels, *more))
+        kernels = self._dynamics.kernels if self._penalised is None else self._penalised.penalised_kernels
+        compile_together((sweep, "gradients", *kernels, *more))
         self._w.xs[0] = x0
         self._w.us[:] = self._problem.clipped(us)
         self._w.dus[:] = 0.0
@@ -85,6 +94,8 @@ class CompiledEngine:
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
             gradients(w.table)
+            if self._penalised is not None:
+                self._penalised.penalise_nominal(w, self._memory)
             if self._exact:
                 costates(w.table, dynamics.dt)
                 dynamics.second_order_nominal(w, self._memory, self._second)

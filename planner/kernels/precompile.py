@@ -21,6 +21,7 @@ from planner.kernels import (
     bounded,
     hopper,
     hopper_second,
+    penalties,
     quadratic,
     riccati,
     second_order,
@@ -49,6 +50,8 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
         (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, "int64", _BLOCKS),
     ),
     "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
+    "tree search penalised": (tree_solve.search_step_penalised, (_TABLE, _TABLE, _TABLE, _TABLE, *_SEARCH)),
+    "penalties": (penalties.penalise, (_TABLE, _TABLE, _TABLE, _TABLE)),
     "tree structured": (
         tree_linearize.linearize_structured,
         (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS, _BLOCKS),
@@ -69,10 +72,11 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
     ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
-    ("tree search", "tree steps", "tree forward", "tree inverse"),
+    ("tree search", "tree search penalised", "tree steps", "tree forward", "tree inverse"),
     ("tree structured", "tree dense", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
+    ("penalties",),
     ("hopper second order",),
 )
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import at, floats, integers, load, pointer, store
+from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
 from planner.kernels.rotations import difference_floats, inverse_right_jacobian_floats
 
 
@@ -137,6 +137,18 @@ def _add_turned(w, M, width, turn, i, j, q):
 
 
 @inline
+def _add_penalties(w, M, n):
+    """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
+    rows, width = w[W.PENALISED], w[W.WIDTH_Z]
+    ld = (rows + WIDTH - 1) // WIDTH * WIDTH
+    P = at(floats(w, W.PENALTY_HESSIAN), n * rows * ld)
+    for i in range(rows):
+        for j in range(i // WIDTH * WIDTH, ld, WIDTH):
+            o = i * width + j
+            store4(M, o, load4(M, o) + load4(P, i * ld + j))
+
+
+@inline
 def add_weights(w, M, n):
     """The weights of stage n, or of the end, onto the upper triangle of its Hessian M (z, z)."""
     width, first = w[W.WIDTH_Z], w[W.FIRST_X]
@@ -163,3 +175,5 @@ def add_weights(w, M, n):
                     _add_turned(w, M, width, turn, i, i, q)
                 else:
                     store(M, i * width + i, load(M, i * width + i) + q)
+    if w[W.PENALISED] > 0:
+        _add_penalties(w, M, n)

@@ -35,7 +35,7 @@ from planner.kernels.tree_step import end_rotation, gather, stage_state
 
 
 @inline
-def _scatter_row(X, row, F, f, count, stride, width):
+def scatter_row(X, row, F, f, count, stride, width):
     """A row of lanes, width of them, to the same row of `count` knots."""
     for j0 in range(0, width, WIDTH):
         o, k = row + j0, f + j0
@@ -96,7 +96,7 @@ def linearize_structured(m, r, dt, xs, us, F, transport):
         _gathered(m, r, xs, us, first, count)
         acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA)
         for i in range(nv):
-            _scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
+            scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
         _transport(m, r, x, a, dt, blocks, first, present)
 
 
@@ -106,7 +106,7 @@ def _stage_derivatives(m, r, q, v, a, i, present, width):
     dA, D, block, columns = lanes(r, BY_STAGE), floats(r, DIRECT), r[BLOCK], r[COLUMNS]
     acceleration_derivatives(m, r, q, v, a, dA)
     for row in range(m[NV]):
-        _scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
+        scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
 
 @jit

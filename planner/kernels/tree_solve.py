@@ -6,10 +6,11 @@ from planner.kernels import workspace as W
 from planner.kernels.jit import inline, jit, part
 from planner.kernels.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
 from planner.kernels.model import NV
+from planner.kernels.penalties import penalty_cost
 from planner.kernels.quadratic import control_terms, hinges_of, state_terms
 from planner.kernels.rotations import difference
 from planner.kernels.search import batches, choose, ladder, refine
-from planner.kernels.tree_memory import ACCELERATIONS, STAGES, TRIAL_A
+from planner.kernels.tree_memory import ACCELERATIONS, LINKS, STAGES, TRIAL_A
 from planner.kernels.tree_step import stage
 from planner.kernels.workspace import accept, take_lane
 
@@ -120,8 +121,11 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 
 @part
-def rollout(w, m, r, search, dt, feedback):
-    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs."""
+def rollout(w, m, r, p, search, dt, feedback):
+    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
+
+    p is the table of penalties or, where there are none, None: then nothing of them is compiled.
+    """
     nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]
     X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
     xs = floats(w, W.XS)
@@ -133,6 +137,8 @@ def rollout(w, m, r, search, dt, feedback):
     for n in range(w[W.N]):
         X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
+        if p is not None:
+            J += penalty_cost(m, p, X, lanes(r, LINKS), n)
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
@@ -141,6 +147,8 @@ def rollout(w, m, r, search, dt, feedback):
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
+    if p is not None:
+        J += penalty_cost(m, p, at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
     store(search, W.COSTS, J)
 
 
@@ -151,20 +159,30 @@ def _take(w, m, r, lane):
     take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
 
 
-@jit
-def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
-    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
-
-    The step is 0 when there is none.
-    """
-    w, m, r = pointer(w), pointer(m), pointer(r)
+@inline
+def _searched(w, m, r, p, search, dt, rule, feedback, cost, slope):
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, pointer(search), dt, feedback)
+        rollout(w, m, r, p, pointer(search), dt, feedback)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)
             return alpha[lane], costs[lane]
         refine(rule, alpha, bracket)
     return 0.0, cost
+
+
+@jit
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
+    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+
+    The step is 0 when there is none.
+    """
+    return _searched(pointer(w), pointer(m), pointer(r), None, search, dt, rule, feedback, cost, slope)
+
+
+@jit
+def search_step_penalised(w, m, r, p, search, dt, rule, feedback, cost, slope):
+    """The same with the penalties of table p among the costs."""
+    return _searched(pointer(w), pointer(m), pointer(r), pointer(p), search, dt, rule, feedback, cost, slope)

@@ -20,24 +20,25 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 _SIZES = (
     "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
     "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges", "exact",
+    "penalised",
 )  # fmt: skip
 _ARRAYS = (
     "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
     "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
     "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
     "costate", "dx", "trial_x", "trial_u", "deviations", "lower", "upper", "box", "hinge_dx", "hinge_lower",
-    "hinge_upper", "hinge_weight", "hinge_active", "T", "costates",
+    "hinge_upper", "hinge_weight", "hinge_active", "T", "costates", "penalty_hessian",
 )  # fmt: skip
 (
     N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
-    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES, EXACT,
+    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES, EXACT, PENALISED,
 ) = range(len(_SIZES))  # fmt: skip
 (
     XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
     STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
     STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
     TRIAL_U, DEVIATIONS, LOWER, UPPER, BOX, HINGE_DX, HINGE_LOWER, HINGE_UPPER, HINGE_WEIGHT, HINGE_ACTIVE,
-    SECOND_ORDER, COSTATES,
+    SECOND_ORDER, COSTATES, PENALTY_HESSIAN,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
 ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
@@ -73,6 +74,7 @@ class Workspace:
         hinge_weight: (N+1, hinges) zero until a solve sets them.
         T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
+        penalties: A kernels.penalty_table.PenaltyTable, or None.
     """
 
     def __init__(
@@ -126,11 +128,12 @@ class Workspace:
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
         }  # fmt: skip
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
-        self._arrays |= {"T": self.T, "costates": self.costates}
+        self._arrays |= {"T": self.T, "costates": self.costates, "penalty_hessian": np.zeros(0)}
+        self.penalties: Any = None
         sizes = (
             N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
             stage[3], len(final[0]), final[3], len(control[0]), int(bounds is not None), len(hinge_dx) - at_end,
-            len(hinge_dx), 0,
+            len(hinge_dx), 0, 0,
         )  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
@@ -144,6 +147,13 @@ class Workspace:
             self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[[SECOND_ORDER, COSTATES]] = self.T.ctypes.data, self.costates.ctypes.data
+
+    def use_penalties(self, penalties: Any) -> None:
+        """Have the terms of a PenaltyTable in every sweep and rollout."""
+        self.penalties = penalties
+        self._arrays["penalty_hessian"] = lane_array(len(self.xs), penalties.rows, padded(penalties.rows))
+        self.table[PENALISED] = penalties.rows
+        self.table[PENALTY_HESSIAN] = self._arrays["penalty_hessian"].ctypes.data
 
 
 def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

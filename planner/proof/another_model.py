@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+from planner.driven_twin import as_driven
 from planner.mechanism import Mechanism
 from planner.mechanism_edits import take_out
 from planner.mechanism_refusals import found
@@ -17,7 +18,8 @@ from planner.twin import Twin
 def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin:
     """A twin with another MJCF, a path or the XML text; the twin itself for None.
 
-    A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of.
+    A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of. Its
+    prescribed joints are driven in the other model too.
 
     Raises:
         ModelError: A file that cannot be read or that MuJoCo refuses.
@@ -26,7 +28,14 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin
         return twin
     twin = with_model(twin, mjcf)
     mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or not mechanism.ignored:
+    if not isinstance(mechanism, Mechanism):
+        return twin
+    return as_driven(_without(mechanism, twin), mechanism, getattr(problem.dynamics, "prescribed", ()))
+
+
+def _without(mechanism: Mechanism, twin: Twin) -> Twin:
+    """The twin without what the mechanism's file had and the mechanism has not."""
+    if not mechanism.ignored:
         return twin
     model = compile_model(twin.mjcf, twin.assets)
     kinds = {one.kind for one in found(model) if one.phrase in mechanism.ignored or one.kind in mechanism.ignored}

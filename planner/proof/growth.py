@@ -3,7 +3,8 @@
 To first order a deviation obeys  dx(n+1) = A(n) dx(n) + d(n),  with the gains  (A(n) + B(n) K(n)) dx(n) + d(n):
 
     Phi(n) = A(n-1) ... A(0)    the state transition; its norm is what an error of size 1 at the start becomes
-    d(n)                        what stage n misses: the plan's own integrator at a refined step, against one stage
+    d(n)                        what stage n misses: the plan's own integrator at a refined step, against one stage,
+                                and the acceleration that driven joints fall short of
 
 so the replay error of a plan whose model is right is known before MuJoCo is asked. A replay that is much worse than
 its prediction differs in the model, not in the step.
@@ -15,9 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.driven_twin import HEAVY
+from planner.dynamics import RigidBodyDynamics
 from planner.figures import Figure, Section
 from planner.plan import Plan
 from planner.problem import Problem
+from planner.proof.driven_parity import forces_of_prescribed
 from planner.replay import REFINEMENT, Replay
 
 SMALL = 0.1  # rad: beyond, a linear prediction is none
@@ -76,7 +80,7 @@ def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
     """Predict the replay errors of a plan, beside those of its replays by mode."""
     with np.errstate(all="ignore"):
         A, B = problem.dynamics.linearize(plan.xs, plan.us)
-        missed = _missed(plan, problem)
+        missed = _missed(plan, problem) + _left_by_motors(plan, problem, B)
         stages = {"open-loop": A, "feedback": A + B @ plan.K}
         found = {mode: _propagated(F, missed) for mode, F in stages.items()}
         measured = {mode: np.abs(run.error[:: run.substeps]).max(axis=1) for mode, run in runs.items()}
@@ -97,6 +101,17 @@ def _missed(plan: Plan, problem: Problem) -> np.ndarray:
     for _ in range(REFINEMENT):
         xs = problem.dynamics.step(xs, plan.us, part)
     return plan.space.difference(xs, plan.xs[1:])
+
+
+def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
+    """(N, ndx) where prescribed accelerations fall short by what moving the machine takes (planner.driven_twin)."""
+    dynamics = problem.dynamics
+    if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
+        return 0.0
+    m, xs = dynamics.mechanism, plan.xs[:-1]
+    qdd = dynamics.rates(xs, plan.us)[:, m.nv : 2 * m.nv]
+    short = forces_of_prescribed(m, dynamics.prescribed, xs, qdd) / HEAVY
+    return -np.einsum("nij,nj->ni", B[:, :, m.nu :], short)
 
 
 def _propagated(F: np.ndarray, missed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,8 @@ from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.mechanism import Mechanism
 from planner.problem import Problem, Requirements
+from planner.proof.another_model import another_model
+from planner.proof.driven_parity import driven_parity
 from planner.proof.rigid_parity import rigid_parity
 from planner.replay import compile_model, matching_model, with_model
 from planner.twin import Twin
@@ -27,7 +29,8 @@ def parity(
     """Compare a machine's dynamics with MuJoCo's at random states, before or after planning.
 
     A mechanism is compared term by term (mass matrix, bias force, actuator force, acceleration), and a term that
-    differs names its joint. Other dynamics are compared by dx/dt where the problem's requirements say so.
+    differs names its joint; where joints are prescribed, see planner.proof.driven_parity. Other dynamics are compared
+    by dx/dt where the problem's requirements say so.
 
     Args:
         machine: A mechanism, or a problem.
@@ -50,10 +53,13 @@ def parity(
     twin = twin or machine.twin
     if twin is None:
         raise PlannerError("the problem has no MuJoCo model to be compared with, expected a twin.")
-    twin = with_model(twin, mjcf)
+    prescribed = getattr(machine.dynamics, "prescribed", ())
+    twin = another_model(machine, twin, mjcf) if prescribed else with_model(twin, mjcf)
     if requirements.rates is None and isinstance(mechanism, Mechanism):
-        prescribed = getattr(machine.dynamics, "prescribed", ())  # these joints obey no forces: compare them all free
-        return _of_mechanism(mechanism, None if prescribed else machine.dynamics, twin, seed)
+        if prescribed:
+            model = compile_model(twin.mjcf, twin.assets)
+            return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
+        return _of_mechanism(mechanism, machine.dynamics, twin, seed)
     return _of_rates(machine, requirements, twin, seed)
 
 

@@ -7,13 +7,14 @@ is the same in any company, and switching one kind of error off leaves the other
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from planner.arguments import number
+from planner.driven_twin import driven_dofs
 from planner.errors import PlannerError
 from planner.gl import load_mujoco
 from planner.plan import Plan
@@ -33,10 +34,12 @@ class Perturbation:
         mass: Each body's mass is scaled by a factor uniform in 1 +- this, and its inertia with it.
         inertia: Each body's inertia is scaled, as a whole, by another factor uniform in 1 +- this.
         damping: The damping that the model has in a joint is scaled by a factor uniform in 1 +- this.
+        stiffness: The stiffness of a joint's spring is scaled by a factor uniform in 1 +- this: a patient's, say.
         drag: Damping added to a joint, uniform in 0 to this times the inertia it moves (MuJoCo's dof_M0), 1/s: the
-            rate at which its speed would decay. Free joints move through the air and have none.
+            rate at which its speed would decay. Free joints move through the air and have none, and joints whose
+            acceleration the plan prescribes feel none.
         friction: Dry friction added to a joint, uniform in 0 to this times the largest force that the plan asks of it
-            (actuator, or weight with Coriolis forces). Free joints have none.
+            (actuator, or weight with Coriolis forces). Free and prescribed joints have none.
         contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
         start: Standard deviation of the start from the plan's, in each direction: rad, m, rad/s, m/s.
         noise: Standard deviation of white noise on a control, held over a stage, as a fraction of the largest that the
@@ -57,12 +60,13 @@ class Perturbation:
     start: float = 0.002
     noise: float = 0.01
     delay: float = 0.002
+    stiffness: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            most = 0.99 if field.name in ("mass", "inertia", "damping", "contact_friction") else None
-            value = number(f"Perturbation: {field.name}", getattr(self, field.name), least=0.0, most=most)
-            object.__setattr__(self, field.name, value)
+        for one in fields(self):
+            most = 0.99 if one.name in ("mass", "inertia", "damping", "stiffness", "contact_friction") else None
+            value = number(f"Perturbation: {one.name}", getattr(self, one.name), least=0.0, most=most)
+            object.__setattr__(self, one.name, value)
 
     def to_dict(self) -> dict[str, float]:
         """The numbers by name."""
@@ -92,6 +96,7 @@ class Draw:
         start: (ndx,) deviation from the plan's start.
         noise: (N, nu) fractions of the largest control.
         delay: s.
+        stiffness: (njnt,) factors.
     """
 
     mass: np.ndarray
@@ -103,17 +108,19 @@ class Draw:
     start: np.ndarray
     noise: np.ndarray
     delay: float
+    stiffness: np.ndarray
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of what a rollout's errors are drawn for: nbody and nv are the model's, the others the plan's."""
+    """Of what a rollout's errors are drawn for: nbody, nv and njnt are the model's, the others the plan's."""
 
     nbody: int
     nv: int
     ndx: int
     N: int
     nu: int
+    njnt: int = 0
 
 
 def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
@@ -129,13 +136,14 @@ def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
         start=p.start * rng.standard_normal(sizes.ndx),
         delay=p.delay * rng.random(),
         noise=p.noise * rng.standard_normal((sizes.N, sizes.nu)),
+        stiffness=1.0 + p.stiffness * rng.uniform(-1.0, 1.0, sizes.njnt),
     )
 
 
 def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Draw:
     """Masses (and inertias with them) wrong by plus or minus `error`, the signs at random; nothing else."""
     rng = np.random.default_rng([seed, k, 1 + level])  # not [.., 0]: NumPy takes that for [seed, k]
-    none = draw(Perturbation(**dict.fromkeys((field.name for field in fields(Perturbation)), 0.0)), seed, k, sizes)
+    none = draw(Perturbation(**dict.fromkeys((one.name for one in fields(Perturbation)), 0.0)), seed, k, sizes)
     return Draw(**{**vars(none), "mass": 1.0 + error * rng.choice([-1.0, 1.0], sizes.nbody)})
 
 
@@ -148,24 +156,29 @@ class Nominal:
         load: (nv,) the largest generalized force along the plan, N m or N.
         control: (nu,) the largest magnitude of each control along the plan.
         sizes: Of a draw.
+        driven: Degrees of freedom whose accelerations the plan prescribes.
     """
 
     model: Any
     load: np.ndarray
     control: np.ndarray
     sizes: Sizes
+    driven: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @classmethod
     def of(cls, model: Any, plan: Plan, twin: Twin) -> Nominal:
         """From a plan and the model to simulate it in."""
-        sizes = Sizes(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu)
-        return cls(model, _loads(model, plan, twin), np.abs(plan.us).max(axis=0), sizes)
+        sizes = Sizes(model.nbody, model.nv, plan.space.ndx, plan.N, model.nu, model.njnt)
+        control, driven = np.abs(plan.us).max(axis=0), driven_dofs(getattr(plan.problem, "dynamics", None))
+        return cls(model, _loads(model, plan, twin), control, sizes, driven)
 
     @cached_property
     def _in_joints(self) -> np.ndarray:
-        """(nv,) 1 for degrees of freedom that have bearings, 0 for those of free joints."""
+        """(nv,) 1 for degrees of freedom that have bearings, 0 for those of free joints and of driven ones."""
         free = load_mujoco().mjtJoint.mjJNT_FREE
-        return (self.model.jnt_type[self.model.dof_jntid] != free).astype(float)
+        bearings = self.model.jnt_type[self.model.dof_jntid] != free
+        bearings[self.driven] = False
+        return bearings.astype(float)
 
     @property
     def ignores_friction(self) -> bool:
@@ -187,6 +200,7 @@ class Nominal:
         # Without damping there is no diagonal to be implicit in, so what adds nothing must leave it exactly zero.
         model.dof_damping[:] = nominal.dof_damping * draw.damping + draw.drag * nominal.dof_M0 * self._in_joints
         model.dof_frictionloss[:] += draw.friction * self.load * self._in_joints
+        model.jnt_stiffness[:] *= draw.stiffness
         model.geom_friction[:] *= draw.contact_friction
         model.pair_friction[:] *= draw.contact_friction
         try:

@@ -44,8 +44,9 @@ class _Terms(NamedTuple):
 
 
 def rigid_parity(
-    mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, states: int, bound: float, seed: int
-) -> Section:
+    mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, states: int, bound: float, seed: int,
+    spread: np.ndarray | float = 1.0,
+) -> Section:  # fmt: skip
     """Compare a mechanism with a MuJoCo model.
 
     Args:
@@ -55,6 +56,7 @@ def rigid_parity(
         states: How many random states.
         bound: What passes, relative.
         seed: Of the random states.
+        spread: (nu,) of the random controls.
 
     Raises:
         ModelError: The model has other joints or actuators.
@@ -64,7 +66,7 @@ def rigid_parity(
     named = differences(mechanism, mechanism_of(model))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
-    us = rng.normal(size=(states, mechanism.nu))
+    us = spread * rng.normal(size=(states, mechanism.nu))
     ours = _ours(mechanism, dynamics, xs, us)
     theirs = _theirs(mechanism, model, xs, us)
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
@@ -131,10 +133,7 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
 def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) -> _Terms:
     mujoco = load_mujoco()
     nv, K = mechanism.nv, len(xs)
-    # Ranges are no part of a mechanism's dynamics: a replay says where they were reached.
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    model.actuator_forcelimited[:] = 0
-    model.jnt_actfrclimited[:] = 0
+    unlimited(model)
     data = mujoco.MjData(model)
     shapes = ((nv, nv), (nv,), (nv,), (nv,), (nv,), (nv,), (mechanism.na,))
     terms = _Terms._make(np.empty((K, *shape)) for shape in shapes)
@@ -150,6 +149,14 @@ def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) ->
         terms.actuator[k], terms.acceleration[k] = data.qfrc_actuator, data.qacc_smooth
         terms.activation[k] = data.act_dot
     return terms
+
+
+def unlimited(model: Any) -> None:
+    """Switch ranges and contacts off: no part of a mechanism's dynamics, a replay says where they were reached."""
+    bits = load_mujoco().mjtDisableBit
+    model.opt.disableflags |= bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONSTRAINT
+    model.actuator_forcelimited[:] = 0
+    model.jnt_actfrclimited[:] = 0
 
 
 def _cause(

@@ -3,15 +3,19 @@
 MuJoCo has the semi-implicit Euler method, and Runge-Kutta's where no orientation is a quaternion: on rotations its
 method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo does not have the plan's integrator, that
 integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
+
+So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (planner.driven_twin), which is
+not the transcription's. Here they are asked again for what is missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from planner.driven_twin import driven_dofs
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
 from planner.plan import Plan
@@ -45,7 +49,8 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
         return Section("same step", not_applicable=_LIMIT)
     space = plan.space
     model = matching_model(twin, problem.dynamics.nu)
-    found = stage_function(getattr(problem.dynamics, "integrator", ""), problem.dynamics.dt, model, twin, space)
+    integrator = getattr(problem.dynamics, "integrator", "")
+    found = stage_function(integrator, problem.dynamics.dt, model, twin, space, driven_dofs(problem.dynamics))
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, stage = found
@@ -79,8 +84,19 @@ def rounding_amplification(A: np.ndarray) -> float:
     return largest
 
 
-def stage_function(integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace) -> tuple[str, Stage] | None:
-    """One stage in MuJoCo: what does it, in words, and the function (x, u) -> x at its end."""
+def stage_function(
+    integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = ()
+) -> tuple[str, Stage] | None:
+    """One stage in MuJoCo: what does it, in words, and the function (x, u) -> x at its end.
+
+    Args:
+        integrator: The plan's.
+        dt: Length of the stage, s.
+        model: MuJoCo's.
+        twin: The maps between its state and the plan's.
+        space: Of the plan's states.
+        driven: Degrees of freedom whose accelerations, the last controls, are met to rounding.
+    """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     model.opt.timestep = dt
@@ -90,6 +106,9 @@ def stage_function(integrator: str, dt: float, model: Any, twin: Twin, space: St
     def set_state(x: np.ndarray, u: np.ndarray) -> None:
         data.qpos[:], data.qvel[:], data.act[:] = np.split(twin.sim_of(x), [model.nq, model.nq + model.nv])
         data.ctrl[:] = u
+        if len(driven):
+            mujoco.mj_forward(model, data)
+            data.ctrl[-len(driven) :] += u[-len(driven) :] - data.qacc[driven]
 
     def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         set_state(x, u)
@@ -103,7 +122,7 @@ def stage_function(integrator: str, dt: float, model: Any, twin: Twin, space: St
         return w if space.quaternions else twin.to_x @ w
 
     own = {"euler": explicit_euler, "rk4": munthe_kaas}
-    named = {"semi-implicit-euler": "EULER"} if space.quaternions else {"semi-implicit-euler": "EULER", "rk4": "RK4"}
+    named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
     if integrator in named:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step

@@ -1,0 +1,193 @@
+"""Human step training: find how a robot must move the pelvis so that a paralysed person's legs walk (case 3).
+
+A person is suspended over a treadmill, a robot moves the pelvis, the legs are passive (section 2.3). The paper solved
+the swing alone, in four hours, by splines; stance and swing together did not converge, and it hopes that SLQ would.
+
+    number               value             from
+    u                    six accelerations of the pelvis: place x, y, z, then tilt, list, rotation       the paper's:
+                                           hybrid dynamics, the pelvis' motion is given, the legs follow
+    body, passive joints 70 kg, 1.75 m     ours, see walker.py; the paper gives none
+    normal gait          cycle of 1.2 s    OpenSim's data, see gait.py
+    swing                .62 to 1 of the cycle, dt 4 ms: N = 114      ours
+    cycle                dt 5 ms: N = 240  ours
+    cost                 see step_cost.py  ours; the paper's is the distance from the normal gait, too
+    start                on the normal gait
+
+It finds what the paper found: the swinging hip is lifted, which clears the foot, and turned forward.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from planner.arguments import choice, count, number
+from planner.cases.gait import NORMAL_GAIT
+from planner.cases.gait_file import read_gait
+from planner.cases.step import SWING, Step
+from planner.cases.step_cost import step_cost, wishes
+from planner.cases.step_measures import arrives, judge_step, judge_tracking, robot_wrench
+from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
+from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner.errors import PlannerError
+from planner.problem import Problem, Requirements
+from planner.stage import Panel, Readout, Stage
+
+Phase = Literal["swing", "cycle"]
+Cost = Literal["default", "study"]
+Pelvis = Literal["motion", "force"]
+Brace = Literal["ankle"]
+
+SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
+LONGEST_STAGE = 0.02  # s, over which contact is still resolved
+STAGES = {"swing": 4e-3, "cycle": 5e-3}  # s
+MOST_CYCLES, MOST_STAGES = 20, 100_000
+FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
+HIGHEST = 0.2  # m, of a foot over the belt
+PROMISED = 0.01  # m: who asks for less clearance is not held to any
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4}
+"""Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs."""
+
+
+def human_step(
+    phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
+    stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
+    pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
+    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None,
+) -> Problem:  # fmt: skip
+    """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
+
+    Args:
+        phase: "swing" (one leg from toe-off to heel strike) or "cycle" (both legs and the belt).
+        cycles: How many, one after the other.
+        mass: Of the person, kg.
+        height: Of the person, m.
+        cadence: Steps per minute; a cycle is two.
+        stiffness: Of the passive joints, times the table's.
+        damping: The same.
+        brace: "ankle" for an orthosis that holds the feet.
+        cost: "default", or "study" for the numbers with which the case was first solved.
+        pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
+        clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
+        apart: Least distance of shanks and feet, m; by default that of the cost.
+        reference: A CSV file of another gait to copy.
+        integrator: "euler", "semi-implicit-euler" or "rk4".
+        horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
+
+    Raises:
+        PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
+    """
+    step = _step(phase, cycles, cadence, reference, horizon, {
+        "mass": mass, "height": height, "stiffness": stiffness, "damping": damping, "brace": brace,
+        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
+    })  # fmt: skip
+    choice("cost", cost, get_args(Cost))
+    if clearance is not None:
+        clearance = number("clearance", clearance, least=0.0, most=HIGHEST)
+    if apart is not None:
+        apart = number("apart", apart, least=0.0, most=1.0)
+    wish = wishes(step, cost, clearance, apart)
+    mechanism = step.walker.mechanism
+    prescribed = () if step.walker.motors else PELVIS
+    dynamics = RigidBodyDynamics(
+        mechanism, step.dt, choice("integrator", integrator, INTEGRATORS), prescribed=prescribed
+    )  # fmt: skip
+    us, control = step.motion.qdd[: step.N, : len(PELVIS)], np.zeros(len(PELVIS))
+    effort = np.repeat([wish.acceleration, wish.turning], 3)
+    if step.walker.motors:
+        us, control = forces(step, us), np.array([0.0, 0.0, weight(step.walker), 0.0, 0.0, 0.0])
+        share = step.walker.mass / FILE_MASS
+        effort = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
+    parameters: dict[str, Any] = {
+        "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
+        "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
+        "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
+        "horizon": step.N,
+    }  # fmt: skip
+    return Problem(
+        dynamics, step_cost(dynamics, step, wish, effort, control), x0=step.states[0], us=us, case="human-step",
+        parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        requirements=Requirements(
+            tracking=lambda run: judge_tracking(step, run),
+            goal=lambda run: judge_step(step, run, promised=cost == "default" and wish.clearance >= PROMISED),
+            success=lambda ends: arrives(step, ends),
+        ),
+    )  # fmt: skip
+
+
+def _step(
+    phase: str, cycles: int, cadence: float, reference: str | None, horizon: int | None, person: dict[str, Any]
+) -> Step:
+    """Checked."""
+    swings = choice("phase", phase, get_args(Phase)) == "swing"
+    cycles = count("cycles", cycles, most=MOST_CYCLES)
+    if swings and cycles != 1:
+        raise PlannerError(f"cycles is {cycles}, expected 1 for phase='swing', which is a part of one.")
+    cadence = number("cadence", cadence, least=SLOWEST, most=FASTEST)
+    walker = Walker(**person, legs=("right",) if swings else SIDES, belt=not swings)
+    gait = NORMAL_GAIT if reference is None else read_gait(reference)
+    duration = 120.0 / cadence
+    begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
+    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
+    if part * duration / N > LONGEST_STAGE:
+        least = int(np.ceil(part * duration / LONGEST_STAGE))
+        raise PlannerError(
+            f"horizon is {N}, expected at least {least}: a stage of more than {LONGEST_STAGE:g} s skips contacts."
+        )
+    return Step(walker, gait, duration, begin, N, part * duration / N)
+
+
+def weight(walker: Walker) -> float:
+    """Of all that the pelvis carries, N."""
+    mechanism = walker.mechanism
+    carried = mechanism.mass.sum() - (mechanism.mass[0] if walker.belt else 0.0)
+    return float(carried * np.linalg.norm(mechanism.gravity))
+
+
+def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
+    """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
+    carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
+    xs = np.empty((step.N + 1, carried.nx))
+    xs[0] = step.states[0]
+    for n in range(step.N):
+        xs[n + 1] = carried.step(xs[n : n + 1], accelerations[n : n + 1])[0]
+    return robot_wrench(carried, xs, accelerations)
+
+
+def _stage(step: Step) -> Stage:
+    """The person on the belt, seen from the side of the leg that is planned."""
+    names = step.walker.mechanism.joint_names
+    duration = step.N * step.dt
+
+    def curves(side: str, *joints: str) -> tuple[tuple[int, str], ...]:
+        return tuple((names.index(f"{side}_{joint}"), joint.replace("_", " ")) for joint in joints)
+
+    def of_pelvis(*joints: str) -> tuple[tuple[int, str], ...]:
+        return tuple((names.index(joint), joint.removeprefix("pelvis_")) for joint in joints)
+
+    axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
+    unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
+    moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
+    return Stage(
+        title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
+        readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),
+        look_at=(0.0, 0.0, 0.85 * step.walker.scale),
+        distance=3.2 * step.walker.scale,
+        azimuth=90.0,
+        elevation=-6.0,
+        force_scale=0.0 if not step.walker.belt else 1e-3,
+        force_unit="N",
+        speed=0.25 if duration < 1.0 else 0.5,
+        plots=(
+            *(Panel(f"{side.capitalize()} leg", "angle, rad", states=curves(side, "hip_flexion", "knee", "ankle"))
+              for side in step.walker.legs),
+            *(Panel(f"{side.capitalize()} hip", "angle, rad", states=curves(side, "hip_adduction", "hip_rotation"))
+              for side in step.walker.legs),
+            Panel("Pelvis", "m", states=of_pelvis(*PELVIS[:3])),
+            Panel("Pelvis", "angle, rad", states=of_pelvis(*PELVIS[3:])),
+            Panel("Pelvis, driven", unit, controls=axes[:3]),
+            Panel("Pelvis, turned", moment, controls=axes[3:]),
+        ),
+    )  # fmt: skip

@@ -1,0 +1,226 @@
+"""What a step should be like, each wish with its tolerance.
+
+    J = 1/2 sum_k (dt / .4 s) sum (e / tolerance)^2 + 1/2 sum (e_N / final tolerance)^2
+
+e are the distances of pelvis, joints and controls from the normal gait (controls: from zero), and
+
+    clearance    a swinging foot below the height that is wanted, heel and toe
+    apart        shanks and feet of the two legs nearer than they may be
+    reach        of a swing: the hip farther from the standing ankle than a leg is long
+    stance       of a cycle: the standing foot above the belt, first the heel, then heel and toe, then the toe
+
+Without the last one the cheapest way to copy the angles of a gait is to carry the patient through the air.
+
+"study" are the numbers with which the case was first solved; the default wants more clearance and over the whole
+swing, which is what the training is for, and its lengths go with the body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.cases.step import SWING, Step
+from planner.cost import SumCost, TrackingCost
+from planner.dynamics import RigidBodyDynamics
+from planner.penalty_cost import PenaltyCost
+from planner.penalty_terms import Distance, Height, Point, Segment
+
+PERIOD = 0.4  # s, over which a tolerance on the way is an average: about a swing
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """Tolerances, in m, rad and s; the final ones are of the end.
+
+    Attributes:
+        place: Of the pelvis.
+        turn: Of the pelvis.
+        joints: Of the legs, by joint.
+        acceleration: Of the pelvis, m/s^2.
+        turning: Of the pelvis, rad/s^2.
+        final_place: Of the pelvis.
+        final_turn: Of the pelvis.
+        final_joints: Of the legs, by joint.
+        final_speed: Of the pelvis, m/s.
+        final_turn_rate: Of the pelvis, rad/s.
+        final_joint_rate: Of the legs, rad/s.
+        clearance: How high a swinging foot is wanted, m; 0 for no such wish.
+        clearance_tolerance: m.
+        clear: Of the swing, how soon the height is wanted in full, how long before its end no more, and its limits as
+            fractions of a cycle.
+        shanks_apart: m.
+        feet_apart: m, also of a foot from the other shank.
+        apart_tolerance: m.
+        straight: Of a leg's length, how far the standing ankle may be from the hip.
+        stance_depth: How deep in the belt a standing foot is wanted, m.
+        stance_tolerance: m.
+        ramp: m, over which clearance, distances and stance begin to count.
+        reach_ramp: m.
+        reach_tolerance: m.
+    """
+
+    joints: dict[str, float]
+    final_joints: dict[str, float]
+    final_place: float
+    final_turn: float
+    final_speed: float
+    final_turn_rate: float
+    final_joint_rate: float
+    clear: tuple[float, float, float, float]
+    place: float = 0.05
+    turn: float = np.radians(10.0)
+    acceleration: float = 5.0
+    turning: float = 40.0
+    clearance: float = 0.015
+    clearance_tolerance: float = 0.003
+    shanks_apart: float = 0.09
+    feet_apart: float = 0.075
+    apart_tolerance: float = 0.005
+    straight: float = 0.999
+    stance_depth: float = 0.003
+    stance_tolerance: float = 0.005
+    ramp: float = 0.003
+    reach_ramp: float = 0.002
+    reach_tolerance: float = 0.003
+
+
+_DEGREES = {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}
+_JOINTS = {name: float(np.radians(degrees)) for name, degrees in _DEGREES.items()}
+STUDY_SWING = Wishes(
+    joints=_JOINTS,
+    final_joints={name: np.radians(4.0 if name == "ankle" else 2.0) for name in _JOINTS},
+    final_place=0.02, final_turn=np.radians(5.0), final_speed=0.2, final_turn_rate=1.0, final_joint_rate=0.5,
+    clear=(0.15, 0.10, *SWING),
+)  # fmt: skip
+STUDY_CYCLE = Wishes(
+    joints=_JOINTS,
+    final_joints={name: 0.5 * tolerance for name, tolerance in _JOINTS.items()},
+    final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
+    clear=(0.20, 0.15, 0.66, 0.95),
+)  # fmt: skip
+CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing:
+CLEAR = (0.20, 0.20, *SWING)
+STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
+
+
+def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) -> Wishes:
+    """Of a step, by the name of the cost; see human_step() for the numbers."""
+    found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
+    if cost != "study":
+        scale = step.walker.scale
+        found = replace(found, clearance=CLEARANCE)
+        lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
+        found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
+    if clearance is not None:
+        found = replace(found, clearance=clearance)
+    return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
+
+
+def step_cost(dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0) -> SumCost:
+    """The cost of a plan of a step.
+
+    Args:
+        dynamics: Of the walker.
+        step: The step.
+        wish: Its tolerances.
+        effort: (6,) tolerances of the controls.
+        control: (6,) or (N, 6) what they are tolerances from.
+    """
+    terms = _clearance(step, wish) + (_standing(step, wish) if step.walker.belt else _reach(step, wish))
+    return _tracking(dynamics, step, wish, effort, control) + PenaltyCost(
+        dynamics, step.N, terms + _apart(step, wish)
+    )  # fmt: skip
+
+
+def _tracking(
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any
+) -> TrackingCost:  # fmt: skip
+    on_the_way = _by_joint(step, wish.place, wish.turn, wish.joints)
+    final = _by_joint(step, wish.final_place, wish.final_turn, wish.final_joints)
+    rates = _by_joint(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
+    return TrackingCost.joints(
+        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=step.states,
+        position={joint: 1.0 / (PERIOD * tolerance**2) for joint, tolerance in on_the_way.items()},
+        final_position={joint: 1.0 / tolerance**2 for joint, tolerance in final.items()},
+        final_velocity={joint: 1.0 / tolerance**2 for joint, tolerance in rates.items()},
+    )  # fmt: skip
+
+
+def _by_joint(step: Step, place: float, turn: float, joints: dict[str, float]) -> dict[str, float]:
+    pelvis = {f"pelvis_{name}": place for name in "xyz"} | {
+        f"pelvis_{name}": turn for name in ("tilt", "list", "rotation")
+    }
+    return pelvis | {f"{side}_{name}": value for side in step.walker.legs for name, value in joints.items()}
+
+
+def _clearance(step: Step, wish: Wishes) -> list[Any]:
+    """Heel and toe of a swinging foot at the height that is wanted."""
+    if wish.clearance == 0.0:
+        return []
+    up, down, begin, end = wish.clear
+    terms = []
+    for side in step.walker.legs:
+        # in a swing of its own the leg is in the air from the first knot to the last
+        t = step.leg_time(side) if step.walker.belt else step.t
+        part = (t - begin) / (end - begin)
+        on = (part > 0.0) & (part < 1.0) if step.walker.belt else np.ones(step.N + 1, dtype=bool)
+        wanted = wish.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
+        terms += [
+            Height(Point(f"{side}_{end}_point"), least=np.where(on, wanted, np.nan),
+                   tolerance=wish.clearance_tolerance, ramp=wish.ramp, weight=1.0 / PERIOD)
+            for end in ("heel", "toe")
+        ]  # fmt: skip
+    return terms
+
+
+def _standing(step: Step, wish: Wishes) -> list[Any]:
+    """Heel and toe of a standing foot on the belt."""
+    terms = []
+    for side in step.walker.legs:
+        t = step.leg_time(side)
+        for end, (begin, until) in STANCE.items():
+            most = np.where((t > begin) & (t < until), -wish.stance_depth, np.nan)
+            terms.append(
+                Height(Point(f"{side}_{end}_point"), most=most, tolerance=wish.stance_tolerance, ramp=wish.ramp,
+                       weight=1.0 / PERIOD)
+            )  # fmt: skip
+    return terms
+
+
+def _reach(step: Step, wish: Wishes) -> list[Any]:
+    """The hip of the standing leg no farther from its ankle than the leg is long."""
+    ankle = step.feet(step.motion.q)[:, 3]
+    return [
+        Distance(Point("left_hip"), Point(world=ankle), most=wish.straight * step.walker.leg_length,
+                 tolerance=wish.reach_tolerance, ramp=wish.reach_ramp, weight=1.0 / PERIOD)
+    ]  # fmt: skip
+
+
+def _apart(step: Step, wish: Wishes) -> list[Any]:
+    """Shanks and feet of the two legs."""
+    shank, foot = _segments("right")
+    if step.walker.belt:
+        other_shank, other_foot = _segments("left")
+    else:
+        feet = step.feet(step.motion.q)
+        ankle, heel, toe = (feet[:, i] for i in (3, 4, 5))
+        knee = Point("left_hip", share=0.5, world=0.5 * ankle)  # of a straight leg
+        other_shank, other_foot = Segment(knee, Point(world=ankle)), Segment(Point(world=heel), Point(world=toe))
+    pairs = (
+        (shank, other_shank, wish.shanks_apart), (foot, other_foot, wish.feet_apart),
+        (shank, other_foot, wish.feet_apart), (foot, other_shank, wish.feet_apart),
+    )  # fmt: skip
+    return [
+        Distance(a, b, least=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / PERIOD)
+        for a, b, least in pairs
+    ]
+
+
+def _segments(side: str) -> tuple[Segment, Segment]:
+    return (
+        Segment(Point(f"{side}_knee_centre"), Point(f"{side}_ankle_centre")),
+        Segment(Point(f"{side}_heel_point"), Point(f"{side}_toe_point")),
+    )

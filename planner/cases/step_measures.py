@@ -1,0 +1,180 @@
+"""What a step came to, in a clinician's terms, and what a proof of it is held to.
+
+Step 3 asks how far MuJoCo's legs are from the plan's, RMS over all joints and the whole replay; step 4 whether the
+swinging foot is clear of the belt, in the plan and in MuJoCo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.cases.step import SWING, Step
+from planner.cases.walker import LEG, PELVIS
+from planner.contact_forces import contact_forces, generalized_forces
+from planner.dynamics import RigidBodyDynamics
+from planner.figures import Figure, Section
+from planner.rigid_body import frame_pose, rnea
+
+if TYPE_CHECKING:
+    from planner.replay import Replay
+
+OPEN_LOOP, FEEDBACK = 1.5, 0.7  # deg, RMS over the joints of the legs
+CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
+MIDDLE = (0.1, 0.9)  # of a swing
+TOUCHES = 0.5  # N
+STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be on the belt
+ARRIVES = 5.0  # deg, RMS over the joints at the end from the normal gait: what counts for a perturbed step
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Of one motion. Sides are in the order of the walker's legs.
+
+    Attributes:
+        rms: Joint -> deg from the normal gait, RMS over the motion.
+        clearance: Side -> m, the least height of heel and toe in the middle of its swings; infinite without one.
+        hip_lift: Side -> m, the most that the swinging hip is above the normal gait's.
+        in_stance: Side -> share of stance with the foot on the belt.
+        in_swing: Side -> the same of swing.
+        stance_force: Side -> N, mean over stance.
+        largest_force: N, upwards, of one foot.
+        straightest_knee: deg; beyond 0 the knee is bent backwards.
+        pelvis: (6, 2) least and largest deviation from the normal gait, m and rad.
+    """
+
+    rms: dict[str, float]
+    clearance: dict[str, float]
+    hip_lift: dict[str, float]
+    in_stance: dict[str, float]
+    in_swing: dict[str, float]
+    stance_force: dict[str, float]
+    largest_force: float
+    straightest_knee: float
+    pelvis: np.ndarray
+
+
+def measures(step: Step, xs: np.ndarray) -> Measures:
+    """Of states (N+1, nx) at the knots."""
+    m = step.walker.mechanism
+    q, qd, sides = xs[:, : m.nq], xs[:, m.nq :], step.walker.legs
+    away = q - step.states[:, : m.nq]
+    joints = {f"{side}_{joint}": m.joint(f"{side}_{joint}").start for side in sides for joint in LEG}
+    swinging, standing = ({side: when(step, side) for side in sides} for when in (_swings, _stands))
+    lifts = {side: height(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
+    upward = {side: vertical_force(step, q, qd, side) for side in sides}
+    knees = [q[:, joints[f"{side}_knee"]].max() for side in sides]
+    pelvis = away[:, [m.joint(name).start for name in PELVIS]]
+    return Measures(
+        rms={name: float(np.degrees(np.sqrt(np.mean(away[:, i] ** 2)))) for name, i in joints.items()},
+        clearance={side: clearance(step, q, side) for side in sides},
+        hip_lift={side: float(lifts[side][_swing(step, side)].max(initial=-np.inf)) for side in sides},
+        in_stance={side: _mean(upward[side][standing[side]] > TOUCHES) for side in sides},
+        in_swing={side: _mean(upward[side][swinging[side]] > TOUCHES) for side in sides},
+        stance_force={side: _mean(upward[side][standing[side]]) for side in sides},
+        largest_force=float(max(force.max() for force in upward.values())),
+        straightest_knee=float(np.degrees(max(knees))),
+        pelvis=np.stack([pelvis.min(axis=0), pelvis.max(axis=0)], axis=1),
+    )  # fmt: skip
+
+
+def height(step: Step, q: np.ndarray, site: str) -> np.ndarray:
+    """(K,) m over the belt, of configurations q (K, nq)."""
+    return frame_pose(step.walker.mechanism, q, site)[:, 2, 3]
+
+
+def normal_height(step: Step, site: str) -> np.ndarray:
+    """(N+1,) m, in the normal gait."""
+    return height(step, step.states[:, : step.walker.mechanism.nq], site)
+
+
+def clearance(step: Step, q: np.ndarray, side: str) -> float:
+    """m, the least height of heel and toe in the middle of the swings, at the knots q (N+1, nq)."""
+    middle = _swing(step, side, MIDDLE)
+    points = [height(step, q[middle], f"{side}_{end}_point") for end in ("heel", "toe")]
+    return float(np.min(points, initial=np.inf))
+
+
+def vertical_force(step: Step, q: np.ndarray, qd: np.ndarray, side: str) -> np.ndarray:
+    """(K,) N of the belt on a foot."""
+    m = step.walker.mechanism
+    found = contact_forces(m, q, qd).forces[:, :, 2]
+    return found[:, [side in contact.name for contact in m.contacts]].sum(axis=1)
+
+
+def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """(N, 6) N and N m that the pelvis is driven with along xs (N+1, nx), us (N, nu), trunk and pelvis being rigid."""
+    m, N = dynamics.mechanism, len(us)
+    q, qd = xs[:N, : m.nq], xs[:N, m.nq :]
+    tau = rnea(m, q, qd, dynamics.rates(xs[:N], us)[:, m.nv :]) - generalized_forces(m, q, qd)
+    first = m.joint(PELVIS[0]).start
+    return tau[:, first : first + len(PELVIS)]
+
+
+def judge_tracking(step: Step, run: Replay) -> Section:
+    """How far MuJoCo's legs are from the plan's: RMS over all joints."""
+    m = step.walker.mechanism
+    joints = [m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG]
+    pelvis = [m.joint(name).start for name in PELVIS]
+    error = run.error
+    away = np.degrees(error[:, joints])
+    bound, how = (FEEDBACK, "with the plan's gains") if run.feedback else (OPEN_LOOP, "without feedback")
+    return Section(
+        run.title,
+        (
+            Figure("joint_error", float(np.sqrt(np.mean(away**2))), "deg", bound, f"RMS over the legs' joints, {how}"),
+            Figure("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+            Figure("pelvis_error", float(np.abs(error[:, pelvis[:3]]).max()), "m", None, "largest, of its place"),
+            Figure("pelvis_turn_error", float(np.abs(error[:, pelvis[3:]]).max()), "rad", None, "largest"),
+        ),
+    )
+
+
+def judge_step(step: Step, run: Replay, promised: bool) -> Section:
+    """What the plan and MuJoCo's replay of it came to; clearance is judged where the cost asks enough of it."""
+    figures = []
+    for who, xs in (("planned", run.plan.xs), ("replayed", run.xs[:: run.substeps])):
+        found = measures(step, xs)
+        least = min(found.clearance.values())
+        note = f"of heel and toe under {1e3 * CLEAR:g} mm in the middle of a swing; the least is {1e3 * least:.1f} mm"
+        figures += [
+            Figure(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
+            Figure(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip over normal gait"),
+            Figure(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
+            *(Figure(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
+              for side, share in found.in_stance.items() if step.walker.belt),
+        ]  # fmt: skip
+    return Section("goal", tuple(figures))
+
+
+def arrives(step: Step, ends: np.ndarray) -> np.ndarray:
+    """(K,) whether perturbed ends (K, nx) are near the normal gait."""
+    m = step.walker.mechanism
+    joints = [m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG]
+    away = np.degrees(ends[:, joints] - step.states[-1, joints])
+    return np.sqrt(np.mean(away**2, axis=1)) < ARRIVES
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.mean(values)) if values.size else 0.0
+
+
+def _mean_rms(found: Measures) -> float:
+    return float(np.sqrt(np.mean(np.square(list(found.rms.values())))))
+
+
+def _swing(step: Step, side: str, within: tuple[float, float] = (0.0, 1.0)) -> np.ndarray:
+    """(N+1,) bool: in a part of its swing."""
+    part = (step.leg_time(side) - SWING[0]) / (SWING[1] - SWING[0])
+    return (part >= within[0]) & (part <= within[1])
+
+
+def _stands(step: Step, side: str) -> np.ndarray:
+    t = step.leg_time(side)
+    return (t >= STANDS[0]) | (t <= STANDS[1])
+
+
+def _swings(step: Step, side: str) -> np.ndarray:
+    return ~_stands(step, side)

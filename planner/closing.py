@@ -1,0 +1,77 @@
+"""Periodic motions: what of the state must come back at the end of a cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.errors import PlannerError
+from planner.space import StateSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """What of a motion's state is to be at the end what it was at the start, and how nearly.
+
+    Attributes:
+        tolerance: (ndx,) the largest difference of each component of the deviation; infinite where it need not come
+            back, like the travel of a belt. A number holds for all.
+
+    Raises:
+        PlannerError: Negative, not numbers, or nothing that must come back.
+    """
+
+    tolerance: np.ndarray
+
+    def __post_init__(self) -> None:
+        try:
+            tolerance = np.array(self.tolerance, dtype=float)
+        except (TypeError, ValueError):
+            tolerance = np.array(np.nan)
+        if tolerance.ndim > 1 or not (tolerance > 0.0).all() or not np.isfinite(tolerance).any():
+            raise PlannerError(
+                "the tolerance of what is periodic has to be a number or one for each component of a deviation, above "
+                "0, infinite only for what need not come back."
+            )
+        tolerance.flags.writeable = False
+        object.__setattr__(self, "tolerance", tolerance)
+
+    def of_size(self, ndx: int) -> Periodic:
+        """The same with a tolerance (ndx,).
+
+        Raises:
+            PlannerError: It is of another size.
+        """
+        if self.tolerance.shape not in ((), (ndx,)):
+            raise PlannerError(
+                f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."
+            )
+        return Periodic(np.broadcast_to(self.tolerance, ndx))
+
+    @property
+    def closes(self) -> np.ndarray:
+        """(ndx,) bool: what must come back."""
+        return np.isfinite(self.tolerance)
+
+    def gap(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
+        """(ndx,) how far the end of states (N+1, nx) is from their start; zero in what need not come back."""
+        return np.where(self.closes, space.difference(xs[-1], xs[0]), 0.0)
+
+    def miss(self, space: StateSpace, xs: np.ndarray) -> float:
+        """The largest gap, as a multiple of its tolerance: at most 1 when states (N+1, nx) are periodic."""
+        return float(np.max(np.abs(self.gap(space, xs)) / self.tolerance))
+
+    def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """State x (nx,) with what must come back taken from another state `end` (nx,)."""
+        return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
+
+    def to_list(self) -> list[float | None]:
+        """As JSON values; what is infinite is None."""
+        return [float(value) if np.isfinite(value) else None for value in self.tolerance]
+
+    @classmethod
+    def from_list(cls, values: list[Any]) -> Periodic:
+        """What to_list made."""
+        return cls(np.array([np.inf if value is None else value for value in values]))

@@ -1,0 +1,112 @@
+"""Parity of a machine with prescribed joints and of the model in which MuJoCo drives them (planner.driven_twin).
+
+Two comparisons at random states. First the machines with a moderate armature in place of the H that makes the driven
+joints heavy: mass matrix, bias and actuator forces, accelerations as of any mechanism, since beside H a wrong mass
+would not be seen. Then the model as it is replayed: its motors leave
+
+    a_p = u - tau_p / H
+
+of the accelerations asked for, tau_p being the force that they take, so MuJoCo's accelerations are those of the plan's
+own dynamics at such controls, to rounding. How much that is, is shown beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner import rigid_body
+from planner.driven_twin import HEAVY, prescribed_dofs, released
+from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.errors import ModelError
+from planner.figures import Figure, Section
+from planner.gl import load_mujoco
+from planner.mechanism import Mechanism
+from planner.proof.rigid_parity import random_states, rigid_parity, unlimited
+
+_ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
+
+
+def driven_parity(
+    mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
+) -> Section:
+    """Compare a mechanism whose joints are prescribed with the MuJoCo model that replays it.
+
+    Args:
+        mechanism: Ours.
+        prescribed: Names of joints.
+        model: MuJoCo's, with these joints driven; its ranges and contacts are switched off.
+        states: How many random states.
+        bound: What passes, relative.
+        seed: Of the random states.
+
+    Raises:
+        ModelError: The model has other joints or actuators.
+    """
+    dofs, free = prescribed_dofs(mechanism, prescribed), released(mechanism, prescribed)
+    inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()
+    armature = free.armature.copy()
+    armature[dofs] = inertias.max()  # a driven joint may carry next to nothing
+    free = replace(free, armature=armature)
+    if model.nv != mechanism.nv or not np.all(model.dof_armature[dofs] == HEAVY):
+        raise ModelError(
+            f"the model does not drive {', '.join(prescribed)}, expected an armature of {HEAVY:g} there: it is another "
+            "machine."
+        )
+    model.dof_armature[dofs] = armature[dofs]
+    spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / HEAVY)  # forces of size one
+    section = rigid_parity(free, model, None, states, bound, seed, spread)
+    model.dof_armature[dofs] = HEAVY
+    return replace(section, figures=(*section.figures, *_driven(mechanism, prescribed, model, states, bound, seed)))
+
+
+def _driven(
+    mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
+) -> tuple[Figure, Figure]:
+    """MuJoCo's accelerations of the driven model, beside the plan's dynamics; and what its armature leaves."""
+    smooth = replace(mechanism, contacts=(), stops=())
+    dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
+    rng = np.random.default_rng(seed)
+    xs = random_states(mechanism, rng, states)
+    us = rng.normal(size=(states, dynamics.nu))
+    accelerations = slice(mechanism.nv, 2 * mechanism.nv)
+    asked, left = us.copy(), np.zeros((states, dynamics.nu - mechanism.nu))
+    for _ in range(_ROUNDS):
+        left = forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations]) / HEAVY
+        asked[:, mechanism.nu :] = us[:, mechanism.nu :] - left
+    ours = dynamics.rates(xs, asked)[:, accelerations]
+    theirs = _accelerations(model, xs, us)
+    speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
+    scale = np.maximum(np.abs(theirs).max(axis=1), speed2)
+    error = float((np.abs(theirs - ours) / scale[:, None]).max())
+    lag = float(np.abs(left).max())
+    note = f"with the joints driven, at {states} random states (seed {seed}), relative to the largest at each"
+    shown = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
+    return (
+        Figure("driven_acceleration_error", error, "", bound, note),
+        Figure("left_by_the_motors", lag, "", None, shown),
+    )
+
+
+def forces_of_prescribed(
+    mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray
+) -> np.ndarray:
+    """The forces (K, n) that prescribed joints take, at xs (K, nx) with accelerations qdd (K, nv); without contacts."""
+    q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    return rigid_body.rnea(released(mechanism, prescribed), q, qd, qdd)[:, prescribed_dofs(mechanism, prescribed)]
+
+
+def _accelerations(model: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """MuJoCo's (K, nv), without contacts and ranges."""
+    unlimited(model)
+    mujoco, result = load_mujoco(), np.empty((len(xs), model.nv))
+    data = mujoco.MjData(model)
+    for k, (x, u) in enumerate(zip(xs, us, strict=True)):
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(x, [model.nq, model.nq + model.nv])
+        data.ctrl[:] = u
+        mujoco.mj_forward(model, data)
+        result[k] = data.qacc_smooth
+    return result
