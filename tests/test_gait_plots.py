@@ -33,9 +33,7 @@ def lines(axes):
 def test_side_front_and_top_are_what_they_are_called():
     point = np.array([1.0, 2.0, 3.0])  # ahead, left, up
     np.testing.assert_allclose(projected(point, SIDE), [1.0, 3.0], atol=1e-12)
-    np.testing.assert_allclose(
-        projected(point, FRONT), [2.0, 3.0], atol=1e-12
-    )  # who faces us has left at our right
+    np.testing.assert_allclose(projected(point, FRONT), [2.0, 3.0], atol=1e-12)  # who faces us has left at our right
     np.testing.assert_allclose(projected(point, TOP), [1.0, 2.0], atol=1e-12)
 
 

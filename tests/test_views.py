@@ -64,11 +64,14 @@ def test_each_contact_has_its_force_and_their_normals_sum_to_the_total(replay):
     np.testing.assert_allclose(both[:, 2], 0.0, atol=0.01)
 
 
-def test_forces_are_those_on_the_later_body_whichever_geom_comes_first(replay):
-    swapped = TREADMILL.replace('geom1="belt" geom2="left_foot"', 'geom1="left_foot" geom2="belt"')
-    other = standing(text=swapped).touches
-    assert other.names == replay.touches.names
-    np.testing.assert_allclose(other.forces, replay.touches.forces, atol=1e-6)
+def test_forces_are_those_on_the_feet_whichever_shape_mujoco_names_first():
+    """It sorts shapes by their kind: a sphere comes before a box, and after a plane."""
+    box = TREADMILL.replace('<joint name="belt" type="slide" axis="1 0 0"/>', "")
+    plane = box.replace('type="box" size="60 .5 .1" pos="0 0 -.1"', 'type="plane" size="60 .5 .1"')
+    for text in (box, plane):
+        seen = standing(text=text).touches
+        assert seen.names == ("left_foot on belt", "right_foot on belt")
+        assert seen.forces[-1, :, 2].sum() == pytest.approx(WEIGHT, rel=0.02)
 
 
 def test_a_long_simulation_keeps_means(monkeypatch, replay):

@@ -33,7 +33,7 @@ from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.problem import Problem, Requirements
-from planner.stage import Panel, Readout, Stage
+from planner.stage import Ghost, Panel, Readout, Stage, View
 
 Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
@@ -48,6 +48,8 @@ MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
+CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
+"""Tendons of the scene: the robot, which the ghost is drawn without."""
 TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 1e-5}
 """Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
 A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
@@ -176,7 +178,7 @@ def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
 
 
 def _stage(step: Step) -> Stage:
-    """The person on the belt, seen from the side of the leg that is planned."""
+    """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
     names = step.walker.mechanism.joint_names
     duration = step.N * step.dt
 
@@ -193,10 +195,13 @@ def _stage(step: Step) -> Stage:
         title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
         readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),
         look_at=(0.0, 0.0, 0.85 * step.walker.scale),
-        distance=3.2 * step.walker.scale,
+        distance=4.2 * step.walker.scale,
         azimuth=90.0,
-        elevation=-6.0,
-        force_scale=0.0 if not step.walker.belt else 1e-3,
+        elevation=-10.0,
+        views=(View(90.0, label="from the right"), View(180.0, label="from ahead")),
+        ghost=Ghost(step.states, "normal gait"),
+        scenery=(*(("belt",) if step.walker.belt else ()), *CYLINDERS),
+        force_scale=0.0 if not step.walker.belt else 4e-3,
         force_unit="N",
         speed=0.25 if duration < 1.0 else 0.5,
         plots=(
