@@ -34,6 +34,7 @@ ORDER = [
     ["rigid_body"],
     ["momentum"],
     ["contact_forces"],
+    ["statics"],
     ["dynamics"],
     ["rates"],
     ["weights"],
