@@ -61,6 +61,7 @@ from planner.shooting import Extremal, shoot
 from planner.slq import solve
 from planner.space import StateSpace
 from planner.spline import SplineMotion, minimize_effort
+from planner.statics import settled
 from planner.twin import Twin
 from planner.underactuated import DrivenMotion, minimize_effort_underactuated
 
@@ -166,6 +167,7 @@ __all__ = [
     "retimed",
     "rnea",
     "rnea_derivatives",
+    "settled",
     "shoot",
     "solve",
     "solve_by_splines",

@@ -34,6 +34,8 @@ from planner.errors import PlannerError
 ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
 
+RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
+
 
 @dataclass(frozen=True)
 class Law:
@@ -87,6 +89,38 @@ class Touch(Law):
             _set(self, **{name: number(name, getattr(self, name), least=0.0)})
         if self.impratio != math.inf:
             _set(self, impratio=number("impratio", self.impratio, above=0.0))
+
+    @classmethod
+    def resting(
+        cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
+        ramp: float | None = None, gravity: float = 9.81,
+    ) -> Touch:  # fmt: skip
+        """The law of a ground by what it does to a machine of some mass, for whom the law's numbers say nothing.
+
+        RK4 wants stages of at most 2.7 m / slip_damping and 2.7 m / damping, m the mass that a foot has by itself:
+        light feet want a larger slip, or a shorter dt.
+
+        Args:
+            mass: kg, of all of the machine.
+            sink: m, how deep the machine sinks in when it stands on one contact: K = mass gravity / sink.
+            friction: mu.
+            damping_ratio: zeta of the machine bouncing on one contact: B = 2 zeta sqrt(K mass).
+            slip: m/s at which viscous friction would be all there is, c_t = mu mass gravity / slip; a foot pushed
+                along with a part of that creeps at about that part of it.
+            ramp: m, of smoothing; by default a fifth of the sink.
+            gravity: m/s^2.
+
+        Raises:
+            PlannerError: A number that is not above 0.
+        """
+        weight = number("mass", mass, above=0.0) * number("gravity", gravity, above=0.0)
+        stiffness = weight / number("sink", sink, above=0.0)
+        damping = 2.0 * number("damping_ratio", damping_ratio, least=0.0) * math.sqrt(stiffness * mass)
+        mu = number("friction", friction, least=0.0)
+        return cls(
+            stiffness, damping, RAMP_SHARE * sink if ramp is None else ramp,
+            slip_damping=mu * weight / number("slip", slip, above=0.0), friction=mu,
+        )  # fmt: skip
 
     @classmethod
     def exact(

@@ -45,6 +45,16 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
+def contact_jacobians(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does."""
+    q = np.asarray(q, dtype=float)
+    q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
+    J = np.zeros((len(q), len(mechanism.contacts), 3, mechanism.nv))
+    for k, contact in enumerate(mechanism.contacts):
+        J[:, k] = _Place(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
+    return J[0] if single else J
+
+
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """The applied force tau (..., nv) of all contacts and stops at q (..., nq), qd (..., nv)."""
     q, qd, single = _states(mechanism, q, qd)

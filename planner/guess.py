@@ -8,13 +8,15 @@ from planner.arguments import array
 from planner.errors import PlannerError
 from planner.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 from planner.rigid_body import bias, rnea
+from planner.statics import supported
 
 
 def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """Controls (nu,) that hold a pose against gravity and springs, as far as the actuators can.
 
     Least squares, and of all least squares the smallest: zero for what no actuator reaches. An actuator whose
-    activation integrates its control holds what it has.
+    activation integrates its control holds what it has. Where contacts are near the ground it carries the machine as
+    far as it can (planner.statics).
 
     Args:
         mechanism: The machine.
@@ -31,6 +33,8 @@ def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     force[keeps] += actuators.gain[keeps] * act[actuators.activation[keeps]]
     missing = bias(mechanism, q, np.zeros(mechanism.nv)) - actuators.moment.T @ force
     reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
+    if mechanism.contacts:
+        return supported(mechanism, q, reach, missing)
     return np.linalg.lstsq(reach, missing, rcond=None)[0]
 
 

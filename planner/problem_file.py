@@ -6,6 +6,8 @@
     duration = 4.0                      # s
     dt = 0.02                           # s
 
+    contacts = "ground"                 # optional: a law for feet (see planner.contact); settle = true puts them down
+
     [weights]                           # numbers, or tables by joint (effort: by actuator)
     effort = 0.01
     final_position = { trolley = 1000.0, swing = 1000.0 }
@@ -30,6 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from planner.arguments import array, choice, count, number, shown
+from planner.contact import Touch
 from planner.cost import TrackingCost, states
 from planner.default_stage import default_stage
 from planner.driven_twin import driven_dofs
@@ -44,6 +47,7 @@ from planner.mechanism_refusals import KINDS
 from planner.multistart import MOST_STARTS
 from planner.objective import OBJECTIVES, checked_durations, weights_of, with_objective
 from planner.problem import Problem, Requirements
+from planner.statics import settled
 from planner.twin import Twin
 
 if TYPE_CHECKING:
@@ -59,7 +63,8 @@ KEYS = {
     "dt": "length of a stage, s",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
-    "contacts": "on, or off to take them out of a model whose shapes may collide",
+    "contacts": "on, off to take them out of a model whose shapes may collide, ground, or a table of their law, below",
+    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
@@ -85,10 +90,24 @@ WEIGHTS = {
     "position": "on the squared distance from the goal / 2 on the way, per second",
     "velocity": "on the squared velocity error / 2 on the way, per second",
 }
+LAW = {
+    "stiffness": "N/m",
+    "damping": "N s/m",
+    "ramp": "m of smoothing",
+    "slip_damping": "N s/m, of friction before it slips",
+    "friction": "mu",
+}
+GROUND = {
+    "sink": "m, how deep the machine sinks in when it stands on one contact",
+    "friction": "mu",
+    "damping_ratio": "of the machine bouncing on one contact",
+    "slip": "m/s, at which viscous friction would be all there is",
+    "ramp": "m of smoothing",
+}
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "ignore": [], "starts": 1, "seed": 0,
-    "tolerance": 0.1, "title": "",
+    "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
+    "starts": 1, "seed": 0, "tolerance": 0.1, "title": "",
 }  # fmt: skip
 DEFAULT_WEIGHTS: dict[str, Any] = {
     "effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0,
@@ -198,12 +217,28 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     ignore = table["ignore"]
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
-    choice("contacts", table["contacts"], ("on", "off"))
-    mechanism = read(model, ignore=tuple(ignore), contacts=table["contacts"], assets=assets)
+    contacts = table["contacts"]
+    if not isinstance(contacts, dict):
+        choice("contacts", contacts, ("on", "off", "ground"))
+    if contacts not in ("on", "off"):
+        # a stored model has the law already
+        contacts = "on" if assets is not None else _touch(contacts, read(model, ignore=tuple(ignore), contacts="off"))
+    mechanism = read(model, ignore=tuple(ignore), contacts=contacts, assets=assets)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
         raise ModelError(f"{name} has no actuators, expected at least one, or prescribed joints: nothing is planned.")
     return mechanism
+
+
+def _touch(law: str | dict[str, Any], mechanism: Mechanism) -> Touch:
+    """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
+    law = {} if isinstance(law, str) else law
+    if "stiffness" in law:
+        _known(law, LAW, "a contacts table with stiffness")
+        return Touch(**law)
+    _known(law, GROUND, "a contacts table without stiffness")
+    gravity = float(np.linalg.norm(mechanism.gravity))
+    return Touch.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
 
 
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
@@ -215,6 +250,10 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
     goal = _state("goal", table["goal"], mechanism, at_rest)
+    if not isinstance(table["settle"], bool):
+        raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
+    if table["settle"]:
+        x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
     dt, N = _stages(table["duration"], table["dt"])
     table = table | {
         "duration": float(table["duration"]), "dt": dt, "starts": count("starts", table["starts"], most=MOST_STARTS),
@@ -261,6 +300,13 @@ def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
     return np.concatenate([hold(free, x0), np.zeros(len(driven))])
+
+
+def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
+    try:
+        return settled(mechanism, x)
+    except PlannerError as error:
+        raise PlannerError(f"settle of {name}: {error}") from None
 
 
 def _stages(duration: Any, dt: Any) -> tuple[float, int]:

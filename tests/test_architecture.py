@@ -35,6 +35,7 @@ ORDER = [
     ["rigid_body"],
     ["momentum"],
     ["contact_forces"],
+    ["statics"],
     ["dynamics"],
     ["rates"],
     ["weights"],
