@@ -75,7 +75,7 @@ class BodyPlace:
         parts = (contact.first, contact.second)
         self._axes = [np.zeros_like(a) if part.length == 0.0 else a for a, part in zip(self._axes, parts, strict=True)]
         lengths = (parts[0].length, parts[1].length)
-        self._closest = closest_points(m[0] - m[1], *self._axes, lengths, contact.blunt)
+        self._closest = closest_points(m[0] - m[1], self._axes[0], self._axes[1], lengths, contact.blunt)
         self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the middles
         self._distance = np.hypot(np.linalg.norm(self._closest.D, axis=1), _NO_DIRECTION)
         self.n = self._closest.D / self._distance[:, None]

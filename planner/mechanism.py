@@ -207,10 +207,11 @@ class Mechanism:
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: "on" models contacts of spheres and capsules with planes, if MuJoCo's force is a law of
-                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is
-                given to those of the file instead of their own force, in the replayed model too, and what is left
-                of them is taken out and said in `ignored`.
+            contacts: "on" models contacts of spheres, capsules and corners of boxes with planes, and of spheres and
+                capsules with each other, if MuJoCo's force is a law of planner.contact (see
+                planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is given to those of
+                the file instead of their own force, in the replayed model too, and what is left of them is taken
+                out and said in `ignored`.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

@@ -24,6 +24,7 @@ ORDER = [
     ["body_contact"],
     ["mechanism"],
     ["mechanism_refusals"],
+    ["contact_shapes"],
     ["mechanism_contacts"],
     ["contact_edits", "mechanism_edits"],
     ["mechanism_reader"],
@@ -118,7 +119,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
-    users |= {"camera", "ranges", "hold", "drawing", "refine"}
+    users |= {"contact_shapes", "camera", "ranges", "hold", "drawing", "refine"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

@@ -2,8 +2,8 @@
 
 planner.body_contact has the geometry and planner.contact the law. Each body is described about the origin of its own
 tree, so p is too. Only degrees of freedom that move one of the two bodies and not the other matter: what carries
-both feels nothing and changes nothing. With J_i = v_i + w_i x p for dof i of one of them ("own", its sign + for the first)
-and the other one at rest,
+both feels nothing and changes nothing. With J_i = v_i + w_i x p for dof i of one of them ("own", the upper sign if
+it is the first) and the other one at rest,
 
     dg_own = +-(w_i x a_own)'D + a_own'X,   dg_other = -a_other'X,   X = v_i + w_i x x_own,   ds = -G^-1 dg
     dD     = +-(X + a_own ds_own - a_other ds_other),   dp = (X + a_own ds_own + a_other ds_other)/2 - (r_1 - r_2) dn/2
