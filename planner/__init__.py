@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from planner import cases
+from planner.body_contact import BodyContact, Capsule
 from planner.check import Checked, check
 from planner.contact import Contact, Law, Plane, Stop, Touch
-from planner.contact_forces import ContactForces, contact_forces
+from planner.contact_forces import ContactForces, body_contact_forces, contact_forces
 from planner.control_spline import SplineControls, solve_by_splines
 from planner.cost import Cost, Quadratic, SumCost, TrackingCost
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
@@ -83,6 +84,8 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
+    "BodyContact",
+    "Capsule",
     "Checked",
     "Contact",
     "ContactForces",
@@ -134,6 +137,7 @@ __all__ = [
     "angular_momentum",
     "bias",
     "bias_derivatives",
+    "body_contact_forces",
     "cases",
     "center_of_mass",
     "check",

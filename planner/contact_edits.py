@@ -1,7 +1,7 @@
 """A law of planner.contact given to the contacts of an MJCF, so that MuJoCo replays what was planned with.
 
 Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
-that are not modelled (two bodies that both move, meshes) are excluded and said to be.
+that are not modelled (meshes, boxes of two bodies that both move) are excluded and said to be.
 
 Those numbers are relative to MuJoCo's body_invweight0, so a model whose inertias are changed needs others for the same
 law: `keep_law` writes them.
@@ -16,8 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.contact import Touch
+from planner.contact_shapes import at_home
 from planner.errors import ModelError
-from planner.mechanism_contacts import CONTACT_RAMP, Pair, at_home, contact_attributes, matched, pairs
+from planner.mechanism_contacts import CONTACT_RAMP, Pair, contact_attributes, pairs, shapes_fit
 from planner.mechanism_refusals import named
 from planner.mjcf import written
 
@@ -47,7 +48,7 @@ def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
     section, left_out = ElementTree.SubElement(root, "contact"), []
     for pair in all_of_them:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
-        if matched(model, home, pair) is None:
+        if not shapes_fit(model, home, pair):
             left_out.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue

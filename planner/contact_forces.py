@@ -2,30 +2,35 @@
 
 The law and its pieces are planner.contact's. A contact acts at p, halfway between the surfaces, which moves over the
 link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.
+Between two bodies J is the difference of both links', and the normal turns: the law is the same in all directions, so
+
+    df = w x f + f_e de + f_v (dv - w x v),   w = n x dn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner import rigid_body
 from planner.arguments import array
+from planner.body_contact_places import BodyPlace
 from planner.contact import Contact, Law, Touch, slide_direction
 from planner.mechanism import Frame, Mechanism
 
 
 class ContactForces(NamedTuple):
-    """Of each contact of a mechanism, at each state."""
+    """Of each contact with a plane, or each of two bodies, at each state."""
 
     points: np.ndarray  # (..., contacts, 3) m, where they act, in the world
     depths: np.ndarray  # (..., contacts) m, into the real surface; negative above it
-    forces: np.ndarray  # (..., contacts, 3) N, on the mechanism, in the world
+    forces: np.ndarray  # (..., contacts, 3) N, on the mechanism or the first body, in the world
 
 
 def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
-    """Where and with what force a mechanism is touched.
+    """Where and with what force the planes of the world touch a mechanism, in the order of its contacts.
 
     Args:
         mechanism: The machine.
@@ -37,11 +42,31 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """
     q, qd, single = _states(mechanism, q, qd)
     places = [_Place(mechanism, contact, q, qd) for contact in mechanism.contacts]
+    return _forces(places, q, single)
+
+
+def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
+    """Where and with what force two bodies touch, in the order of a mechanism's body_contacts.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq).
+        qd: (..., nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+    q, qd, single = _states(mechanism, q, qd)
+    places = [BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
+    return _forces(places, q, single)
+
+
+def _forces(places: Sequence[_Place | BodyPlace], q: np.ndarray, single: bool) -> ContactForces:
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
-    for k, (place, contact) in enumerate(zip(places, mechanism.contacts, strict=True)):
-        points[:, k], depths[:, k] = place.p, place.e - contact.touch.lift
-        forces[:, k] = _force(contact, place)[0]
+    for k, place in enumerate(places):
+        points[:, k], depths[:, k] = place.p, place.e - place.contact.touch.lift
+        forces[:, k] = _force(place)[0]
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
@@ -59,9 +84,8 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """The applied force tau (..., nv) of all contacts and stops at q (..., nq), qd (..., nv)."""
     q, qd, single = _states(mechanism, q, qd)
     tau = np.zeros_like(qd)
-    for contact in mechanism.contacts:
-        place = _Place(mechanism, contact, q, qd)
-        tau += np.einsum("kaj,ka->kj", place.J, _force(contact, place)[0])
+    for place in _places(mechanism, q, qd):
+        tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
     for stop in mechanism.stops:
         e, opening = _stop_state(mechanism, stop, q, qd)
         tau[:, stop.dof] -= stop.side * _one_sided(stop.law, e, opening)[0]
@@ -72,12 +96,12 @@ def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tupl
     """Derivatives (..., nv, nv) of generalized_forces by q (in the tangent) and qd, exact."""
     q, qd, single = _states(mechanism, q, qd)
     by_q, by_qd = np.zeros((len(q), mechanism.nv, mechanism.nv)), np.zeros((len(q), mechanism.nv, mechanism.nv))
-    for contact in mechanism.contacts:
-        place = _Place(mechanism, contact, q, qd)
-        J, dJ, de = *place.derivatives(q), -np.einsum("a,kaj->kj", contact.plane.normal, place.at_centre)
-        f, f_e, f_v = _force(contact, place)
-        dv = np.einsum("kaji,kj->kai", dJ, qd)
-        df = f_e[:, :, None] * de[:, None] + f_v @ dv
+    for place in _places(mechanism, q, qd):
+        J, (de, dn, dJ) = place.J, place.derivatives(q)
+        f, f_e, f_v = _force(place)
+        turn = np.cross(place.n[:, :, None], dn, axis=1)
+        dv = np.einsum("kaji,kj->kai", dJ, qd) - np.cross(turn, place.v[:, :, None], axis=1)
+        df = np.cross(turn, f[:, :, None], axis=1) + f_e[:, :, None] * de[:, None] + f_v @ dv
         by_q += np.einsum("kaji,ka->kji", dJ, f) + np.swapaxes(J, 1, 2) @ df
         by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
     for stop in mechanism.stops:
@@ -95,8 +119,15 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
     return np.atleast_2d(q), np.atleast_2d(qd), single
 
 
+def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[_Place | BodyPlace]:
+    return [
+        *(_Place(mechanism, contact, q, qd) for contact in mechanism.contacts),
+        *(BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts),
+    ]
+
+
 class _Place:
-    """Where a contact is at K states: penetration e, point p, Jacobian J and velocity v relative to the surface."""
+    """Where a contact is at K states: what BodyPlace says of two bodies, of a sphere and a plane."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)
@@ -112,15 +143,16 @@ class _Place:
         self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
         if contact.plane.slide >= 0:  # relative to what moves too
             self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
+        self.n = np.broadcast_to(n, centre.shape)
         self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
 
-    def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """J (K, 3, nv) and its derivative by q (K, 3, nv, nv)."""
+    def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
         D, n = rigid_body.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
         de = -np.einsum("a,kaj->kj", n, self.at_centre)
         darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
         dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)
-        return self.J, dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
+        return de, np.zeros_like(darm), dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
 
 
 def _stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,9 +195,9 @@ def _one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray
     return force, slope * by_e, slope * by_opening
 
 
-def _force(contact: Contact, place: _Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _force(place: _Place | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
-    return touch_force(contact.touch, contact.plane.normal, place.e, place.v)
+    return touch_force(place.contact.touch, place.n, place.e, place.v)
 
 
 def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,12 +205,13 @@ def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tu
 
     Args:
         touch: The law's numbers.
-        n: (3,) normal.
+        n: (3,) or (K, 3) normal.
         e: (K,) penetration into the law's surface, m.
         v: (K, 3) velocity relative to the surface, m/s.
     """
-    mu, across = touch.friction, np.eye(3) - np.outer(n, n)
-    opening, vt = v @ n, v @ across
+    n = np.broadcast_to(n, v.shape)
+    mu, across = touch.friction, np.eye(3) - n[:, :, None] * n[:, None]
+    opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
     d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # of sliding
     s, ds = smoothstep(e, touch.ramp)
@@ -206,7 +239,7 @@ def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tu
         dfriction = ((limit / D) ** 3)[:, None] * dslip + ((slip / D) ** 3)[:, None] * dlimit
     force = normal[:, None] * n - friction[:, None] * d
     turning = np.where(speed > 0.0, friction / np.where(speed > 0.0, speed, 1.0), np.where(limit > 0.0, c, 0.0))
-    by = dnormal[:, None, :] * n[:, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)
+    by = dnormal[:, None, :] * n[:, :, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)
     along = across - d[:, :, None] * d[:, None, :]  # d turns, unless it is a point at rest
     by[:, :, 1:] -= turning[:, None, None] * along
     return force, by[:, :, 0], by[:, :, 1:]

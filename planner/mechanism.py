@@ -31,6 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.arguments import choice
+from planner.body_contact import BodyContact, check_body_contact
 from planner.contact import Contact, Stop, Touch, slide_direction
 from planner.errors import ModelError, PlannerError
 from planner.space import StateSpace
@@ -119,6 +120,7 @@ class Mechanism:
         bodies: Their frames.
         contacts: What touches the planes of the world.
         stops: Ends of joints that push back.
+        body_contacts: Spheres and capsules that touch each other.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -159,6 +161,7 @@ class Mechanism:
     mjcf: str = ""
     assets: dict[str, bytes] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
+    body_contacts: tuple[BodyContact, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("armature", "damping", "stiffness"):
@@ -187,6 +190,8 @@ class Mechanism:
             if contact.link not in carriers:  # of several joints of a body, the last one carries it
                 raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
             slide_direction(self, contact.plane)
+        for k, pair in enumerate(self.body_contacts):
+            check_body_contact(pair, carriers, f"body_contacts[{k}]")
         for k, stop in enumerate(self.stops):
             if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
                 raise PlannerError(
@@ -202,10 +207,11 @@ class Mechanism:
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: "on" models contacts of spheres and capsules with planes, if MuJoCo's force is a law of
-                planner.contact (see planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is
-                given to those of the file instead of their own force, in the replayed model too, and what is left
-                of them is taken out and said in `ignored`.
+            contacts: "on" models contacts of spheres, capsules and corners of boxes with planes, and of spheres and
+                capsules with each other, if MuJoCo's force is a law of planner.contact (see
+                planner.mechanism_contacts); "off" takes all contacts out of the file; a Touch is given to those of
+                the file instead of their own force, in the replayed model too, and what is left of them is taken
+                out and said in `ignored`.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

@@ -23,7 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.arguments import number
-from planner.contact import ALONG, Contact, Law, Plane, Stop, Touch
+from planner.body_contact import BodyContact
+from planner.contact import Contact, Law, Stop, Touch
+from planner.contact_shapes import are_capsules, at_home, capsule_of, part_name, plane_and_spheres
 from planner.errors import ModelError
 from planner.gl import load_mujoco
 from planner.mechanism_refusals import Refusal, contact_pairs, disabled, named
@@ -135,77 +137,20 @@ def _mix(a: float, b: float) -> float:
     return a / (a + b) if a + b > 0.0 else 0.5
 
 
-def at_home(model: Any) -> Any:
-    """MuJoCo's data of the model as its file describes it, in which planes are looked up."""
-    data = load_mujoco().MjData(model)
-    load_mujoco().mj_kinematics(model, data)
-    return data
-
-
-def plane_of(model: Any, home: Any, geom: int) -> Plane | None:
-    """The plane that a geom is to a sphere: a plane, or the uppermost face of a box as one without end.
-
-    None where it is neither, and where it moves, but on a slide along itself (a treadmill's belt).
-    """
-    mujoco = load_mujoco()
-    axes, at = home.geom_xmat[geom].reshape(3, 3).T, home.geom_xpos[geom]
-    if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_PLANE):
-        normal = axes[2]
-    elif model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_BOX):
-        up = -axes @ model.opt.gravity if np.any(model.opt.gravity) else axes[:, 2]
-        axis = int(np.argmax(np.abs(up)))
-        normal = math.copysign(1.0, up[axis]) * axes[axis]
-        at = at + model.geom_size[geom][axis] * normal
-    else:
-        return None
-    body, slide = int(model.body_weldid[model.geom_bodyid[geom]]), -1
-    if body > 0:
-        joint, slide = int(model.body_jntadr[body]), int(model.body_dofadr[body])
-        only = model.body_dofnum[body] == 1 and model.body_weldid[model.body_parentid[body]] == 0
-        slides = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-        if not (only and slides and abs(home.xaxis[joint] @ normal) < ALONG):
-            return None
-    return Plane(normal, float(normal @ at), slide=slide)
-
-
-class Sphere(NamedTuple):
-    """A part of a geom that touches a plane as a sphere."""
-
-    geom: int
-    centre: np.ndarray  # (3,) in the geom's frame
-    radius: float
-
-
-def spheres_of(model: Any, geom: int) -> list[Sphere]:
-    """The spheres as which a geom that moves meets a plane."""
-    kinds = load_mujoco().mjtGeom
-    kind, size = model.geom_type[geom], model.geom_size[geom]
-    if model.body_weldid[model.geom_bodyid[geom]] == 0:
-        return []
-    if kind == int(kinds.mjGEOM_SPHERE):
-        return [Sphere(geom, np.zeros(3), float(size[0]))]
-    if kind == int(kinds.mjGEOM_CAPSULE):
-        return [Sphere(geom, np.array([0.0, 0.0, side * size[1]]), float(size[0])) for side in (-1.0, 1.0)]
-    return []
-
-
-def matched(model: Any, home: Any, pair: Pair) -> tuple[Plane, list[Sphere]] | None:
-    """The plane of a pair and the spheres that meet it, where it has both."""
-    for flat, other in (pair.geoms, pair.geoms[::-1]):
-        plane, spheres = plane_of(model, home, flat), spheres_of(model, other)
-        if plane is not None and spheres:
-            return plane, spheres
-    return None
+def shapes_fit(model: Any, home: Any, pair: Pair) -> bool:
+    """Whether the shapes of a pair are modelled, whatever their force."""
+    return bool(plane_and_spheres(model, home, pair.geoms)) or are_capsules(model, pair.geoms)
 
 
 def _reason(model: Any, home: Any, pair: Pair) -> str:
     """Why a pair is not modelled; "" where it is."""
-    if matched(model, home, pair):
+    if shapes_fit(model, home, pair):
         return _law_reason(model, pair)
     kinds = load_mujoco().mjtGeom
     shapes = [kinds(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower() for g in pair.geoms]
     moving = "" if any(model.body_weldid[model.geom_bodyid[g]] == 0 for g in pair.geoms) else " that both move"
-    return f"{shapes[0]} and {shapes[1]}{moving}, expected a plane or box at rest and a sphere or capsule"
+    expected = "a plane or box at rest and a sphere, capsule or box, or two spheres or capsules"
+    return f"{shapes[0]} and {shapes[1]}{moving}, expected {expected}"
 
 
 def _law_reason(model: Any, pair: Pair) -> str:
@@ -248,7 +193,7 @@ def contact_refusals(model: Any) -> Iterator[Refusal]:
 
 
 def read_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[Contact, ...]:
-    """The contacts of a model but for those that are not modelled.
+    """The contacts of a model with planes but for those that are not modelled.
 
     Args:
         model: Compiled.
@@ -257,16 +202,28 @@ def read_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[Con
     """
     found, home = [], at_home(model)
     for pair in pairs(model):
-        match = matched(model, home, pair)
+        match = plane_and_spheres(model, home, pair.geoms)
         if match is None or _law_reason(model, pair):
             continue
         plane, spheres = match
         touch = _touch(model, pair)
         for number_, sphere in enumerate(spheres):
-            name = named(model, "geom", sphere.geom) + (f" end {number_ + 1}" if len(spheres) > 1 else "")
+            name = part_name(named(model, "geom", sphere.geom), spheres, number_)
             centre = (geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
             link = int(links[model.geom_bodyid[sphere.geom]])
             found.append(Contact(link, centre, sphere.radius, plane, touch, name))
+    return tuple(found)
+
+
+def read_body_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[BodyContact, ...]:
+    """The contacts of spheres and capsules of a model with each other, with the arguments of read_contacts."""
+    found, home = [], at_home(model)
+    for pair in pairs(model):
+        if plane_and_spheres(model, home, pair.geoms) or _reason(model, home, pair):
+            continue
+        first, second = (capsule_of(model, geom, links, geoms) for geom in pair.geoms)
+        name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
+        found.append(BodyContact(first, second, _touch(model, pair), name))
     return tuple(found)
 
 

@@ -22,7 +22,7 @@ from planner.contact_edits import give_law
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
-from planner.mechanism_contacts import contact_refusals, read_contacts, read_stops
+from planner.mechanism_contacts import contact_refusals, read_body_contacts, read_contacts, read_stops
 from planner.mechanism_edits import take_out
 from planner.mjcf import model_tree
 from planner.space import unit
@@ -163,6 +163,7 @@ def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[st
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=read_contacts(model, links, _geoms(model, poses)),
+        body_contacts=read_body_contacts(model, links, _geoms(model, poses)),
         stops=read_stops(model),
         sites={
             site: Frame(

@@ -249,7 +249,7 @@ def unstable_at(model: Any, w: np.ndarray, start: float = 0.0) -> tuple[str, ...
 def knows_contacts(plan: Plan) -> bool:
     """Whether a plan's dynamics may have contacts; a mechanism's are all that its model has, or none."""
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    return mechanism is None or bool(mechanism.contacts)
+    return mechanism is None or bool(mechanism.contacts or mechanism.body_contacts)
 
 
 def stopped_dofs(plan: Plan) -> frozenset[int]:

@@ -21,8 +21,10 @@ ORDER = [
     ["mjcf"],
     ["space"],
     ["contact"],
+    ["body_contact"],
     ["mechanism"],
     ["mechanism_refusals"],
+    ["contact_shapes"],
     ["mechanism_contacts"],
     ["contact_edits", "mechanism_edits"],
     ["mechanism_reader"],
@@ -34,6 +36,7 @@ ORDER = [
     ["kernels"],
     ["rigid_body"],
     ["momentum"],
+    ["body_contact_places"],
     ["contact_forces"],
     ["statics"],
     ["dynamics"],
@@ -124,7 +127,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert "mujoco" not in names
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
-    users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes", "driven_twin"}
+    users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes", "driven_twin", "contact_shapes"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

@@ -153,7 +153,7 @@ class RigidBodyDynamics:
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
                 'hessian="gauss-newton".'
             )
-        if self.mechanism.contacts or self.mechanism.stops:
+        if self.mechanism.contacts or self.mechanism.body_contacts or self.mechanism.stops:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
                 'hessian="gauss-newton".'

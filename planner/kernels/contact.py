@@ -99,6 +99,20 @@ def _touched(m, k, q, ws):
     return e, c, p, w, V, v, n, link, slide
 
 
+@inline
+def touch_force(value, o, e, v, n):
+    """The force of the law at o, by penetration, relative velocity and normal."""
+    opening = dot(v, n)
+    vt = axpy(v, spread(0.0) - opening, n)
+    g, _, _, s, _ = _normal(value, o, e, opening)
+    c = load(value, o + SLIP) * s
+    slip = c * sqrt(dot(vt, vt) + _TINY)
+    raised = load(value, o + SHARE) * (g + load(value, o + RAISE) * slip)
+    fn, _ = _ramped(value, o, maximum(g, raised))
+    viscosity, _, _ = _cut(value, o, c, slip, fn)
+    return sub(scaled(fn, n), scaled(viscosity, vt))
+
+
 @part
 def add_contact_wrenches(m, q, ws):
     """Take the contacts' wrenches from the bias forces of links whose poses and twists are known."""
@@ -107,16 +121,7 @@ def add_contact_wrenches(m, q, ws):
         e, _, p, _, _, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
-        o = k * CONTACT_SIZE + TOUCH
-        opening = dot(v, n)
-        vt = axpy(v, spread(0.0) - opening, n)
-        g, _, _, s, _ = _normal(value, o, e, opening)
-        c = load(value, o + SLIP) * s
-        slip = c * sqrt(dot(vt, vt) + _TINY)
-        raised = load(value, o + SHARE) * (g + load(value, o + RAISE) * slip)
-        fn, _ = _ramped(value, o, maximum(g, raised))
-        viscosity, _, _ = _cut(value, o, c, slip, fn)
-        f = sub(scaled(fn, n), scaled(viscosity, vt))
+        f = touch_force(value, k * CONTACT_SIZE + TOUCH, e, v, n)
         b = link * RECORD + BIAS
         store3(ws, b, sub(load3(ws, b), cross(p, f)))
         store3(ws, b + 3, sub(load3(ws, b + 3), f))
@@ -127,7 +132,7 @@ def add_contact_wrenches(m, q, ws):
 
 
 @inline
-def _differentiated(value, o, e, v, n):
+def differentiated(value, o, e, v, n):
     """The force f, its derivative by e, and what its derivative by v is made of."""
     opening = dot(v, n)
     vt = axpy(v, spread(0.0) - opening, n)
@@ -155,7 +160,7 @@ def _differentiated(value, o, e, v, n):
 
 
 @inline
-def _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
+def by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
     """The derivative of the force along dv."""
     along, across = dot(dv, n), dot(vt, dv)
     x = fn_n * along + fn_t * across + viscosity * along
@@ -173,10 +178,10 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
         if not any_less(0.0, e):
             continue
         o = k * CONTACT_SIZE + TOUCH
-        f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = _differentiated(value, o, e, v, n)
+        f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = differentiated(value, o, e, v, n)
         d = load3(value, k * CONTACT_SIZE + SLIDE)
         if slide >= 0:  # a rate of the slide is one of the link, backwards
-            dh = _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, (zero + d[0], zero + d[1], zero + d[2]))
+            dh = by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, (zero + d[0], zero + d[1], zero + d[2]))
             j, own = link, slide * ld + slide
             while j >= 0:
                 t, js = j * RECORD + SCREW_AXIS, j * ld + slide
@@ -192,12 +197,12 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
             rise = dot(dc, n)
             dp = axpy(dc, -0.5 * rise, n)
             dV = add(sub(add(add(yv, cross(yw, p)), cross(sw, V)), cross(w, Ji)), cross(w, dp))
-            df = axpy(_by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dV), spread(0.0) - rise, f_e)
+            df = axpy(by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dV), spread(0.0) - rise, f_e)
             moment = add(cross(p, df), cross(dp, f))
             turning = cross(f, sw)
             carried_force = add(df, turning)
             carried_moment = add(moment, sub(cross(p, turning), cross(Ji, f)))
-            dh = _by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, Ji)
+            dh = by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, Ji)
             damping_moment = cross(p, dh)
             if slide >= 0:
                 si = slide * ld + i

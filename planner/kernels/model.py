@@ -16,31 +16,34 @@ from typing import Any
 
 import numpy as np
 
+from planner.body_contact import common_carrier
 from planner.contact import slide_direction
 from planner.kernels.lanes import WIDTH
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
 CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
+PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
-_SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops")
+_SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops", "pairs")
 _ARRAYS = (
     "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
     "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
     "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
     "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
     "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
-    "stop_value",
+    "stop_value", "pair_links", "pair_value",
 )  # fmt: skip
-NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS = range(len(_SIZES))
+NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS, PAIRS = range(len(_SIZES))
 (
     PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
     BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
     INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
     VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
     RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
+    PAIR_LINKS, PAIR_VALUE,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 
 
@@ -69,12 +72,18 @@ class Model:
             while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
                 coupled[i, contact.plane.slide] = coupled[contact.plane.slide, i] = True
                 i = mechanism.parent[i]
+        pairs = mechanism.body_contacts if actuated else ()
+        for pair in pairs:
+            common = common_carrier(mechanism.parent, pair)
+            chains = [_chain(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
+            coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
-        arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops)
+        arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
+            "pairs": len(pairs),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
         addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
@@ -83,6 +92,15 @@ class Model:
         self.origin = arrays["origin"]  # (nv, 3) what world positions are relative to, but for floating trees
         self.floating = arrays["kind"] == FLOATING
         self.floating_address = arrays["floating_address"]  # (nv,) where qpos holds a floating tree's place, or -1
+
+
+def _chain(parent: np.ndarray, link: int, end: int) -> list[int]:
+    """A link and what carries it, up to the end, which is left out."""
+    chain = []
+    while link != end:
+        chain.append(link)
+        link = int(parent[link])
+    return chain
 
 
 def _plain(array: np.ndarray) -> np.ndarray:
@@ -239,12 +257,7 @@ def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dic
         row[3:6], row[8:11] = plane.normal, plane.velocity
         row[6] = contact.radius + touch.lift + plane.offset - plane.normal @ tree["origin"][i]
         row[7] = contact.radius + 0.5 * touch.lift
-        raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.contact
-        share = 1.0 / (1.0 + touch.friction * raised)
-        row[11:14] = slide_direction(mechanism, plane)
-        row[14:] = [
-            *_law(touch), touch.slip_damping, touch.friction, raised, share, 1.0 if touch.sharp else 0.0,
-        ]  # fmt: skip
+        row[11:14], row[14:] = slide_direction(mechanism, plane), _touch(touch)
     slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
     address = tree["floating_address"][link]
     return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
@@ -257,6 +270,38 @@ def _stops(stops: Any) -> dict[str, np.ndarray]:
         "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
         "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
     }
+
+
+def _pairs(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact of two bodies: both links, their last common one, where qpos has their floating trees' places.
+
+    And of each part its middle (3), axis (3) and half length, then from the second's origin to the first's (3),
+    r_1 + r_2 + lift, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
+    """
+    links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
+    value = np.zeros((len(pairs), PAIR_SIZE))
+    for link, row, pair in zip(links, value, pairs, strict=True):
+        parts, b, origins = (pair.first, pair.second), pair.blunt, np.zeros((2, 3))
+        link[:3] = pair.first.link, pair.second.link, common_carrier(parent, pair)
+        for k, part in enumerate(parts):
+            own = np.linalg.inv(tree["frames"][part.link]) if part.link >= 0 else np.eye(4)
+            row[7 * k : 7 * k + 3] = (own @ np.append(part.middle, 1.0))[:3]
+            row[7 * k + 3 : 7 * k + 6], row[7 * k + 6] = own[:3, :3] @ part.axis, part.length
+            if part.link >= 0:
+                origins[k], link[3 + k] = tree["origin"][part.link], tree["floating_address"][part.link]
+        if link[3] == link[4]:  # of one tree
+            link[3:] = -1
+        radii = [part.radius for part in parts]
+        row[14:17] = origins[0] - origins[1]
+        row[17:21] = sum(radii) + pair.touch.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
+        row[21:] = _touch(pair.touch)
+    return {"pair_links": links, "pair_value": value}
+
+
+def _touch(touch: Any) -> list[float]:
+    raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.contact
+    share = 1.0 / (1.0 + touch.friction * raised)
+    return [*_law(touch), touch.slip_damping, touch.friction, raised, share, 1.0 if touch.sharp else 0.0]
 
 
 def _law(law: Any) -> list[float]:

@@ -18,11 +18,13 @@ from planner.kernels.model import (
     INPUTS,
     NU,
     NV,
+    PAIRS,
     PRESCRIBED,
     RELATED_ROWS,
     RELATED_START,
     STOPS,
 )  # fmt: skip
+from planner.kernels.pair_contact import subtract_pair_derivatives
 from planner.kernels.sensitivity import inverse_dynamics_derivatives, invert
 from planner.kernels.tree_memory import (
     COLUMNS,
@@ -84,6 +86,8 @@ def acceleration_derivatives(m, r, q, v, a, dA):
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
     if m[CONTACTS] > 0:
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
+    if m[PAIRS] > 0:
+        subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
     prescribed = integers(m, PRESCRIBED)
     for p in range(nv):
         given = load(prescribed, p)

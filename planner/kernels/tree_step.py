@@ -26,9 +26,11 @@ from planner.kernels.model import (
     NQ,
     NU,
     NV,
+    PAIRS,
     Q_ADDRESS,
     STOPS,
 )  # fmt: skip
+from planner.kernels.pair_contact import add_pair_wrenches
 from planner.kernels.rotations import turned
 from planner.kernels.spatial import cross, load3, store3
 from planner.kernels.tree import accelerate, move_links
@@ -91,6 +93,8 @@ def accelerations(m, r, q, v, u, act, a):
     move_links(m, q, v, links)
     if m[CONTACTS] > 0:
         add_contact_wrenches(m, q, links)
+    if m[PAIRS] > 0:
+        add_pair_wrenches(m, q, links)
     accelerate(m, tau, a, links, False)
 
 

@@ -120,8 +120,8 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     mass = rigid_body.mass_matrix(mechanism, q)
     rest, bias, back = (rigid_body.bias(mechanism, q, v) for v in (np.zeros_like(qd), qd, -qd))
     if mechanism.nu:
-        if dynamics is None or mechanism.contacts or mechanism.stops:
-            dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), stops=()), 0.01)
+        if dynamics is None or mechanism.contacts or mechanism.body_contacts or mechanism.stops:
+            dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan
         acceleration = rigid_body.forward_dynamics(mechanism, q, qd, np.zeros_like(qd))

@@ -45,7 +45,7 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
     mechanism = getattr(problem.dynamics, "mechanism", None)
-    if mechanism is not None and (mechanism.contacts or mechanism.stops):
+    if mechanism is not None and (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
         return Section("same step", not_applicable=_LIMIT)
     space = plan.space
     model = matching_model(twin, problem.dynamics.nu)
