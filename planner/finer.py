@@ -17,6 +17,7 @@ from planner.cost import Cost, SumCost, TrackingCost
 from planner.dynamics import FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.objective import plain, with_objective
+from planner.penalty_cost import PenaltyCost
 from planner.problem import Problem
 from planner.space import space_of
 
@@ -33,7 +34,7 @@ def finer(problem: Problem) -> Problem:
 
     Args:
         problem: Of RigidBodyDynamics, HopperDynamics or FunctionDynamics; for half a stage with a TrackingCost, or a
-            sum of such.
+            sum of such and PenaltyCosts.
 
     Raises:
         PlannerError: Parts that cannot be made anew, or more than 100 000 stages.
@@ -110,15 +111,17 @@ def halved(cost: Cost) -> Cost:
     """A cost over twice as many stages of half the length.
 
     Raises:
-        PlannerError: It is neither a TrackingCost nor a sum of such.
+        PlannerError: It is neither a TrackingCost nor a PenaltyCost nor a sum of such.
     """
     if type(cost) is SumCost:
         return SumCost(*(halved(term) for term in cost.costs))
+    if type(cost) is PenaltyCost:
+        return cost.spaced(0.5, parts=2)
     if type(cost) is TrackingCost:
         Q = np.concatenate([np.repeat(0.5 * cost.Q[:-1], 2, axis=0), cost.Q[-1:]])
         x_ref = np.concatenate([np.repeat(cost.x_ref[:-1], 2, axis=0), cost.x_ref[-1:]])
         return TrackingCost(Q, np.repeat(0.5 * cost.R, 2, axis=0), x_ref, np.repeat(cost.u_ref, 2, axis=0), cost.space)
     raise PlannerError(
-        f"the cost is of the type {type(cost).__name__}, expected a TrackingCost or a sum of such: "
-        "the weights of nothing else can be halved."
+        f"the cost is of the type {type(cost).__name__}, expected a TrackingCost, a PenaltyCost or a sum of "
+        "such: the weights of nothing else can be halved."
     )

@@ -30,6 +30,7 @@ from planner.errors import PlannerError
 from planner.finer import is_its_case
 from planner.limits import EXACT, Limits
 from planner.objective import checked_durations, plain, weights_of, with_objective
+from planner.penalty_cost import PenaltyCost
 from planner.plan import Plan, Status
 from planner.problem import Problem
 from planner.slq import settled, solve
@@ -123,7 +124,7 @@ def retimed(problem: Problem, duration: float) -> Problem:
     A case of planner.cases and a problem file are made anew from their parameters, so that plans of them can be stored.
 
     Args:
-        problem: Of RigidBodyDynamics or HopperDynamics, with a TrackingCost or a sum of such.
+        problem: Of RigidBodyDynamics or HopperDynamics, with a TrackingCost, or a sum of such and PenaltyCosts.
         duration: s.
 
     Raises:
@@ -294,10 +295,12 @@ def _rescaled(cost: Cost, ratio: float) -> Cost:
     """A cost whose weights on the way belong to stages of another length."""
     if type(cost) is SumCost:
         return SumCost(*(_rescaled(term, ratio) for term in cost.costs))
+    if type(cost) is PenaltyCost:
+        return cost.spaced(ratio)
     if type(cost) is TrackingCost:
         Q = np.concatenate([ratio * cost.Q[:-1], cost.Q[-1:]])
         return TrackingCost(Q, ratio * cost.R, cost.x_ref, cost.u_ref, cost.space)
     raise PlannerError(
-        f"the cost is of the type {type(cost).__name__}, expected a TrackingCost or a sum of such: "
-        "the weights of nothing else can be given another stage."
+        f"the cost is of the type {type(cost).__name__}, expected a TrackingCost, a PenaltyCost or a sum of "
+        "such: the weights of nothing else can be given another stage."
     )

@@ -11,6 +11,7 @@ points, which share the motion of the ends.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from planner.arguments import LONGEST_HORIZON, count, shown
 from planner.cost import Quadratic, Term, mechanism_of
 from planner.errors import PlannerError
 from planner.kernels.penalty_table import HEIGHT, PARALLEL, TINY
-from planner.penalty_measures import Measures, measures_of
+from planner.penalty_measures import Measures, measures_of, spaced
 from planner.rigid_body import points_of
 
 
@@ -84,6 +85,12 @@ class PenaltyCost(Term):
             model.q[:, :nv] += weighted * residuals[t][:, None]
             model.Q[:, :nv, :nv] += weighted[:, :, None] * row[:, None]
         return model
+
+    def spaced(self, ratio: float, parts: int = 1) -> PenaltyCost:
+        """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
+        cost = copy(self)
+        cost.N, cost.measures = parts * self.N, spaced(self.measures, ratio, parts)
+        return cost
 
     def _places(self, xs: np.ndarray, moving: bool) -> tuple[np.ndarray, np.ndarray]:
         """(N+1, P, 3) of the points, and their derivatives (N+1, P, 3, nv)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +53,17 @@ class Measures:
     def __post_init__(self) -> None:
         for value in vars(self).values():
             value.flags.writeable = False
+
+
+def spaced(measures: Measures, ratio: float, parts: int = 1) -> Measures:
+    """The terms for stages divided into parts, whose weights are multiplied by ratio; the end stays as it is."""
+    bound, weight = (np.repeat(part[:, :-1], parts, axis=1) for part in (measures.bound, measures.weight))
+    world = np.repeat(measures.world[:, :-1], parts, axis=1)
+    return replace(
+        measures, bound=np.column_stack([bound, measures.bound[:, -1:]]),
+        weight=np.column_stack([ratio * weight, measures.weight[:, -1:]]),
+        world=np.concatenate([world, measures.world[:, -1:]], axis=1),
+    )  # fmt: skip
 
 
 def joined(parts: Sequence[Measures]) -> Measures:

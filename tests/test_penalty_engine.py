@@ -26,6 +26,7 @@ from planner import (
 )
 from planner.dynamics.protocol import INTEGRATORS
 from planner.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
+from planner.finer import finer
 from planner.kernels import search
 
 
@@ -218,6 +219,33 @@ def test_a_leg_on_the_floor():
     gap = gaps.values(plan.xs)[:, 0]
     assert gap[:30].min() > 0.015
     assert gap[36:].max() < 0.003
+
+
+def test_a_plan_is_stored_and_proved_with_its_problem(dynamics, tmp_path):
+    task = arm(dynamics)
+    plan = planner.solve(task)
+    proof = planner.prove(plan)
+    assert proof.passed, proof
+    assert planner.proven_cost(plan) == pytest.approx(plan.cost, rel=0.05)
+    plan.save(tmp_path / "plan.npz")
+    again = planner.Plan.load(tmp_path / "plan.npz", problem=task)
+    assert str(planner.prove(again)) == str(proof)
+
+
+def test_the_same_problem_at_half_the_stage(dynamics):
+    """A sum over twice as many stages of half the weight: the same integral, nearly the same plan."""
+    moving = np.linspace(-1.3, -1.2, N + 1)
+    task = arm(dynamics, moving)
+    fine = finer(task)
+    assert isinstance(borrow(fine), CompiledEngine)
+    plan, better = planner.solve(task), planner.solve(fine)
+    assert better.status is Status.CONVERGED
+    assert better.cost == pytest.approx(plan.cost, rel=0.02)
+    terms, half = task.cost.costs[1].measures, fine.cost.costs[1].measures
+    np.testing.assert_array_equal(half.bound[0, :-1:2], terms.bound[0, :-1])
+    np.testing.assert_array_equal(half.bound[0, 1:-1:2], terms.bound[0, :-1])
+    assert half.weight[0, :-1].sum() == pytest.approx(terms.weight[0, :-1].sum())
+    assert half.weight[0, -1] == terms.weight[0, -1]
 
 
 # ---------------------------------------------------------------------------------------- who has which engine

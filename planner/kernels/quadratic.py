@@ -11,7 +11,7 @@ deviation e (see planner.augmented); where both bounds are the same, that is 1/2
 from __future__ import annotations
 
 from planner.kernels import workspace as W
-from planner.kernels.jit import inline, jit
+from planner.kernels.jit import inline, jit, part
 from planner.kernels.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
 from planner.kernels.rotations import difference_floats, inverse_right_jacobian_floats
 
@@ -136,7 +136,7 @@ def _add_turned(w, M, width, turn, i, j, q):
                 store(M, k, load(M, k) + q * fa * fb)
 
 
-@inline
+@part
 def _add_penalties(w, M, n):
     """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
     rows, width = w[W.PENALISED], w[W.WIDTH_Z]

@@ -159,8 +159,9 @@ def _take(w, m, r, lane):
     take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
 
 
-@inline
+@part
 def _searched(w, m, r, p, search, dt, rule, feedback, cost, slope):
+    """What both kernels below do."""
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
