@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from planner.arguments import choice, count, number
 from planner.errors import PlannerError
 from planner.space import StateSpace
+
+STEPS = ("newton", "follow")
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,12 +21,18 @@ class Periodic:
     Attributes:
         tolerance: (ndx,) the largest difference of each component of the deviation; infinite where it need not come
             back, like the travel of a belt. A number holds for all.
+        step: How solve_periodic changes the start: "newton" or "follow".
+        passes: Most solves of solve_periodic.
+        settled: Part of the cost: what changed it by less in a pass "newton" has done with, and only closes the gap.
 
     Raises:
         PlannerError: Negative, not numbers, or nothing that must come back.
     """
 
     tolerance: np.ndarray
+    step: str = "newton"
+    passes: int = 8
+    settled: float = 1e-3
 
     def __post_init__(self) -> None:
         try:
@@ -35,6 +44,9 @@ class Periodic:
                 "the tolerance of what is periodic has to be a number or one for each component of a deviation, above "
                 "0, infinite only for what need not come back."
             )
+        choice("step", self.step, STEPS)
+        count("passes", self.passes)
+        number("settled", self.settled, least=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 
@@ -48,7 +60,7 @@ class Periodic:
             raise PlannerError(
                 f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."
             )
-        return Periodic(np.broadcast_to(self.tolerance, ndx))
+        return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
 
     @property
     def closes(self) -> np.ndarray:
@@ -67,11 +79,13 @@ class Periodic:
         """State x (nx,) with what must come back taken from another state `end` (nx,)."""
         return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
 
-    def to_list(self) -> list[float | None]:
+    def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
-        return [float(value) if np.isfinite(value) else None for value in self.tolerance]
+        tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
+        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "settled": self.settled}
 
     @classmethod
-    def from_list(cls, values: list[Any]) -> Periodic:
-        """What to_list made."""
-        return cls(np.array([np.inf if value is None else value for value in values]))
+    def from_dict(cls, table: dict[str, Any]) -> Periodic:
+        """What to_dict made."""
+        tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
+        return cls(**{**table, "tolerance": tolerance})

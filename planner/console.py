@@ -14,6 +14,7 @@ from typing import Any
 
 from planner.free_time import Tried
 from planner.jsonable import finite
+from planner.periodic import Pass
 from planner.plan import Iteration, Start
 
 
@@ -90,6 +91,12 @@ class Console:
         """One line of the live table of durations."""
         if line.number == 0:
             self.note(Tried.header())
+        self.note(str(line))
+
+    def passed(self, line: Pass) -> None:
+        """One line of the live table of passes."""
+        if line.number == 0:
+            self.note(Pass.header())
         self.note(str(line))
 
     def progress(self, what: str, done: int, total: int) -> None:

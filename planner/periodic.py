@@ -1,18 +1,20 @@
 """Periodic motions by passes: a gait, a swing that goes on. The start is an unknown, and the end must meet it.
 
     repeat   solve from the start x0 with the final cost drawn to the goal r                          planner.slq
-             "newton": change x0 and r by what the LQ problem says is left of x(N) = x(0)             planner.ends
+             "newton": change x0 and r so that the gap closes and, where the gap leaves
+                       freedom, the cost falls, as the LQ problem tells                               planner.ends
              "follow": start from where the motion arrived, and have it arrive there again
     until    the end is within the tolerance of the start (and, for "newton", little is left to gain).
 
-"newton" ends at the periodic motion of least cost, whatever the final weights are; three to six passes. "follow" ends
-at a motion whose end is where it would go by itself, which is not that of least cost, and it creeps where the final
-weights are large; it needs nothing but solves, and works with ranges of states too. Each pass starts from the motion
-of the last. What the final cost 1/2 |x(N) - r|^2 adds to a plan's J is no part of the task: r is a multiplier.
+"newton" ends at the periodic motion of least cost, whatever the final weights are. "follow" ends at a motion whose end
+is where it would go by itself, which is not that of least cost, and it creeps where the final weights are large; it
+needs nothing but solves, and works with ranges of states too. Each pass starts from the motion of the last. What the
+final cost 1/2 |x(N) - r|^2 adds to a plan's J is no part of the task: r is a multiplier.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -20,21 +22,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.arguments import choice, count, shown
-from planner.ends import Ends, Mismatch, ends_of, mismatch, newton, periodic_problem, tracking, with_ends
+from planner.closing import STEPS
+from planner.ends import Ends, drawn, ends_of, moved, periodic_problem, response, tracking, with_ends
 from planner.errors import PlannerError
 from planner.jsonable import finite
 from planner.plan import Plan, Status
 from planner.problem import Problem
 from planner.slq import solve
-from planner.space import space_of
 from planner.warm_start import warm_start
 
-STEPS = ("newton", "follow")
-PASSES = 8
 LEFT = 1e-4
-"""Newton passes go on until what is left of their equations, squared and halved, is below this of the cost."""
-_SHORTER = 0.25  # the next step from the same place, after a pass that made things worse
-_WORSE = 2.0  # times the mismatch: what counts as worse; less comes with steps that are good in the end
+"""Newton passes go on until the decrease that they promise is below this part of the cost, or the cost has settled."""
+_TO_CLOSE = 2  # passes that only close the gap, kept for the end when no motion came back yet
+_SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
 
 class Pass(NamedTuple):
@@ -44,7 +44,7 @@ class Pass(NamedTuple):
         number: Counted from 0.
         cost: J of the pass without what draws the end to its goal.
         miss: The largest gap between end and start, as a multiple of its tolerance.
-        left: Norm of what is left of the Newton equations, root of J's unit; nan where none were made.
+        left: Decrease of the cost that the next Newton step promises, undamped; nan where there is none.
         iterations: The solve took.
         status: How it ended.
     """
@@ -69,37 +69,39 @@ class Pass(NamedTuple):
 
 
 def solve_periodic(
-    problem: Problem, *, passes: int = PASSES, step: str = "newton", callback: Callable[[Any], object] | None = None,
-    **options: Any,
+    problem: Problem, *, passes: int | None = None, step: str | None = None,
+    callback: Callable[[Pass], object] | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
     """Optimize a motion that ends where it began.
 
     Args:
         problem: With `periodic`, and a TrackingCost, alone or in a sum, whose final weight is above 0 on all that must
             come back. Its start and the last row of its x_ref are the first guess of where the motion begins.
-        passes: Most solves.
-        step: "newton" or "follow"; see the module.
+        passes: Most solves; by default what `periodic` says.
+        step: "newton" or "follow", see the module; by default what `periodic` says.
         callback: Called with each Pass; print makes a table. It may raise StopIteration to end.
         options: Of solve(); several starts are for the first pass alone.
 
     Returns:
-        The plan of the last pass, or of the one that came nearest: its problem has the start and the goal that were
-        found. CONVERGED when its solve was and it comes back within the tolerance, else NOT_PERIODIC.
+        Of the plans that come back within the tolerance the one of least cost, else the one that comes nearest: its
+        problem has the start and the goal that were found. CONVERGED when its solve was and it comes back, else
+        NOT_PERIODIC or what the solve says.
 
     Raises:
         PlannerError: As solve; a problem without `periodic` or such a cost; "newton" with ranges of states.
     """
     if not isinstance(problem, Problem) or problem.periodic is None:
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem with periodic=Periodic(tolerance).")
-    count("passes", passes)
-    by_newton = choice("step", step, STEPS) == "newton"
+    passes = problem.periodic.passes if passes is None else count("passes", passes)
+    step = problem.periodic.step if step is None else choice("step", step, STEPS)
+    by_newton = step == "newton"
     if by_newton and problem.ranges is not None:
         raise PlannerError('ranges of states are no part of the step "newton", expected step="follow" with them.')
     tracking(problem)
-    search = _Search(problem, by_newton, callback, options)
+    search = _Search(problem, by_newton, passes, callback, options)
     try:
-        while len(search.lines) < passes and not search.done:
-            search.go()
+        while search.next is not None and len(search.lines) < search.passes:
+            search.go(search.next)
     except (KeyboardInterrupt, StopIteration):
         search.interrupted = True
     return search.found({"step": step, "passes": passes})
@@ -111,88 +113,71 @@ class _Search:
     Args:
         problem: With `periodic`.
         by_newton: Which step.
+        passes: Most.
         callback: Of each Pass.
         options: Of solve().
     """
 
     def __init__(
-        self, problem: Problem, by_newton: bool, callback: Callable[[Pass], object] | None, options: dict[str, Any]
-    ) -> None:
-        self.next, self.by_newton, self.callback, self.options = problem, by_newton, callback, options
+        self, problem: Problem, by_newton: bool, passes: int, callback: Callable[[Pass], object] | None,
+        options: dict[str, Any],
+    ) -> None:  # fmt: skip
+        self.next: Problem | None = problem
+        self.by_newton, self.passes, self.callback, self.options = by_newton, passes, callback, options
         self.lines: list[Pass] = []
-        self.done = self.interrupted = False
-        self.best: tuple[tuple[bool, float], Plan] | None = None  # how far it is from done, and the plan
-        self.from_here: tuple[Plan, Mismatch] | None = None  # where Newton's step set out
-        self.part = 1.0  # of the next step
+        self.interrupted = False
+        self.best: tuple[tuple[bool, float], Plan] | None = None  # how far it is from the wanted, and the plan
 
-    def go(self) -> None:
-        """One pass, and the problem of the next."""
-        plan = solve(self.next, **self.options)
+    def go(self, problem: Problem) -> None:
+        """One pass, and the problem of the next: None when there is nothing to gain, or nowhere to go."""
+        plan = solve(problem, **self.options)
         self.options = {name: value for name, value in self.options.items() if name not in _SEVERAL}
-        problem, periodic = periodic_problem(plan)
-        space = space_of(problem.dynamics)
-        arrived = bool(np.isfinite(plan.xs).all())
-        miss = periodic.miss(space, plan.xs) if arrived else np.inf
-        left = mismatch(plan) if self.by_newton and arrived else None
-        size = np.nan if left is None else left.size
+        _, periodic = periodic_problem(plan)
+        ran = bool(np.isfinite(plan.xs).all())
+        miss = periodic.miss(plan.space, plan.xs) if ran else math.inf
+        answer = response(plan) if self.by_newton and ran else None
+        left = math.nan if answer is None else answer.step(0.0).decrease
         cost = plan.cost - drawn(plan)
-        line = Pass(len(self.lines), cost, miss, size, plan.nit, plan.status)
+        line = Pass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
-        rank = (plan.status is not Status.CONVERGED or miss > 1.0, size if left is not None else miss)
+        open_ = plan.status is not Status.CONVERGED or miss > 1.0
+        rank = open_, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
             self.best = rank, plan
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        little = left is None or 0.5 * size**2 <= LEFT * max(abs(cost), np.finfo(float).tiny)
-        self.done = plan.status is Status.CONVERGED and miss <= 1.0 and little
         if self.callback is not None:
             self.callback(line)
-        if not (self.done or self._lost(left)):
-            ends, plan = self._followed(plan) if not self.by_newton else self._stepped(plan, left)
-            changed = with_ends(self.next, ends, plan.us)
-            self.next = replace(changed, us=warm_start(plan, changed))
+        settled = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.settled * abs(cost)
+        little = answer is None or settled or left <= LEFT * abs(cost)
+        if not ran or (little and not open_):
+            self.next = None
+        else:
+            self.next = _followed(plan) if answer is None else moved(answer, close=settled or self._is_late)
 
-    def _lost(self, left: Mismatch | None) -> bool:
-        """Whether there is nowhere to set out from: the first solve ran away."""
-        self.done = self.done or (left is None and self.from_here is None and not np.isfinite(self.lines[-1].miss))
-        return self.done
-
-    def _followed(self, plan: Plan) -> tuple[Ends, Plan]:
-        """Start and goal where the motion arrived."""
-        problem, periodic = periodic_problem(plan)
-        space, end = space_of(problem.dynamics), plan.xs[-1]
-        return Ends(*(periodic.brought(space, old, end) for old in ends_of(problem))), plan
-
-    def _stepped(self, plan: Plan, left: Mismatch | None) -> tuple[Ends, Plan]:
-        """Newton's step, or a shorter one from where the last set out when that made things worse."""
-        before = self.from_here
-        if before is not None and (left is None or left.size > _WORSE * before[1].size):
-            self.part *= _SHORTER
-        elif left is not None:
-            self.from_here, self.part = (plan, left), min(1.0, self.part / _SHORTER)
-        assert self.from_here is not None  # _lost has looked
-        return newton(*self.from_here, self.part), self.from_here[0]
+    @property
+    def _is_late(self) -> bool:
+        """Whether the passes that are left are to bring one motion back at least."""
+        assert self.best is not None  # there was a pass
+        return self.best[0][0] and self.passes - len(self.lines) <= _TO_CLOSE
 
     def found(self, options: dict[str, Any]) -> Plan:
         """The best plan, with how the passes went."""
         if self.best is None:
             raise KeyboardInterrupt  # before there was any plan
         plan, status = self.best[1], self.best[1].status
-        problem, periodic = periodic_problem(plan)
+        _, periodic = periodic_problem(plan)
         if self.interrupted:
             status = Status.INTERRUPTED
-        elif status is Status.CONVERGED and not periodic.miss(space_of(problem.dynamics), plan.xs) <= 1.0:
+        elif status is Status.CONVERGED and not periodic.miss(plan.space, plan.xs) <= 1.0:
             status = Status.NOT_PERIODIC
         told = [finite([line.cost, line.miss, line.left, line.iterations]) for line in self.lines]
         return replace(plan, status=status, options=plan.options | options | {"tried": told})
 
 
-_SEVERAL = ("starts", "rank", "seed", "spread")
-
-
-def drawn(plan: Plan) -> float:
-    """What draws the end of a plan to its goal, of its cost."""
-    assert plan.problem is not None
-    cost = tracking(plan.problem)
-    away = space_of(plan.problem.dynamics).difference(plan.xs[-1], cost.x_ref[-1])
-    return float(0.5 * away @ cost.Q[-1] @ away)
+def _followed(plan: Plan) -> Problem:
+    """The problem with start and goal where the motion arrived."""
+    problem, periodic = periodic_problem(plan)
+    ends = Ends(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
+    changed = with_ends(problem, ends, plan.us)
+    return replace(changed, us=warm_start(plan, changed))

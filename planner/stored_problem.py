@@ -41,7 +41,7 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
     if dynamics.prescribed:
         facts |= {"kind": DRIVEN, "prescribed": list(dynamics.prescribed)}
     if problem.periodic is not None:
-        facts["periodic"] = problem.periodic.to_list()
+        facts["periodic"] = problem.periodic.to_dict()
     return facts, {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
@@ -61,7 +61,7 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
     mechanism: Mechanism = read(twin.planned, assets=twin.assets)
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    periodic = None if facts.get("periodic") is None else Periodic.from_list(facts["periodic"])
+    periodic = None if facts.get("periodic") is None else Periodic.from_dict(facts["periodic"])
     stage = default_stage(mechanism, prescribed)
     return Problem(
         dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=stage, periodic=periodic

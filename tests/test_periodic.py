@@ -9,7 +9,7 @@ from swings import mechanism
 import planner
 from planner import cases
 from planner.closing import Periodic
-from planner.ends import Ends, mismatch, with_ends
+from planner.ends import Ends, response, with_ends
 from planner.periodic import Pass, solve_periodic
 from planner.space import StateSpace, euclidean
 
@@ -34,10 +34,10 @@ def cost_of(final, goal=None):
     return planner.TrackingCost(Q, np.full((N, 1, 1), DT), x_ref)
 
 
-def swinging(final=30.0, tolerance=1e-3, **parts):
+def swinging(final=30.0, tolerance=1e-3, settled=1e-3, **parts):
     """A damped pendulum that is to swing on."""
     dynamics = planner.RigidBodyDynamics(mechanism('damping="0.3"'), DT, "rk4")
-    return planner.Problem(dynamics, cost_of(final), SWAYS[0], periodic=Periodic(tolerance), **parts)
+    return planner.Problem(dynamics, cost_of(final), SWAYS[0], periodic=Periodic(tolerance, settled=settled), **parts)
 
 
 def linear(final=5.0):
@@ -91,23 +91,45 @@ def test_a_linear_problem_takes_one_step(final):
     assert plan.xs[-1, 2] == pytest.approx(problem.x0[2] + 12 * 0.3)
 
 
-def test_the_mismatch_answers_to_the_ends_as_it_says():
-    """Differences of solves at other ends; exact where the problem is linear."""
+def test_a_plan_answers_to_its_ends_as_it_says():
+    """Differences of solves at other ends, and of what is left there; exact where the problem is linear."""
     problem, *_ = linear()
-    plan = planner.solve(problem, gradient_tolerance=1e-12, decrease_tolerance=0.0)
-    left = mismatch(plan)
-    start, goal = problem.x0, problem.cost.x_ref[-1]
-    for i in range(4):
-        d = np.zeros(6)
-        d[[0, 1, 3, 4][i]] = 1.0 / left.scale[i % 2]
-        moved = with_ends(problem, Ends(start + d[:3], goal + d[3:]), plan.us)
-        other = mismatch(planner.solve(moved, gradient_tolerance=1e-12, decrease_tolerance=0.0))
-        np.testing.assert_allclose(other.values - left.values, left.jacobian[:, i], atol=1e-7)
+    exact = {"gradient_tolerance": 1e-12, "decrease_tolerance": 0.0}
+    found = response(planner.solve(problem, **exact))
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        d, dr = rng.normal(size=(2, 3)) * [1.0, 1.0, 0.0]
+        moved = with_ends(problem, Ends(problem.x0 + d, problem.cost.x_ref[-1] + dr), found.plan.us)
+        other = response(planner.solve(moved, **exact))
+        assert other.plan.cost == pytest.approx(found.promised(d, dr), rel=1e-9)
+        np.testing.assert_allclose(
+            (other.plan.xs[-1] - found.plan.xs[-1])[:2], (found.Phi @ d + found.G @ found.W @ dr)[:2], atol=1e-8
+        )
+        np.testing.assert_allclose(
+            (other.costate - found.costate)[:2], (found.P @ d - found.Phi.T @ found.W @ dr)[:2], atol=1e-7
+        )
+        dxs = other.plan.xs - found.plan.xs
+        dus = np.einsum("nux,nx->nu", found.K, dxs[:-1]) + found.F @ dr
+        np.testing.assert_allclose(other.plan.us - found.plan.us, dus, atol=1e-7)
+
+
+def test_damping_shortens_the_step():
+    found = response(planner.solve(swinging()))
+    steps = [found.step(mu) for mu in (0.0, 0.1, 1.0, 10.0, 1e6)]
+    lengths = [np.linalg.norm([step.dx, step.dr]) for step in steps]
+    assert lengths == sorted(lengths, reverse=True)
+    promises = [step.decrease for step in steps]
+    assert promises == sorted(promises, reverse=True)
+    assert promises[-1] < 1e-3 * promises[0]
+    for step in steps:  # each closes the gap of the LQ problem
+        np.testing.assert_allclose(found.Phi @ step.dx + found.G @ found.W @ step.dr, step.dx - found.gap, atol=1e-12)
+    half = found.step(1.0, part=0.5)
+    np.testing.assert_allclose(found.Phi @ half.dx + found.G @ found.W @ half.dr, half.dx - 0.5 * found.gap, atol=1e-12)
 
 
 def test_the_motion_found_does_not_depend_on_the_final_weights():
     """The goal at the end is a multiplier: 15.6 and 14.6 at first, and the same 3.4235 at the end."""
-    plans = [solve_periodic(swinging(final, tolerance=1e-6), passes=15) for final in (30.0, 1000.0)]
+    plans = [solve_periodic(swinging(final, tolerance=1e-6, settled=0.0), passes=15) for final in (30.0, 1000.0)]
     first, last = ([plan.options["tried"][i][0] for plan in plans] for i in (0, -1))
     assert all(plan.success for plan in plans)
     assert abs(first[0] - first[1]) > 1.0
@@ -119,13 +141,23 @@ def test_the_motion_found_does_not_depend_on_the_final_weights():
 
 def test_no_other_periodic_motion_costs_less():
     """Starts beside the one found, with ends made to meet them by a large weight."""
-    plan = solve_periodic(swinging(tolerance=1e-6), passes=15)
+    plan = solve_periodic(swinging(tolerance=1e-6, settled=0.0), passes=15)
     least = plan.options["tried"][-1][0]
     for d in 0.1 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]]):
         x0 = plan.xs[0] + d
         other = planner.solve(planner.Problem(plan.problem.dynamics, cost_of(1e6, x0), x0, us=plan.us))
         away = other.xs[-1] - x0
         assert other.cost - 0.5e6 * away @ away > least
+
+
+def test_the_last_passes_close_the_gap():
+    """Where Newton's steps may not: the cost settles at once, or few passes are left."""
+    settled = solve_periodic(swinging(tolerance=1e-8, settled=1e9))
+    assert settled.success
+    assert np.abs(settled.xs[-1] - settled.xs[0]).max() < 1e-8
+    assert len(settled.options["tried"]) <= 6  # quadratically, from the second pass on
+    few = solve_periodic(swinging(tolerance=2e-3), passes=4)
+    assert few.success
 
 
 def test_following_comes_nearer_and_stays_dearer():

@@ -23,46 +23,49 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from planner.arguments import choice, count, number
+from planner.arguments import array, choice, count, number
 from planner.cases.gait import NORMAL_GAIT
 from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
-from planner.cases.step_measures import arrives, judge_step, judge_tracking, robot_wrench
+from planner.cases.step_measures import arrives, closing, judge_step, judge_tracking, robot_wrench
 from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.problem import Problem, Requirements
 from planner.stage import Ghost, Panel, Readout, Stage, View
 
-Phase = Literal["swing", "cycle"]
+Phase = Literal["swing", "cycle", "gait"]
+States = tuple[tuple[float, ...], ...]
 Cost = Literal["default", "study"]
 Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
 
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
-STAGES = {"swing": 4e-3, "cycle": 5e-3}  # s
+STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
 MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
 """Tendons of the scene: the robot, which the ghost is drawn without."""
-TOLERANCE = {"swing": 3e-6, "cycle": 1e-4}
-"""Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs."""
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 1e-5}
+"""Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
+A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
 
 
 def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
     stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
     pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
-    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None,
+    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
     Args:
-        phase: "swing" (one leg from toe-off to heel strike) or "cycle" (both legs and the belt).
+        phase: "swing" (one leg from toe-off to heel strike), "cycle" (both legs and the belt, from the normal gait) or
+            "gait" (a cycle that ends as it began, which is solved by solve_periodic).
         cycles: How many, one after the other.
         mass: Of the person, kg.
         height: Of the person, m.
@@ -77,6 +80,8 @@ def human_step(
         reference: A CSV file of another gait to copy.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
+        ends: Of a gait: the states where it begins and that its end is drawn to, (2, nx), as solve_periodic finds
+            them; by default those of the normal gait.
 
     Raises:
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
@@ -96,6 +101,7 @@ def human_step(
     dynamics = RigidBodyDynamics(
         mechanism, step.dt, choice("integrator", integrator, INTEGRATORS), prescribed=prescribed
     )  # fmt: skip
+    start, goal = _ends(step, phase, ends)
     us, control = step.motion.qdd[: step.N, : len(PELVIS)], np.zeros(len(PELVIS))
     effort = np.repeat([wish.acceleration, wish.turning], 3)
     if step.walker.motors:
@@ -106,14 +112,17 @@ def human_step(
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
         "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
-        "horizon": step.N,
+        "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
     }  # fmt: skip
     return Problem(
-        dynamics, step_cost(dynamics, step, wish, effort, control), x0=step.states[0], us=us, case="human-step",
+        dynamics, step_cost(dynamics, step, wish, effort, control, goal), x0=start, us=us, case="human-step",
         parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),
-            goal=lambda run: judge_step(step, run, promised=cost == "default" and wish.clearance >= PROMISED),
+            goal=lambda run: judge_step(
+                step, run, promised=cost == "default" and wish.clearance >= PROMISED, closes=phase == "gait"
+            ),
             success=lambda ends: arrives(step, ends),
         ),
     )  # fmt: skip
@@ -139,6 +148,16 @@ def _step(
             f"horizon is {N}, expected at least {least}: a stage of more than {LONGEST_STAGE:g} s skips contacts."
         )
     return Step(walker, gait, duration, begin, N, part * duration / N)
+
+
+def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The state at the start, and the one that the end is drawn to."""
+    if ends is None:
+        return step.states[0], step.states[-1]
+    if phase != "gait":
+        raise PlannerError(f"ends are given for phase={phase!r}, expected them for phase='gait' alone.")
+    start, goal = array("ends", ends, (2, step.states.shape[1]))
+    return start, goal
 
 
 def weight(walker: Walker) -> float:

@@ -119,7 +119,10 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
     return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
 
 
-def step_cost(dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0) -> SumCost:
+def step_cost(
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0,
+    goal: np.ndarray | None = None,
+) -> SumCost:  # fmt: skip
     """The cost of a plan of a step.
 
     Args:
@@ -128,21 +131,23 @@ def step_cost(dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any
         wish: Its tolerances.
         effort: (6,) tolerances of the controls.
         control: (6,) or (N, 6) what they are tolerances from.
+        goal: (nx,) what the end is drawn to; the normal gait's by default.
     """
     terms = _clearance(step, wish) + (_standing(step, wish) if step.walker.belt else _reach(step, wish))
-    return _tracking(dynamics, step, wish, effort, control) + PenaltyCost(
+    return _tracking(dynamics, step, wish, effort, control, goal) + PenaltyCost(
         dynamics, step.N, terms + _apart(step, wish)
     )  # fmt: skip
 
 
 def _tracking(
-    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any, goal: np.ndarray | None
 ) -> TrackingCost:  # fmt: skip
+    states = step.states if goal is None else np.vstack([step.states[:-1], goal])
     on_the_way = _by_joint(step, wish.place, wish.turn, wish.joints)
     final = _by_joint(step, wish.final_place, wish.final_turn, wish.final_joints)
     rates = _by_joint(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
     return TrackingCost.joints(
-        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=step.states,
+        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=states,
         position={joint: 1.0 / (PERIOD * tolerance**2) for joint, tolerance in on_the_way.items()},
         final_position={joint: 1.0 / tolerance**2 for joint, tolerance in final.items()},
         final_velocity={joint: 1.0 / tolerance**2 for joint, tolerance in rates.items()},

@@ -1,7 +1,7 @@
 """What a step came to, in a clinician's terms, and what a proof of it is held to.
 
 Step 3 asks how far MuJoCo's legs are from the plan's, RMS over all joints and the whole replay; step 4 whether the
-swinging foot is clear of the belt, in the plan and in MuJoCo.
+swinging foot is clear of the belt, in the plan and in MuJoCo, and whether a gait ends as it began.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.cases.step import SWING, Step
 from planner.cases.walker import LEG, PELVIS
+from planner.closing import Periodic
 from planner.contact_forces import contact_forces, generalized_forces
 from planner.dynamics import RigidBodyDynamics
 from planner.figures import Figure, Section
@@ -26,6 +27,9 @@ CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
 MIDDLE = (0.1, 0.9)  # of a swing
 TOUCHES = 0.5  # N
 STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be on the belt
+CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start of a gait to its end
+CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
+PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
 ARRIVES = 5.0  # deg, RMS over the joints at the end from the normal gait: what counts for a perturbed step
 
 
@@ -132,7 +136,17 @@ def judge_tracking(step: Step, run: Replay) -> Section:
     )
 
 
-def judge_step(step: Step, run: Replay, promised: bool) -> Section:
+def closing(step: Step) -> Periodic:
+    """What of a gait must come back, and how nearly: all but the belt."""
+    names = step.walker.mechanism.joint_names
+    sides = [
+        [np.inf if name == "belt" else place if name in PELVIS[:3] else turn for name in names]
+        for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
+    ]
+    return Periodic(np.concatenate(sides), passes=PASSES, settled=SETTLED)
+
+
+def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
     """What the plan and MuJoCo's replay of it came to; clearance is judged where the cost asks enough of it."""
     figures = []
     for who, xs in (("planned", run.plan.xs), ("replayed", run.xs[:: run.substeps])):
@@ -146,7 +160,25 @@ def judge_step(step: Step, run: Replay, promised: bool) -> Section:
             *(Figure(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
               for side, share in found.in_stance.items() if step.walker.belt),
         ]  # fmt: skip
+        if closes:
+            figures += _gaps(step, xs, who)
     return Section("goal", tuple(figures))
+
+
+def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Figure]:
+    """From the start of a gait to its end; the plan's are judged, MuJoCo's have the errors of the replay in them."""
+    m = step.walker.mechanism
+    gap = np.abs(xs[-1] - xs[0])[: m.nq]
+    pelvis = [m.joint(name).start for name in PELVIS]
+    legs = np.delete(gap, [*pelvis, *([m.joint("belt").start] if step.walker.belt else [])])
+    judged = who == "planned"
+    note = f"from start to end, {who}"
+    return [
+        Figure(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", CLOSED_PLACE if judged else None, note),
+        Figure(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", CLOSED_TURN if judged else None, note),
+        Figure(f"{who}_joint_gap", float(np.degrees(np.sqrt(np.mean(legs**2)))), "deg",
+               float(np.degrees(CLOSED_TURN)) if judged else None, f"{note}, RMS over the legs' joints"),
+    ]  # fmt: skip
 
 
 def arrives(step: Step, ends: np.ndarray) -> np.ndarray:

@@ -6,9 +6,10 @@ import argparse
 import inspect
 import json
 import time
+from typing import get_type_hints
 
 from planner import cases, problem_file
-from planner.commands.parser import PROBLEM_FILE, documented_arguments, summary
+from planner.commands.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
 from planner.console import Console
 from planner.kernels.jit import is_warm
 from planner.kernels.precompile import KERNELS, compile_together
@@ -21,22 +22,23 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
     """The machines, what each shows and its parameters."""
     document = []
     for name, case in cases.CASES.items():
-        texts = documented_arguments(case)
+        texts, hints = documented_arguments(case), get_type_hints(case)
+        shown = [p for p in inspect.signature(case).parameters.values() if has_flag(hints[p.name])]
         console.say(f"{name}: {summary(case)}")
         rows = []
-        for parameter in inspect.signature(case).parameters.values():
+        for parameter in shown:
             default = "" if parameter.default is None else str(parameter.default)
             rows.append((f"  --{parameter.name.replace('_', '-')}", default, texts.get(parameter.name, "")))
         console.table(("  flag", "default", ""), rows)
         document.append(
             {"case": name, "summary": summary(case),
-             "parameters": {p.name: p.default for p in inspect.signature(case).parameters.values()}}
+             "parameters": {p.name: p.default for p in shown}}
         )  # fmt: skip
     keys = {**problem_file.KEYS, **{f"weights.{name}": text for name, text in problem_file.WEIGHTS.items()}}
     defaults = {**problem_file.DEFAULTS, **{f"weights.{n}": v for n, v in problem_file.DEFAULT_WEIGHTS.items()}}
     console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
-    shown = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
-    console.table(("  key", "default", ""), shown)
+    lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
+    console.table(("  key", "default", ""), lines)
     console.document({"command": "list", "cases": document, "problem_file": {"keys": keys, "defaults": defaults}})
     return 0
 

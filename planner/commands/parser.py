@@ -73,6 +73,8 @@ def _size(text: str) -> tuple[int, int]:
 def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
     texts, hints = documented_arguments(case), get_type_hints(case)
     for name, parameter in inspect.signature(case).parameters.items():
+        if not has_flag(hints[name]):
+            continue
         flag, default = f"--{name.replace('_', '-')}", parameter.default
         words = [word for word in _leaves(hints[name]) if isinstance(word, str)]
         options: dict[str, Any] = {"default": argparse.SUPPRESS, "help": texts.get(name, "")}
@@ -89,6 +91,11 @@ def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None
         else:
             options |= {"type": _number, "metavar": "X"}
         parser.add_argument(flag, dest=f"case_{name}", **options)
+
+
+def has_flag(hint: Any) -> bool:
+    """Whether a parameter of this type can be said in one word: no arrays."""
+    return ... not in _leaves(hint)
 
 
 def _leaves(hint: Any) -> tuple[Any, ...]:

@@ -17,6 +17,7 @@ from planner.free_time import solve_for
 from planner.limits import EXACT, Limits
 from planner.multistart import MOST_STARTS
 from planner.objective import checked_durations, weights_of, with_objective
+from planner.periodic import solve_periodic
 from planner.plan import Plan
 from planner.problem import Problem
 from planner.problem_file import load
@@ -56,6 +57,10 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if objective is not None:
         problem = with_objective(problem, objective)
     checked_durations(durations, objective or {})
+    if durations is not None and problem.periodic is not None:
+        raise PlannerError(
+            "--durations are given for a periodic motion, expected none: its cycle has a time of its own."
+        )
     return ProblemOf(problem, starts, seed, objective, durations)
 
 
@@ -109,7 +114,9 @@ def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) ->
     }  # fmt: skip
     timed = asked.durations is not None
     progress = console.tried if timed else console.iteration if asked.starts == 1 else console.start
-    if asked.objective is None:
+    if problem.periodic is not None:
+        plan = solve_periodic(problem, callback=console.passed, **options)
+    elif asked.objective is None:
         plan = solve(problem, callback=progress, **options)
     else:
         plan = solve_for(problem, asked.objective, durations=asked.durations, callback=progress, **options)

@@ -124,7 +124,7 @@ def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:
         step = plan.space.difference(ends[-1], ends[-2])
     why = "contacts open and close: the order scatters" if touches else ""
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
-    why = why or ("a range is reached: the motion is not smooth" if run.reached else "")
+    why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
     return Order(
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, nominal=nominal,
         observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
@@ -132,6 +132,15 @@ def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:
         end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
         scale=cost_scale(plan, problem),
     )  # fmt: skip
+
+
+def _stopped(problem: Problem, xs: np.ndarray) -> bool:
+    """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    return any(
+        bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.lift))
+        for stop in getattr(mechanism, "stops", ())
+    )
 
 
 def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, float | None]:

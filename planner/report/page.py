@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.default_stage import stage_of
+from planner.ends import PARAMETER as ENDS
 from planner.files import PathLike, file_error, write_atomically
 from planner.plan import Plan
 from planner.report.reproduce import command, problem_text
@@ -171,7 +172,8 @@ def _parameters(plan: Plan) -> str:
     if not plan.parameters:
         return ""
     case = f" of the case {plan.case}" if plan.case else ""
-    return f"<h2>Parameters{escape(case)}</h2>\n" + table(plan.parameters)
+    told = {name: value for name, value in plan.parameters.items() if name != ENDS}  # arrays of states
+    return f"<h2>Parameters{escape(case)}</h2>\n" + table(told)
 
 
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from planner import cases, problem_file
+from planner.ends import PARAMETER as ENDS
 from planner.errors import PlannerError
 from planner.plan import Plan
 
@@ -52,10 +53,11 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
 
 def _at_first(plan: Plan, path: Sequence[Refinement]) -> dict[str, Any]:
     """The parameters of a plan, before it was refined."""
+    found = {name: value for name, value in plan.parameters.items() if name != ENDS}  # the command finds them again
     if len(path) < 2:
-        return plan.parameters
+        return found
     first = {"integrator": path[0].integrator, "horizon": path[0].horizon, "dt": path[0].dt}
-    return plan.parameters | {name: value for name, value in first.items() if name in plan.parameters}
+    return found | {name: value for name, value in first.items() if name in found}
 
 
 def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
@@ -66,7 +68,8 @@ def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
         needed = {name: value for name, value in parameters.items() if usual.get(name) != value}
         for name in list(needed):
             others = {other: value for other, value in needed.items() if other != name}
-            if cases.build(case, **others).parameters == parameters:
+            made = cases.build(case, **others).parameters
+            if {key: value for key, value in made.items() if key != ENDS} == parameters:
                 needed = others
     except PlannerError:  # of another version: all of them, then
         pass
