@@ -120,7 +120,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 
 @part
-def rollout(w, m, r, search, dt, feedback):
+def rollout(w, m, r, search, dt, feedback, touching):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs."""
     nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]
     X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
@@ -139,7 +139,7 @@ def rollout(w, m, r, search, dt, feedback):
         if w[W.BOUNDED] > 0:
             _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
-        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
+        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), touching)
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     store(search, W.COSTS, J)
 
@@ -152,7 +152,7 @@ def _take(w, m, r, lane):
 
 
 @jit
-def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope, touching):
     """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
 
     The step is 0 when there is none.
@@ -161,7 +161,7 @@ def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, pointer(search), dt, feedback)
+        rollout(w, m, r, pointer(search), dt, feedback, touching)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)
