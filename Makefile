@@ -16,7 +16,7 @@ run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 
 test: ## run all tests; e.g. make test PYTEST_FLAGS="-k hopper"
 	@.ci/setup test
-	@$(PLANNER) warmup
+	@$(PLANNER) warmup --all
 	$(PYTHON) -m pytest $(PYTEST_FLAGS)
 
 lint: ## check style and types

@@ -12,9 +12,9 @@ from planner.arguments import shown
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.kernels import tree_linearize, tree_step
-from planner.kernels.jit import announce
 from planner.kernels.lanes import padded
 from planner.kernels.model import Model
+from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree_memory import EULER, TreeMemory
 from planner.space import space_of
 
@@ -80,19 +80,19 @@ class _Tree:
         self._memory, self._chained = TreeMemory(self._model, EULER, 0), TreeMemory(self._model, EULER, 1)
         self.nx, self.nu, self._first = dynamics.nx, dynamics.nu, padded(dynamics.nu)
         self._eye, self._one = np.eye(self.nx), np.ones(1)
-        for kernel in (tree_step.rates, tree_step.steps):
-            announce(kernel)
+        for name in ("tree rates", "tree steps", "tree dense"):
+            announce_named(variant(name, self._model))
 
     def rates(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         out = np.empty((1, self.nx))
-        tree_step.rates(self._model.table, self._memory.table, _row(x), _row(u), out)
+        tree_step.rates(self._model.table, self._memory.table, _row(x), _row(u), out, self._model.touching)
         return out[0]
 
     def partials(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         m, r, xs, us = self._model.table, self._chained.table, _row(x), _row(u)
         F = np.empty((1, self.nx, self._first + padded(self.nx)))
-        tree_step.steps(m, r, self._one, xs, us, np.empty_like(xs), True)
-        tree_linearize.linearize_dense(m, r, 1.0, xs, us, F)
+        tree_step.steps(m, r, self._one, xs, us, np.empty_like(xs), True, self._model.touching)
+        tree_linearize.linearize_dense(m, r, 1.0, xs, us, F, self._model.touching)
         return F[0, :, self._first : self._first + self.nx] - self._eye, F[0, :, : self.nu].copy()
 
 

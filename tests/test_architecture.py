@@ -142,7 +142,8 @@ def test_only_the_console_prints(path):
 
 def test_import_is_light():
     """`import planner` must not choose an OpenGL library for the user, nor draw in matplotlib."""
-    code = "import sys, planner; print(sorted({'mujoco', 'matplotlib', 'imageio', 'PIL'} & set(sys.modules)))"
+    heavy = "{'mujoco', 'matplotlib', 'imageio', 'PIL', 'scipy', 'numba'}"
+    code = f"import sys, planner; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -152,6 +153,31 @@ def test_public_names_exist_and_are_documented():
 
     for name in planner.__all__:
         assert getattr(planner, name).__doc__, name
+
+
+def test_public_names_are_the_ones_that_type_checkers_see():
+    """What is imported when it is asked for, `__all__` and the imports for type checkers name the same things."""
+    import planner
+
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    seen = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert seen == planner._HOME | {"cases": "planner"}
+    assert sorted(seen) == sorted(planner.__all__)
+    assert set(planner.__all__) <= set(dir(planner))
+
+
+def test_functions_go_before_modules_of_the_same_name():
+    code = """
+import planner.check, planner.refine, planner.rigid_body
+from planner import *
+from planner import refine as imported
+assert callable(planner.check) and callable(planner.replay)
+assert callable(planner.refine) and imported is refine is planner.refine
+assert planner.rigid_body.rnea is planner.rnea and planner.plots.plot_plan and planner.cases is cases
+assert not hasattr(planner, "nonsense") and not hasattr(planner, "_nonsense")
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 def test_example_runs(tmp_path):

@@ -12,7 +12,7 @@ from planner import cases, problem_file
 from planner.commands.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
 from planner.console import Console
 from planner.kernels.jit import is_warm
-from planner.kernels.precompile import KERNELS, compile_together
+from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_together
 from planner.proof.parity import parity
 from planner.slq import solve
 from planner.versions import installed_versions
@@ -45,9 +45,10 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
 
 def warmup(arguments: argparse.Namespace, console: Console) -> int:
     """Compile the numerical core, once; says so only if there is something to compile."""
-    cold = not all(is_warm(kernel) for kernel, _ in KERNELS.values())
+    names = [name for name in KERNELS if arguments.all or name not in SECOND_ORDER]
+    cold = not all(is_warm(*KERNELS[name]) for name in names)
     began = time.perf_counter()
-    compile_together(KERNELS)
+    compile_together(names)
     for problem in (cases.hopper(horizon=8, duration=0.04), cases.acrobot(horizon=8, duration=0.04)):
         plan = solve(problem, max_iterations=2)
         problem.dynamics.step(plan.xs[:1], plan.us[:1])

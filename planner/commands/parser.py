@@ -267,7 +267,9 @@ def build() -> argparse.ArgumentParser:
         "studies and for --proofs renders/paper.",
     )  # fmt: skip
     _add_output(parser)
-    _add_output(command("warmup", "Compile the numerical core, once."))
+    parser = command("warmup", "Compile the numerical core, once.")
+    parser.add_argument("--all", action="store_true", help='Also what only hessian="exact" needs.')
+    _add_output(parser)
     return top
 
 

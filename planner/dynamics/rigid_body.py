@@ -12,10 +12,10 @@ from planner.arguments import array, choice, number, shown
 from planner.dynamics.protocol import INTEGRATORS
 from planner.errors import PlannerError
 from planner.kernels import penalties, tree_linearize, tree_second, tree_solve, tree_step
-from planner.kernels.jit import announce
 from planner.kernels.lanes import padded
 from planner.kernels.model import Model
 from planner.kernels.penalty_table import PenaltyTable
+from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree_memory import SEMI_IMPLICIT_EULER, TreeMemory
 from planner.kernels.workspace import Workspace
 from planner.mechanism import Mechanism
@@ -59,8 +59,9 @@ class RigidBodyDynamics:
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         self._steps = local()
-        self.kernels = ("tree search", "tree structured" if self.structured else "tree dense")
-        self.penalised_kernels = ("tree search penalised", *self.kernels[1:], "penalties")
+        used = ("tree search", "tree structured" if self.structured else "tree dense")
+        self.kernels = tuple(variant(name, self._model) for name in used)
+        self.penalised_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "penalties")
         self.second_order_kernels = ("tree second order", "costates")
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,9 +72,9 @@ class RigidBodyDynamics:
         """The ends (K, nx) of K stages from xs (K, nx) with us (K, nu); see Dynamics.step."""
         xs, us = self._checked(xs, us)
         lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
-        announce(tree_step.steps)
+        announce_named(variant("tree steps", self._model))
         ends, memory = np.empty_like(xs), self._scratch()
-        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False)
+        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False, self._model.touching)
         return ends
 
     def _scratch(self) -> TreeMemory:
@@ -85,24 +86,24 @@ class RigidBodyDynamics:
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The rates (qvel, qacc, d act/dt), (K, 2 nv + na), at xs (K, nx) with us (K, nu)."""
         xs, us = self._checked(xs, us)
-        announce(tree_step.rates)
+        announce_named(variant("tree rates", self._model))
         out, memory = np.empty((len(xs), self.ndx)), self._scratch()
-        tree_step.rates(self._model.table, memory.table, xs, us, out)
+        tree_step.rates(self._model.table, memory.table, xs, us, out, self._model.touching)
         return out
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along xs (N+1, nx), us (N, nu), exact (Eq. 35)."""
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
-        announce(tree_step.steps)
+        announce_named(variant("tree steps", self._model))
         N, first, rows = len(us), padded(self.nu), self.mechanism.nv if self.structured else self.ndx
         F, m, memory = np.empty((N, rows, first + padded(self.ndx))), self._model.table, self.memory(N)
-        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True)
+        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, self._model.touching)
         if self.structured:
             transport = np.zeros((N, len(self.space.quaternions), 18))
-            tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport)
+            tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport, self._model.touching)
             by_u, by_x = F[:, :, : self.nu], F[:, :, first : first + self.ndx]
             return self._semi_implicit(by_x, transport), self._semi_implicit_inputs(by_u, transport)
-        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F)
+        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F, self._model.touching)
         return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
 
     def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
@@ -115,8 +116,9 @@ class RigidBodyDynamics:
         N, ndx, first = len(us), self.ndx, padded(self.nu)
         costates = array("costates", costates, (N + 1, ndx))
         T, memory, second = np.zeros((N, *[first + padded(ndx)] * 2)), self.memory(N), self.second_order_memory()
-        tree_step.steps(self._model.table, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True)
-        tree_second.second_order(self._model.table, memory.table, second.table, self.dt, xs, us, costates, 0, T)
+        m, touching = self._model.table, self._model.touching
+        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, touching)
+        tree_second.second_order(m, memory.table, second.table, self.dt, xs, us, costates, 0, T)
         order = np.r_[first : first + ndx, : self.nu]
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
@@ -162,20 +164,20 @@ class RigidBodyDynamics:
 
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Fill w.F along w.xs, w.us."""
-        m, r = self._model.table, memory.table
+        m, r, touching = self._model.table, memory.table, self._model.touching
         if self.structured:
-            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport)
+            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport, touching)
         else:
-            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F)
+            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, touching)
 
     def search(
         self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        m, r, arguments = self._model.table, memory.table, (w.search, self.dt, rule, feedback, cost, slope)
-        if w.penalties is not None:
-            return tree_solve.search_step_penalised(w.table, m, r, w.penalties.table, *arguments)
-        return tree_solve.search_step(w.table, m, r, *arguments)
+        return tree_solve.search_step(
+            w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope,
+            self._model.touching, None if w.penalties is None else w.penalties.table,
+        )  # fmt: skip
 
     def penalties(self, measures: Any) -> PenaltyTable:
         """The kernels' table of the terms of a PenaltyCost of this mechanism, a planner.penalty_measures.Measures."""

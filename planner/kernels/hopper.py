@@ -15,6 +15,7 @@ from planner.kernels.lanes import (
     WIDTH,
     as_floats,
     at,
+    doubles,
     floats,
     integers,
     lanes,
@@ -178,8 +179,8 @@ def linearize(integrator, dt, parameters, xs, us, N, F, width, first, knots):
 def linearize_arrays(integrator, dt, parameters, xs, us, F, knots):
     """The same on arrays xs (N+1, 3), us (N, 1), F (N, 3, width), knots (7, 4)."""
     linearize(
-        integrator, dt, parameters, pointer(xs.reshape(-1)), pointer(us.reshape(-1)), us.shape[0],
-        pointer(F.reshape(-1)), F.shape[2], 1, pointer(knots),
+        integrator, dt, parameters, doubles(xs), doubles(us), us.shape[0],
+        doubles(F), F.shape[2], 1, pointer(knots),
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ LLVM lowers <4 x double> to one ymm or two xmm or NEON registers. A plain inner 
 (unknown aliasing), hence the explicit type. Four, not eight: with the 16 registers of AVX2 eight spill, and of eight
 step lengths the last four are hardly ever wanted.
 
+    p = doubles(a)        the raw pointer of the floats of an array of any shape
     p = pointer(a)        a raw pointer: (K, 4) float64 arrays give lanes, (K,) arrays give floats or integers
     load(p, k)            a[k, :] as V4, or a[k]
     store(p, k, v)        a[k, :] = v (a float is spread), or a[k] = v
@@ -175,6 +176,16 @@ def pointer(typingctx: Any, array: Any) -> Any:
         return builder.bitcast(data, context.get_value_type(result))
 
     return result(array), lower
+
+
+@intrinsic
+def doubles(typingctx: Any, array: Any) -> Any:
+    """The raw pointer of the floats of a C-contiguous array of any shape."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+    return _FLOATS(array), lower
 
 
 def _constant(builder: Any, value: Any) -> Any:

@@ -54,6 +54,11 @@ class Model:
         mechanism: A planner.Mechanism.
         prescribed: (nv,) True where the acceleration is an input instead of the force.
         actuated: Whether actuators, contacts and stops act; the public dynamics functions take applied forces instead.
+
+    Attributes:
+        table: What kernels take.
+        touching: True where contacts or stops act, else None. Kernels take it beside the table: Numba compiles them
+            once for each type and leaves out, for None, what stands under `if touching is not None`.
     """
 
     def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
@@ -67,12 +72,13 @@ class Model:
         for name in ("position", "velocity"):
             coupled[arrays[f"{name}_row"], arrays[f"{name}_column"]] = True
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
+        pairs = mechanism.body_contacts if actuated else ()
+        self.touching = True if contacts or stops or pairs else None
         for contact in contacts:
             i = contact.link
             while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
                 coupled[i, contact.plane.slide] = coupled[contact.plane.slide, i] = True
                 i = mechanism.parent[i]
-        pairs = mechanism.body_contacts if actuated else ()
         for pair in pairs:
             common = common_carrier(mechanism.parent, pair)
             chains = [_chain(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]

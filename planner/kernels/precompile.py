@@ -13,9 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
-
-from numba.core.sigutils import normalize_signature
+from typing import TYPE_CHECKING, Any
 
 from planner.kernels import (
     bounded,
@@ -31,7 +29,10 @@ from planner.kernels import (
     tree_solve,
     tree_step,
 )
-from planner.kernels.jit import announce, cache_is_shared, is_warm
+from planner.kernels.jit import announce, arguments_of, cache_is_shared, is_warm
+
+if TYPE_CHECKING:
+    from planner.kernels.model import Model
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
 _HOPPER = ("int64", "float64", "float64[::1]")
@@ -49,15 +50,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
         tree_second.second_order,
         (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, "int64", _BLOCKS),
     ),
-    "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
-    "tree search penalised": (tree_solve.search_step_penalised, (_TABLE, _TABLE, _TABLE, _TABLE, *_SEARCH)),
     "penalties": (penalties.penalise, (_TABLE, _TABLE, _TABLE, _TABLE)),
-    "tree structured": (
-        tree_linearize.linearize_structured,
-        (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS, _BLOCKS),
-    ),
-    "tree dense": (tree_linearize.linearize_dense, (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS)),
-    "tree steps": (tree_step.steps, (_TABLE, _TABLE, "float64[::1]", _ROWS, _ROWS, _ROWS, "boolean")),
     "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
     "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
     "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
@@ -69,16 +62,51 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, "int64", _BLOCKS)),
 }
 
+# Kernels with a variant for machines that touch something, and one without the code of it (see Model.touching).
+_TOUCHING: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
+    "tree structured": (
+        tree_linearize.linearize_structured,
+        (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS, _BLOCKS),
+    ),
+    "tree dense": (tree_linearize.linearize_dense, (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS)),
+    "tree steps": (tree_step.steps, (_TABLE, _TABLE, "float64[::1]", _ROWS, _ROWS, _ROWS, "boolean")),
+    "tree rates": (tree_step.rates, (_TABLE, _TABLE, _ROWS, _ROWS, _ROWS)),
+}
+for _name, (_kernel, _types) in _TOUCHING.items():
+    KERNELS[_name] = (_kernel, (*_types, "none"))
+    KERNELS[f"{_name} touching"] = (_kernel, (*_types, "boolean"))
+for _name in ("tree search", "tree search touching"):  # the last argument is the table of penalties
+    _kernel, _types = KERNELS[_name]
+    KERNELS[_name] = (_kernel, (*_types, "none"))
+    KERNELS[f"{_name} penalised"] = (_kernel, (*_types, _TABLE))
+
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
     ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
-    ("tree search", "tree search penalised", "tree steps", "tree forward", "tree inverse"),
-    ("tree structured", "tree dense", "tree derivatives"),
+    (
+        "tree search", "tree search touching", "tree search penalised", "tree search touching penalised",
+        "tree steps", "tree steps touching", "tree rates", "tree rates touching", "tree forward", "tree inverse",
+    ),
+    ("tree structured", "tree structured touching", "tree dense", "tree dense touching", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
     ("penalties",),
     ("hopper second order",),
-)
+)  # fmt: skip
+
+# What only `hessian="exact"` needs, a third of all there is to compile.
+SECOND_ORDER = ("tree second order", "costates", "hopper second order")
+
+
+def variant(name: str, model: Model, penalised: bool = False) -> str:
+    """The name of the kernel that a model needs: of those that have variants, the one for what acts on it."""
+    return name + (" touching" if model.touching else "") + (" penalised" if penalised else "")
+
+
+def announce_named(name: str) -> None:
+    """Say once that something is about to be compiled, if this kernel is."""
+    announce(*KERNELS[name])
 
 
 def compile_these(names: Iterable[str]) -> None:
@@ -88,10 +116,7 @@ def compile_these(names: Iterable[str]) -> None:
     try:
         for name in names:
             kernel, types = KERNELS[name]
-            arguments, _ = normalize_signature(
-                f"({', '.join(types)},)"
-            )  # the cache knows a call by its types, not by their text
-            kernel.compile(arguments)
+            kernel.compile(arguments_of(types))
     finally:
         if collecting:
             gc.enable()
@@ -99,12 +124,12 @@ def compile_these(names: Iterable[str]) -> None:
 
 def compile_together(names: Iterable[str]) -> None:
     """Have kernels compiled, all at once where the machine has the processors and the cache is on disk."""
-    cold = {name for name in names if not is_warm(KERNELS[name][0])}
+    cold = {name for name in names if not is_warm(*KERNELS[name])}
     if not cold:
         return
     families = [[name for name in family if name in cold] for family in _FAMILIES if not cold.isdisjoint(family)]
     own, *others = families
-    announce(KERNELS[own[0]][0])
+    announce(*KERNELS[own[0]])
     if not others or (os.cpu_count() or 1) == 1 or not cache_is_shared():
         return  # compiled one after the other, when they are called
     package = str(Path(__file__).parents[2])

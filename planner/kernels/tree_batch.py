@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planner.kernels.forces import add_passive, add_passive_derivatives
 from planner.kernels.jit import inline, jit
-from planner.kernels.lanes import WIDTH, as_floats, at, lanes, load, pointer, spread, store
+from planner.kernels.lanes import WIDTH, as_floats, at, doubles, lanes, load, pointer, spread, store
 from planner.kernels.model import NQ, NV
 from planner.kernels.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree import RECORD, forward_dynamics, inverse_dynamics, place_all
@@ -16,9 +16,9 @@ from planner.kernels.tree_step import gather, scatter
 def _gathered(m, r, q, v, third, first, destination):
     """Four states onto X_LANES, and four rows (nv) of a third array onto lanes of their own."""
     K = q.shape[0]
-    gather(pointer(q.reshape(-1)), first, K, m[NQ], lanes(r, X_LANES))
-    gather(pointer(v.reshape(-1)), first, K, m[NV], at(lanes(r, X_LANES), m[NQ]))
-    gather(pointer(third.reshape(-1)), first, K, m[NV], destination)
+    gather(doubles(q), first, K, m[NQ], lanes(r, X_LANES))
+    gather(doubles(v), first, K, m[NV], at(lanes(r, X_LANES), m[NQ]))
+    gather(doubles(third), first, K, m[NV], destination)
 
 
 @inline
@@ -47,8 +47,8 @@ def forward(m, r, q, v, inputs, a, tau):
         forward_dynamics(m, x, rate, total, acceleration, lanes(r, LINKS), True)
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
-        scatter(acceleration, first, K, nv, pointer(a.reshape(-1)))
-        scatter(total, first, K, nv, pointer(tau.reshape(-1)))
+        scatter(acceleration, first, K, nv, doubles(a))
+        scatter(total, first, K, nv, doubles(tau))
 
 
 @jit
@@ -64,7 +64,7 @@ def inverse(m, r, q, v, a, tau):
         inverse_dynamics(m, x, rate, acceleration, total, lanes(r, LINKS))
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
-        scatter(total, first, K, nv, pointer(tau.reshape(-1)))
+        scatter(total, first, K, nv, doubles(tau))
 
 
 @jit
@@ -100,7 +100,7 @@ def places(m, r, q, poses):
     nq, K = m[NQ], q.shape[0]
     x, ws = lanes(r, X_LANES), lanes(r, LINKS)
     for first in range(0, K, WIDTH):
-        gather(pointer(q.reshape(-1)), first, K, nq, x)
+        gather(doubles(q), first, K, nq, x)
         place_all(m, x, ws)
         for i in range(m[NV]):
             for k in range(18):

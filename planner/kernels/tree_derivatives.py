@@ -11,7 +11,6 @@ from planner.kernels.forces import add_actuator_derivatives, add_passive_derivat
 from planner.kernels.jit import inline, part
 from planner.kernels.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.model import (
-    CONTACTS,
     INPUT_DOF,
     INPUT_INDEX,
     INPUT_VALUE,
@@ -22,7 +21,6 @@ from planner.kernels.model import (
     PRESCRIBED,
     RELATED_ROWS,
     RELATED_START,
-    STOPS,
 )  # fmt: skip
 from planner.kernels.pair_contact import subtract_pair_derivatives
 from planner.kernels.sensitivity import inverse_dynamics_derivatives, invert
@@ -70,8 +68,8 @@ def store_four(p, k, v):
 
 
 @part
-def acceleration_derivatives(m, r, q, v, a, dA):
-    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act)."""
+def acceleration_derivatives(m, r, q, v, a, dA, touching):
+    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); touching: see Model."""
     nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]
     M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
     zero = spread(0.0)
@@ -82,12 +80,11 @@ def acceleration_derivatives(m, r, q, v, a, dA):
     inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
     add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
     add_actuator_derivatives(m, Dq, Dv, ld)
-    if m[STOPS] > 0:
+    if touching is not None:
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
-    if m[CONTACTS] > 0:
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
-    if m[PAIRS] > 0:
-        subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
+        if m[PAIRS] > 0:
+            subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
     prescribed = integers(m, PRESCRIBED)
     for p in range(nv):
         given = load(prescribed, p)

@@ -8,7 +8,20 @@ from __future__ import annotations
 from planner.kernels.chain import euler, keep_turns, runge_kutta
 from planner.kernels.jit import inline, jit
 from planner.kernels.lane_math import transpose
-from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, pointer, spread, store, store4
+from planner.kernels.lanes import (
+    WIDTH,
+    as_floats,
+    at,
+    doubles,
+    floats,
+    integers,
+    lanes,
+    load,
+    pointer,
+    spread,
+    store,
+    store4,
+)
 from planner.kernels.model import BALL_V, NA, NBALLS, NQ, NU, NV
 from planner.kernels.rotations import carried, right_jacobian_times
 from planner.kernels.spatial import store3
@@ -76,13 +89,13 @@ def _transport(m, r, x, a, dt, transport, first, count):
 @inline
 def _gathered(m, r, xs, us, first, count):
     """States, controls and the rollout's accelerations of four stages onto lanes."""
-    gather(pointer(xs.reshape(-1)), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
-    gather(pointer(us.reshape(-1)), first, count, m[NU], lanes(r, U_LANES))
+    gather(doubles(xs), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
+    gather(doubles(us), first, count, m[NU], lanes(r, U_LANES))
     gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * m[NV], lanes(r, A_LANES))
 
 
 @jit
-def linearize_structured(m, r, dt, xs, us, F, transport):
+def linearize_structured(m, r, dt, xs, us, F, transport, touching):
     """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
 
     The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
@@ -90,43 +103,44 @@ def linearize_structured(m, r, dt, xs, us, F, transport):
     m, r = pointer(m), pointer(r)
     nv, columns, count, width = m[NV], r[COLUMNS], us.shape[0], F.shape[2]
     x, a, dA = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, BY_STAGE)
-    flat, blocks, stride = pointer(F.reshape(-1)), pointer(transport.reshape(-1)), nv * width
+    flat, blocks, stride = doubles(F), doubles(transport), nv * width
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
-        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA)
+        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA, touching)
         for i in range(nv):
             scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
         _transport(m, r, x, a, dt, blocks, first, present)
 
 
 @inline
-def _stage_derivatives(m, r, q, v, a, i, present, width):
+def _stage_derivatives(m, r, q, v, a, i, present, width, touching):
     """D of stage i, (nv, width) for each of the knots present, into DIRECT."""
     dA, D, block, columns = lanes(r, BY_STAGE), floats(r, DIRECT), r[BLOCK], r[COLUMNS]
-    acceleration_derivatives(m, r, q, v, a, dA)
+    acceleration_derivatives(m, r, q, v, a, dA, touching)
     for row in range(m[NV]):
         scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
 
 @jit
-def linearize_dense(m, r, dt, xs, us, F):
+def linearize_dense(m, r, dt, xs, us, F, touching):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
     m, r = pointer(m), pointer(r)
     nv, count, width = m[NV], us.shape[0], F.shape[2]
     x, a, v_stages, theta = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, V_STAGES), lanes(r, THETA)
-    flat, stride, length = pointer(F.reshape(-1)), (2 * nv + m[NA]) * width, spread(dt)
+    flat, stride, length = doubles(F), (2 * nv + m[NA]) * width, spread(dt)
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
         v = at(x, m[NQ])
         for i in range(r[STAGES]):
             if i == 0:
-                _stage_derivatives(m, r, x, v, a, 0, present, width)
+                _stage_derivatives(m, r, x, v, a, 0, present, width, touching)
             else:
                 stage_state(m, r, x, i, a, length)
                 keep_turns(m, r, i)
-                _stage_derivatives(m, r, lanes(r, Q_STAGE), at(v_stages, i * nv), at(a, i * nv), i, present, width)
+                v, ai = at(v_stages, i * nv), at(a, i * nv)
+                _stage_derivatives(m, r, lanes(r, Q_STAGE), v, ai, i, present, width, touching)
         if r[INTEGRATOR] == RK4:
             end_rotation(m, r, x, a, length)
             keep_turns(m, r, 4)

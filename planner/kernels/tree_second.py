@@ -35,6 +35,7 @@ from planner.kernels.lanes import (
     WIDTH,
     as_floats,
     at,
+    doubles,
     floats,
     integers,
     lane_array,
@@ -134,7 +135,7 @@ def _first_derivatives(m, r, s, dt):
         for k in range(nq):
             store(q, k, load(source, k))
         D = at(lanes(s, D_ALL), i * nv * columns)
-        acceleration_derivatives(m, r, q, _velocity(m, r, x, i), at(a, i * nv), D)
+        acceleration_derivatives(m, r, q, _velocity(m, r, x, i), at(a, i * nv), D, None)  # nothing touches
         inverse, M = at(lanes(s, INVERSE), i * nv * ld), lanes(r, M_LANES)
         for k in range(nv * ld):
             store(inverse, k, load(M, k))
@@ -334,11 +335,11 @@ def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
     nv, nu, columns, x0, count, width = m[NV], m[NU], r[COLUMNS], r[FIRST_X], us.shape[0], T.shape[2]
     ndx, row = 2 * nv + m[NA], costates.shape[1]
     x, T_lanes, l = lanes(r, X_LANES), lanes(s, T_LANES), lanes(s, COSTATE)
-    T_flat, to = as_floats(T_lanes), pointer(T.reshape(-1))
-    costate, l_flat = pointer(costates.reshape(-1)), as_floats(l)
+    T_flat, to = as_floats(T_lanes), doubles(T)
+    costate, l_flat = doubles(costates), as_floats(l)
     for first in range(0, count, WIDTH):
-        gather(pointer(xs.reshape(-1)), first, count, xs.shape[1], x)
-        gather(pointer(us.reshape(-1)), first, count, nu, lanes(r, U_LANES))
+        gather(doubles(xs), first, count, xs.shape[1], x)
+        gather(doubles(us), first, count, nu, lanes(r, U_LANES))
         gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * nv, lanes(r, A_LANES))
         for lane in range(WIDTH):
             o = (min(first + lane, count - 1) + 1) * row + first_costate

@@ -121,7 +121,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 
 @part
-def rollout(w, m, r, p, search, dt, feedback):
+def rollout(w, m, r, search, dt, feedback, touching, p):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
 
     p is the table of penalties or, where there are none, None: then nothing of them is compiled.
@@ -138,17 +138,17 @@ def rollout(w, m, r, p, search, dt, feedback):
         X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
         if p is not None:
-            J += penalty_cost(m, p, X, lanes(r, LINKS), n)
+            J += penalty_cost(m, pointer(p), X, lanes(r, LINKS), n)
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
         if w[W.BOUNDED] > 0:
             _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
-        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx))
+        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), touching)
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
-        J += penalty_cost(m, p, at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
+        J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
     store(search, W.COSTS, J)
 
 
@@ -159,31 +159,21 @@ def _take(w, m, r, lane):
     take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
 
 
-@part
-def _searched(w, m, r, p, search, dt, rule, feedback, cost, slope):
-    """What both kernels below do."""
+@jit
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope, touching, p):
+    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+
+    The step is 0 when there is none. p is the table of penalties or None, touching as in Model: what is None is not
+    compiled.
+    """
+    w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, p, pointer(search), dt, feedback)
+        rollout(w, m, r, pointer(search), dt, feedback, touching, p)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)
             return alpha[lane], costs[lane]
         refine(rule, alpha, bracket)
     return 0.0, cost
-
-
-@jit
-def search_step(w, m, r, search, dt, rule, feedback, cost, slope):
-    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
-
-    The step is 0 when there is none.
-    """
-    return _searched(pointer(w), pointer(m), pointer(r), None, search, dt, rule, feedback, cost, slope)
-
-
-@jit
-def search_step_penalised(w, m, r, p, search, dt, rule, feedback, cost, slope):
-    """The same with the penalties of table p among the costs."""
-    return _searched(pointer(w), pointer(m), pointer(r), pointer(p), search, dt, rule, feedback, cost, slope)

@@ -13,13 +13,12 @@ from planner.kernels.contact import add_contact_wrenches, add_stops
 from planner.kernels.forces import activation_rates, applied_forces
 from planner.kernels.jit import inline, jit, part
 from planner.kernels.lane_math import transpose
-from planner.kernels.lanes import WIDTH, as_floats, at, floats, integers, lanes, load, load4, pointer, store
+from planner.kernels.lanes import WIDTH, as_floats, at, doubles, floats, integers, lanes, load, load4, pointer, store
 from planner.kernels.model import (
     BALL,
     BALL_NEXT,
     BALL_Q,
     BALL_V,
-    CONTACTS,
     KIND,
     NA,
     NBALLS,
@@ -28,7 +27,6 @@ from planner.kernels.model import (
     NV,
     PAIRS,
     Q_ADDRESS,
-    STOPS,
 )  # fmt: skip
 from planner.kernels.pair_contact import add_pair_wrenches
 from planner.kernels.rotations import turned
@@ -84,17 +82,20 @@ def add_commutator(m, theta, first, second, factor):
 
 
 @part
-def accelerations(m, r, q, v, u, act, a):
-    """Accelerations a (nv lanes) under inputs u and activations act."""
+def accelerations(m, r, q, v, u, act, a, touching):
+    """Accelerations a (nv lanes) under inputs u and activations act.
+
+    With `touching` None the machine has no contacts and stops, and their code is left out: see Model.touching.
+    """
     tau, links = lanes(r, TAU), lanes(r, LINKS)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
-    if m[STOPS] > 0:
+    if touching is not None:
         add_stops(m, q, v, tau)
     move_links(m, q, v, links)
-    if m[CONTACTS] > 0:
+    if touching is not None:
         add_contact_wrenches(m, q, links)
-    if m[PAIRS] > 0:
-        add_pair_wrenches(m, q, links)
+        if m[PAIRS] > 0:
+            add_pair_wrenches(m, q, links)
     accelerate(m, tau, a, links, False)
 
 
@@ -141,12 +142,12 @@ def end_rotation(m, r, x, a, dt):
 
 
 @part
-def stage(m, r, x, u, a, dt, x_next):
+def stage(m, r, x, u, a, dt, x_next, touching):
     """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
     nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
-    accelerations(m, r, x, v, u, act, a)
+    accelerations(m, r, x, v, u, act, a, touching)
     activation_rates(m, u, act, rates)
     if integrator != RK4:
         for k in range(nv):
@@ -160,7 +161,7 @@ def stage(m, r, x, u, a, dt, x_next):
     for i in range(1, 4):
         stage_state(m, r, x, i, a, dt)
         vi, act_i = at(lanes(r, V_STAGES), i * nv), lanes(r, ACT_STAGE)
-        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv))
+        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv), touching)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_rotation(m, r, x, a, dt)
     moved(m, x, theta, x_next)
@@ -202,7 +203,7 @@ def scatter(source, first, count, width, destination):
 
 
 @jit
-def steps(m, r, dt, xs, us, xs_next, keep):
+def steps(m, r, dt, xs, us, xs_next, keep, touching):
     """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
 
     With `keep` the stages' accelerations are left in ACCELERATIONS.
@@ -211,28 +212,28 @@ def steps(m, r, dt, xs, us, xs_next, keep):
     nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
     x, a, scratch = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, SCRATCH)
     for first in range(0, K, WIDTH):
-        gather(pointer(xs.reshape(-1)), first, K, nx, x)
-        gather(pointer(us.reshape(-1)), first, K, nu, lanes(r, U_LANES))
+        gather(doubles(xs), first, K, nx, x)
+        gather(doubles(us), first, K, nu, lanes(r, U_LANES))
         gather(pointer(dt), first, K, 1, scratch)
         length = load(scratch, 0)
-        stage(m, r, x, lanes(r, U_LANES), a, length, x)
-        scatter(x, first, K, nx, pointer(xs_next.reshape(-1)))
+        stage(m, r, x, lanes(r, U_LANES), a, length, x, touching)
+        scatter(x, first, K, nx, doubles(xs_next))
         if keep:
             scatter(a, first, K, r[STAGES] * m[NV], floats(r, ACCELERATIONS))
 
 
 @jit
-def rates(m, r, xs, us, out):
+def rates(m, r, xs, us, out, touching):
     """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
     m, r = pointer(m), pointer(r)
     nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
     x, u, a, rate = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), lanes(r, LINKS)
     for first in range(0, K, WIDTH):
-        gather(pointer(xs.reshape(-1)), first, K, nx, x)
-        gather(pointer(us.reshape(-1)), first, K, m[NU], u)
-        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a)
+        gather(doubles(xs), first, K, nx, x)
+        gather(doubles(us), first, K, m[NU], u)
+        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, touching)
         for k in range(nv):
             store(rate, k, load(x, nq + k))
             store(rate, nv + k, load(a, k))
         activation_rates(m, u, at(x, nq + nv), at(rate, 2 * nv))
-        scatter(rate, first, K, 2 * nv + na, pointer(out.reshape(-1)))
+        scatter(rate, first, K, 2 * nv + na, doubles(out))

@@ -1,0 +1,87 @@
+"""What is compiled for whom, and how machine code is found again: one file a signature, variants by type."""
+
+import numpy as np
+import pytest
+from legs import leg, standing
+from numba.core.errors import TypingError
+from trees import chain
+
+from planner.dynamics import RigidBodyDynamics
+from planner.kernels import jit, precompile
+from planner.mechanism import Mechanism
+
+
+def stopped(x, touching):
+    """A kernel in two variants."""
+    if touching is not None:
+        return 2.0 * x
+    return x
+
+
+@pytest.fixture
+def kernel(monkeypatch, tmp_path):
+    """`stopped`, never compiled before, and another of the same file that a second process would have."""
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    return jit.jit(stopped), jit.jit(stopped)
+
+
+def test_variants_are_kept_apart_and_found_again(kernel):
+    first, second = kernel
+    plain, touching = ("float64", "none"), ("float64", "boolean")
+    assert not jit.is_warm(first)
+    assert not jit.is_warm(first, plain)
+    assert first(3.0, None) == 3.0
+    assert jit.is_warm(first)
+    for known in (first, second):  # the second by what is on disk
+        assert jit.is_warm(known, plain)
+        assert not jit.is_warm(known, touching)
+    assert first(3.0, True) == 6.0
+    assert jit.is_warm(second, touching)
+    results = second(3.0, True), second(3.0, None)
+    assert results == (6.0, 3.0)
+    assert len(list(jit.cache_directory().rglob("*.nbc"))) == 2
+
+
+def unknown_to_numba(x):
+    """What cannot be compiled."""
+    return eval(f"{x}")
+
+
+def pruned(x, touching):
+    """Half of it cannot be compiled."""
+    return x if touching is None else unknown_to_numba(x)
+
+
+def test_what_is_left_out_is_not_even_looked_at(monkeypatch, tmp_path):
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    kernel = jit.jit(pruned)
+    assert kernel(3.0, None) == 3.0
+    with pytest.raises(TypingError):
+        kernel(3.0, True)
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_a_machine_calls_the_variants_that_are_compiled_ahead(touches):
+    """With other types, a kernel would be compiled twice: ahead, and again when it is called."""
+    mechanism = Mechanism.from_mjcf(leg() if touches else chain(("hinge",), ("hinge",)))
+    for integrator in ("rk4", "semi-implicit-euler"):
+        prescribed = () if touches else mechanism.joint_names[:1]
+        dynamics = RigidBodyDynamics(mechanism, 1e-3, integrator, prescribed)
+        assert all(name.endswith("touching") == touches for name in dynamics.kernels)
+        xs = np.stack([standing(mechanism) if touches else mechanism.home] * 3)
+        us = np.zeros((2, dynamics.nu))
+        names = {"tree steps", "tree rates", "tree structured" if dynamics.structured else "tree dense"}
+        before = {name: set(precompile.KERNELS[name][0].overloads) for name in names}
+        dynamics.step(xs[:2], us)
+        dynamics.rates(xs[:2], us)
+        dynamics.linearize(xs, us)
+        for name in names:
+            kernel, types = precompile.KERNELS[f"{name} touching" if touches else name]
+            assert set(kernel.overloads) - before[name] <= {jit.arguments_of(types)}
+            assert jit.is_warm(kernel, types)
+
+
+def test_every_kernel_has_a_process_that_compiles_it():
+    families = [name for family in precompile._FAMILIES for name in family]
+    assert sorted(families) == sorted(precompile.KERNELS)
+    assert set(precompile.SECOND_ORDER) <= set(families)
