@@ -39,8 +39,8 @@ def step_rows(results: dict[str, Any]) -> list[dict[str, str]]:
                     f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; replayed in MuJoCo within "
                     f"{shown['replay_deg']['open-loop']:.2g} deg",
             "why": "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
-                   "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is tilted "
-                   "back at the end, which shortens the step: the cost asks for angles, not for where the foot lands",
+                   "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
+                   "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands",
         },
         {
             "where": "2.3", "paper": "Approximately 4 hours to converge (PIII-800)",
@@ -146,10 +146,10 @@ def _line(name: str, motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     def both(key: str, scale: float, form: str) -> str:
         return " / ".join(format(scale * motion[key][side], form) for side in sides)
 
-    belt = motion["largest_force"] > 0.0
-    errors = motion["replay_deg"]
+    errors, stance, swing = motion["replay_deg"], "no belt", ""
+    if motion["largest_force"] > 0.0:
+        stance, swing = both("in_stance", 100.0, ".0f"), both("in_swing", 100.0, ".0f")
     return (
         f"| {name} | {_rms(motion, sides)} | {both('clearance', 1e3, '.1f')} | {both('hip_lift', 1e3, '.0f')} "
-        f"| {both('in_stance', 100.0, '.0f') if belt else 'no belt'} | {both('in_swing', 100.0, '.0f') if belt else ''} "
-        f"| {errors['open-loop']:.2g}, {errors['feedback']:.2g} |"
+        f"| {stance} | {swing} | {errors['open-loop']:.2g}, {errors['feedback']:.2g} |"
     )

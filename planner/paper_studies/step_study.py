@@ -1,4 +1,4 @@
-"""The human step (section 2.3): the swing by splines and by SLQ, stance and swing together, and which updates get there.
+"""The human step (section 2.3): the swing by splines and by SLQ, stance and swing together, and the updates beside.
 
 The paper moves the swing hip by 32 B-spline parameters, with BFGS and the gradient of Eq. 7, in four hours; stance and
 swing together did not converge. Here the cost is one and the same for all methods (cost="study", see cases.step_cost),
@@ -14,7 +14,7 @@ The last is what remains of Eq. 36 when Eq. 30 is left out, an easy mistake.
 from __future__ import annotations
 
 import time
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -63,25 +63,22 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
         xs = engine.trajectory()[0].copy()
         A, B = problem.dynamics.linearize(xs, us)
         model = problem.cost.quadratize(xs, us)
-        gradient, J = lq.gradient(A, B, model), costs[-1]
-        accepted = None
+        gradient, alpha = lq.gradient(A, B, model), 0.0
         for _ in range(8):
             sweep = lq.riccati(A, B, model._replace(R=(1.0 + more) * model.R))
             assert sweep is not None  # R is positive definite
-            slope = float(np.sum(gradient * sweep.k))
-            for alpha in 0.5 ** np.arange(9.0):
-                cost = engine.start(problem.x0, us + alpha * sweep.k)
-                if slope < 0.0 and cost <= J + 1e-4 * alpha * slope:
-                    accepted = alpha, cost
-                    break
-            if accepted is not None:
+            k, slope = sweep.k, float(np.sum(gradient * sweep.k))
+            found = [(a, engine.start(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0)] if slope < 0.0 else []
+            good = [(a, J) for a, J in found if costs[-1] + 1e-4 * a * slope >= J]
+            if good:
+                alpha, cost = good[0]
+                us = us + alpha * k
+                costs.append(cost)
                 break
             more = max(10.0 * more, 1e-2)
-        if accepted is None:
+        if alpha == 0.0:
             break
-        us = us + accepted[0] * sweep.k
-        costs.append(accepted[1])
-        if accepted[0] == 1.0:
+        if alpha == 1.0:
             more = more / 5.0 if more > 1e-4 else 0.0
     give_back(problem, engine)
     return costs
@@ -151,7 +148,8 @@ def _splines(problem: Problem, coefficients: int, most: int) -> dict[str, Any]:
 
 def _motion(plan: Plan) -> dict[str, Any]:
     """What a motion came to, and its replays' errors in deg RMS over the joints of the legs."""
-    assert plan.problem is not None and plan.problem.requirements is not None  # a case's, just solved
+    assert plan.problem is not None
+    assert plan.problem.requirements is not None  # a case's, just solved
     step = step_of(plan.problem)
     found, normal = measures(step, plan.xs), measures(step, carried(plan.problem))
     judge = plan.problem.requirements.tracking
@@ -166,7 +164,8 @@ def _motion(plan: Plan) -> dict[str, Any]:
     heel, normal_heel = frame_points(m, np.stack([plan.xs[-1], step.states[-1]]), ("right_heel_point",))[:, 0]
     return {
         "status": plan.status.name, "iterations": plan.nit, "cost": plan.cost, **_summary(found),
-        "carried_rms": normal.rms, "end_deg": end[joints].tolist(), "end_heel_m": (heel - normal_heel).tolist(), "replay_deg": errors,
+        "carried_rms": normal.rms, "end_deg": end[joints].tolist(), "end_heel_m": (heel - normal_heel).tolist(),
+        "replay_deg": errors,
     }  # fmt: skip
 
 
