@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.check import Checked, check
+from planner.closing import Periodic
 from planner.contact import Contact, Law, Plane, Stop, Touch
 from planner.contact_forces import ContactForces, contact_forces
 from planner.control_spline import SplineControls, solve_by_splines
@@ -32,6 +33,7 @@ from planner.objective import Objective, with_objective
 from planner.payload import largest_payload, static_limit
 from planner.penalty_cost import PenaltyCost
 from planner.penalty_terms import Distance, Gap, Height, Point, Segment
+from planner.periodic import Pass, solve_periodic
 from planner.plan import Iteration, Plan, Start, Status
 from planner.problem import Problem
 from planner.proof import Proof, prove
@@ -105,7 +107,9 @@ __all__ = [
     "Mechanism",
     "ModelError",
     "Objective",
+    "Pass",
     "PenaltyCost",
+    "Periodic",
     "Perturbation",
     "Plan",
     "Plane",
@@ -170,6 +174,7 @@ __all__ = [
     "solve",
     "solve_by_splines",
     "solve_for",
+    "solve_periodic",
     "static_limit",
     "stop_attributes",
     "with_objective",

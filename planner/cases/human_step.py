@@ -48,7 +48,7 @@ MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
-TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 1e-5}
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
 """Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
 A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
 
