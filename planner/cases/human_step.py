@@ -50,7 +50,7 @@ HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
 """Tendons of the scene: the robot, which the ghost is drawn without."""
-TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 1e-5}
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
 """Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
 A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
 
