@@ -326,7 +326,7 @@ def test_success_of_perturbed_ends(default):
         ({"stiffness": -1.0}, "stiffness is -1.0"),
         ({"damping": float("nan")}, "damping is nan"),
         ({"brace": "knee"}, "brace is 'knee', expected one of: ankle"),
-        ({"phase": "run"}, "phase is 'run', expected one of: swing, cycle"),
+        ({"phase": "run"}, "phase is 'run', expected one of: swing, cycle, gait"),
         ({"cost": "cheap"}, "cost is 'cheap', expected one of: default, study"),
         ({"pelvis": "torque"}, "pelvis is 'torque', expected one of: motion, force"),
         ({"phase": "swing", "cycles": 2}, "cycles is 2, expected 1 for phase='swing'"),
