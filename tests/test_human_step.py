@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -187,7 +188,8 @@ def test_legs_are_kept_apart(swing):
     apart = planner.solve(problem)
 
     def nearest(plan):
-        return problem.cost.costs[1].values(plan.xs)[:, -4:].min()  # the last four terms
+        penalties: Any = problem.cost.costs[1]  # type: ignore[attr-defined]
+        return penalties.values(plan.xs)[:, -4:].min()  # the last four terms
 
     assert nearest(apart) > 0.17
     assert nearest(swing) < 0.17
@@ -283,7 +285,7 @@ def test_forces_as_controls():
     problem = human_step(phase="swing", pelvis="force")
     same = human_step(phase="swing")
     assert problem.dynamics.nu == 6
-    assert not problem.dynamics.prescribed
+    assert not problem.dynamics.prescribed  # type: ignore[attr-defined]
     xs, other = [problem.x0], [same.x0]
     for u, a in zip(problem.first_guess, same.first_guess, strict=True):
         xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
@@ -302,7 +304,7 @@ def test_the_start_is_on_the_normal_gait():
     problem = human_step()
     np.testing.assert_allclose(problem.x0[[0, 17]], [0.0, -1.055], atol=1e-3)
     np.testing.assert_allclose(problem.x0[3], 0.9093 - 0.00842, atol=2e-4)
-    assert problem.dynamics.prescribed == PELVIS
+    assert problem.dynamics.prescribed == PELVIS  # type: ignore[attr-defined]
     assert (problem.N, problem.dynamics.dt) == (240, 0.005)
     longer = human_step(cadence=75.0, cycles=2)
     assert (longer.N, longer.duration) == (640, pytest.approx(3.2))

@@ -24,7 +24,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from planner.arguments import array, choice, count, number
-from planner.cases.gait import NORMAL_GAIT
+from planner.cases.gait import NORMAL_GAIT, Gait
 from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
@@ -37,6 +37,7 @@ from planner.stage import Ghost, Panel, Readout, Stage, View
 
 Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
+Angles = dict[str, tuple[float, ...]]
 Cost = Literal["default", "study"]
 Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
@@ -50,7 +51,7 @@ HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
 """Tendons of the scene: the robot, which the ghost is drawn without."""
-TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 1e-5}
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
 """Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
 A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
 
@@ -60,6 +61,7 @@ def human_step(
     stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
     pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
     reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
+    angles: Angles | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
@@ -82,11 +84,13 @@ def human_step(
         horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
         ends: Of a gait: the states where it begins and that its end is drawn to, (2, nx), as solve_periodic finds
             them; by default those of the normal gait.
+        angles: What the file of `reference` said, as Gait.to_dict() gives it: in a plan, which needs the file no more.
 
     Raises:
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
     """
-    step = _step(phase, cycles, cadence, reference, horizon, {
+    gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
+    step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "stiffness": stiffness, "damping": damping, "brace": brace,
         "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
     })  # fmt: skip
@@ -113,6 +117,7 @@ def human_step(
         "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
         "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
         "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
+        "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
     return Problem(
         dynamics, step_cost(dynamics, step, wish, effort, control, goal), x0=start, us=us, case="human-step",
@@ -129,7 +134,7 @@ def human_step(
 
 
 def _step(
-    phase: str, cycles: int, cadence: float, reference: str | None, horizon: int | None, person: dict[str, Any]
+    phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]
 ) -> Step:
     """Checked."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
@@ -138,7 +143,6 @@ def _step(
         raise PlannerError(f"cycles is {cycles}, expected 1 for phase='swing', which is a part of one.")
     cadence = number("cadence", cadence, least=SLOWEST, most=FASTEST)
     walker = Walker(**person, legs=("right",) if swings else SIDES, belt=not swings)
-    gait = NORMAL_GAIT if reference is None else read_gait(reference)
     duration = 120.0 / cadence
     begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
     N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, most=MOST_STAGES)

@@ -12,11 +12,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.cases import CASES
 from planner.default_stage import stage_of
-from planner.ends import PARAMETER as ENDS
 from planner.files import PathLike, file_error, write_atomically
 from planner.plan import Plan
-from planner.report.reproduce import command, problem_text
+from planner.report.reproduce import command, problem_text, typed
 from planner.report.style import STYLE
 from planner.report.tables import figures_table, number, table
 
@@ -172,7 +172,7 @@ def _parameters(plan: Plan) -> str:
     if not plan.parameters:
         return ""
     case = f" of the case {plan.case}" if plan.case else ""
-    told = {name: value for name, value in plan.parameters.items() if name != ENDS}  # arrays of states
+    told = typed(plan.parameters) if plan.case in CASES else plan.parameters
     return f"<h2>Parameters{escape(case)}</h2>\n" + table(told)
 
 
