@@ -68,10 +68,10 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
             sweep = lq.riccati(A, B, model._replace(R=(1.0 + more) * model.R))
             assert sweep is not None  # R is positive definite
             k, slope = sweep.k, float(np.sum(gradient * sweep.k))
-            found = [(a, engine.start(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0)] if slope < 0.0 else []
-            good = [(a, J) for a, J in found if costs[-1] + 1e-4 * a * slope >= J]
-            if good:
-                alpha, cost = good[0]
+            tried = ((a, engine.start(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0)
+            good = next(((a, J) for a, J in tried if costs[-1] + 1e-4 * a * slope >= J), None)
+            if good is not None:
+                alpha, cost = good
                 us = us + alpha * k
                 costs.append(cost)
                 break
