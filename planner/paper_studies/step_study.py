@@ -36,11 +36,11 @@ from planner.slq import solve
 CYCLE_TIME = 1.2  # s, of the case's default cadence
 DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few
 COEFFICIENTS = (5, 32)  # of each of 6 controls: 30 parameters, about the paper's 32; and 32 for each
-MOST = (1000, 250)  # iterations of BFGS
+MOST = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
 GRADIENT = 1e-6  # where BFGS ends, relative to J of the guess
 LIMITS = {"feedback": 100, "open-loop": 100, "feedforward alone": 40}
 WITHIN = (0.05, 0.01, 0.001)  # of the end, whose first iteration is told
-POSES = 121  # of the motions that are drawn, at most
+POSES = 41  # of the swing, to draw some of
 CYCLES = 3
 
 FRAMES = tuple(f"{side}_{point}" for side in ("right", "left")
@@ -190,28 +190,32 @@ def _drawn(problem: Problem) -> dict[str, Any]:
     """The motion with the default cost, and all that the pictures need of it."""
     plan, seconds = _timed(problem)
     step, m = step_of(problem), problem.dynamics.mechanism  # type: ignore[attr-defined]
-    chosen = np.linspace(0, plan.N, min(POSES, plan.N + 1)).round().astype(int)
     sides = step.walker.legs
-    frames = tuple(name for name in FRAMES if name.startswith(sides) or name.endswith("_hip"))
     moving = [m.joint(name).start for name in PELVIS]
     names = [f"{side}_{joint}" for side in sides for joint in ("hip_flexion", "knee", "ankle")]
     angles = {name: m.joint(name).start for name in names}
     q, qd = plan.xs[:, : m.nq], plan.xs[:, m.nq :]
-    own = measures(step, plan.xs)
+    lifts = {side: height_of(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
     result: dict[str, Any] = {
-        **_told(plan, seconds), **_summary(own), "N": plan.N, "dt": problem.dynamics.dt, "frames": list(frames),
-        "cycle_t": step.t[chosen].tolist(), "t_s": plan.t.tolist(),
-        "angles_deg": {n: np.degrees(q[:, i]).tolist() for n, i in angles.items()},
-        "normal_deg": {n: np.degrees(step.states[:, i]).tolist() for n, i in angles.items()},
-        "points": {"planned": frame_points(m, plan.xs[chosen], frames).tolist(),
-                   "normal": frame_points(m, step.states[chosen], frames).tolist()},
-        "pelvis": {"planned": q[:, moving].tolist(), "normal": step.states[:, moving].tolist()},
-        "hip_lift_m": {s: (height_of(step, q, f"{s}_hip") - normal_height(step, f"{s}_hip")).tolist() for s in sides},
-        "wrench": robot_wrench(problem.dynamics, plan.xs, plan.us).tolist(),  # type: ignore[arg-type]
+        **_told(plan, seconds), **_summary(measures(step, plan.xs)), "t_s": _listed(plan.t),
+        "angles_deg": {name: _listed(np.degrees(q[:, i])) for name, i in angles.items()},
+        "normal_deg": {name: _listed(np.degrees(step.states[:, i])) for name, i in angles.items()},
+        "pelvis": {"planned": _listed(q[:, moving]), "normal": _listed(step.states[:, moving])},
+        "hip_lift_m": {side: _listed(lift) for side, lift in lifts.items()},
+        "wrench": _listed(robot_wrench(problem.dynamics, plan.xs, plan.us)),  # type: ignore[arg-type]
     }  # fmt: skip
     if step.walker.belt:
-        result["forces_N"] = {side: vertical_force(step, q, qd, side).tolist() for side in sides}
-    else:  # the other leg stands, as in the normal gait
-        stands = step.feet(step.motion.q)[chosen, 3:]
-        result["standing"] = stands.tolist()
-    return result
+        return {**result, "forces_N": {side: _listed(vertical_force(step, q, qd, side)) for side in sides}}
+    chosen = np.linspace(0, plan.N, POSES).round().astype(int)
+    frames = tuple(name for name in FRAMES if name.startswith(sides) or name.endswith("_hip"))
+    motions = {"planned": plan.xs, "normal": step.states}
+    return {
+        **result, "frames": list(frames),
+        "points": {name: _listed(frame_points(m, xs[chosen], frames)) for name, xs in motions.items()},
+        "standing": _listed(step.feet(step.motion.q)[chosen, 3:]),  # the other leg's foot, as in the normal gait
+    }  # fmt: skip
+
+
+def _listed(values: np.ndarray) -> list[Any]:
+    """To what a picture shows."""
+    return np.round(values, 5).tolist()
