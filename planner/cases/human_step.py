@@ -126,7 +126,7 @@ def human_step(
             goal=lambda run: judge_step(
                 step, run, promised=cost == "default" and wish.clearance >= PROMISED, closes=phase == "gait"
             ),
-            success=lambda ends: arrives(step, ends),
+            success=lambda ends: arrives(step, ends, goal),
         ),
     )  # fmt: skip
 
