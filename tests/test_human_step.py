@@ -315,7 +315,7 @@ def test_built_twice_it_is_the_same(tmp_path, swing):
 def test_success_of_perturbed_ends(default):
     ends = np.stack([default.xs[-1], CYCLE.states[-1], CYCLE.states[-1]])
     ends[2, 7:17] += 6.0 * DEGREE
-    np.testing.assert_array_equal(arrives(CYCLE, ends)[1:], [True, False])
+    np.testing.assert_array_equal(arrives(CYCLE, ends, CYCLE.states[-1])[1:], [True, False])
 
 
 @pytest.mark.parametrize(

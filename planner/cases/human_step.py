@@ -18,7 +18,9 @@ It finds what the paper found: the swinging hip is lifted, which clears the foot
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -29,6 +31,7 @@ from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
 from planner.cases.step_measures import arrives, closing, judge_step, judge_tracking, robot_wrench
+from planner.cases.step_pictures import step_pictures
 from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import PlannerError
@@ -121,14 +124,14 @@ def human_step(
     }  # fmt: skip
     return Problem(
         dynamics, step_cost(dynamics, step, wish, effort, control, goal), x0=start, us=us, case="human-step",
-        parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),
             goal=lambda run: judge_step(
                 step, run, promised=cost == "default" and wish.clearance >= PROMISED, closes=phase == "gait"
             ),
-            success=lambda ends: arrives(step, ends),
+            success=lambda ends: arrives(step, ends, goal),
         ),
     )  # fmt: skip
 
@@ -181,7 +184,7 @@ def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
     return robot_wrench(carried, xs, accelerations)
 
 
-def _stage(step: Step) -> Stage:
+def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
     """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
     names = step.walker.mechanism.joint_names
     duration = step.N * step.dt
@@ -193,6 +196,7 @@ def _stage(step: Step) -> Stage:
         return tuple((names.index(joint), joint.removeprefix("pelvis_")) for joint in joints)
 
     axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
+    low = (0.0, 0.0, 0.74 * step.walker.scale)  # so that no label hides the feet
     unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
     moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
     return Stage(
@@ -202,12 +206,13 @@ def _stage(step: Step) -> Stage:
         distance=4.2 * step.walker.scale,
         azimuth=90.0,
         elevation=-10.0,
-        views=(View(90.0, label="from the right"), View(180.0, label="from ahead")),
+        views=(View(90.0, label="from the right"), View(180.0, look_at=low, label="from ahead")),
         ghost=Ghost(step.states, "normal gait"),
         scenery=(*(("belt",) if step.walker.belt else ()), *CYLINDERS),
-        force_scale=0.0 if not step.walker.belt else 4e-3,
+        force_scale=0.0 if not step.walker.belt else 8e-3,
         force_unit="N",
         speed=0.25 if duration < 1.0 else 0.5,
+        pictures=partial(step_pictures, step, tolerances),
         plots=(
             *(Panel(f"{side.capitalize()} leg", "angle, rad", states=curves(side, "hip_flexion", "knee", "ankle"))
               for side in step.walker.legs),

@@ -30,7 +30,7 @@ STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start of a gait to its end
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
-ARRIVES = 5.0  # deg, RMS over the joints at the end from the normal gait: what counts for a perturbed step
+ARRIVES = 5.0  # deg, RMS over the joints from what the end is drawn to: what counts for a perturbed step
 
 
 @dataclass(frozen=True)
@@ -181,11 +181,11 @@ def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Figure]:
     ]  # fmt: skip
 
 
-def arrives(step: Step, ends: np.ndarray) -> np.ndarray:
-    """(K,) whether perturbed ends (K, nx) are near the normal gait."""
+def arrives(step: Step, ends: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """(K,) whether perturbed ends (K, nx) are near the state (nx,) that the end is drawn to."""
     m = step.walker.mechanism
     joints = [m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG]
-    away = np.degrees(ends[:, joints] - step.states[-1, joints])
+    away = np.degrees(ends[:, joints] - goal[joints])
     return np.sqrt(np.mean(away**2, axis=1)) < ARRIVES
 
 
