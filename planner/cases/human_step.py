@@ -117,12 +117,13 @@ def human_step(
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
-        "brace": brace, "cost": cost, "pelvis": pelvis, "effort": effort, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
-        "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
+        "brace": brace, "cost": cost, "pelvis": pelvis, "effort": effort, "clearance": clearance, "apart": apart,
+        "reference": reference, "integrator": integrator, "horizon": step.N,
+        "ends": None if ends is None else [start.tolist(), goal.tolist()],
     }  # fmt: skip
     return Problem(
-        dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us, case="human-step",
-        parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us,
+        case="human-step", parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),

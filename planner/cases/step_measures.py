@@ -33,7 +33,7 @@ CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
 FOLLOWS = 2.5  # deg, RMS over joints and time: by as much a planned cycle differs from the next (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
-"""What step 5 varies beside the usual: a person's own mass and the stiffness of his joints, which nobody has measured."""
+"""What step 5 varies beside the usual: a person's mass, and the stiffness of joints that nobody has measured."""
 
 
 @dataclass(frozen=True)
