@@ -40,6 +40,7 @@ States = tuple[tuple[float, ...], ...]
 Cost = Literal["default", "study"]
 Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
+Passive = Literal["table", "riener-edrich"]
 
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
@@ -57,8 +58,8 @@ A gait needs it nevertheless: where it should begin is what the cost at its mini
 
 def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
-    stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
-    pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
+    stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, passive: Passive = "table",
+    cost: Cost = "default", pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
     reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
@@ -70,9 +71,11 @@ def human_step(
         mass: Of the person, kg.
         height: Of the person, m.
         cadence: Steps per minute; a cycle is two.
-        stiffness: Of the passive joints, times the table's.
-        damping: The same.
+        stiffness: Of the passive joints, times that of `passive`.
+        damping: The same, times the table's.
         brace: "ankle" for an orthosis that holds the feet.
+        passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
+            "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
         clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
@@ -88,7 +91,7 @@ def human_step(
     """
     step = _step(phase, cycles, cadence, reference, horizon, {
         "mass": mass, "height": height, "stiffness": stiffness, "damping": damping, "brace": brace,
-        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
+        "passive": passive, "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
@@ -110,9 +113,9 @@ def human_step(
         effort = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
-        "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
-        "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
-        "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
+        "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "passive": passive,
+        "cost": cost, "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference,
+        "integrator": integrator, "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
     }  # fmt: skip
     return Problem(
         dynamics, step_cost(dynamics, step, wish, effort, control, goal), x0=start, us=us, case="human-step",
