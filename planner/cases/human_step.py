@@ -72,7 +72,7 @@ def human_step(
         height: Of the person, m.
         cadence: Steps per minute; a cycle is two.
         stiffness: Of the passive joints, times that of `passive`.
-        damping: The same, times the table's.
+        damping: Of the passive joints, times the table's.
         brace: "ankle" for an orthosis that holds the feet.
         passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
             "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
