@@ -44,6 +44,7 @@ Angles = dict[str, tuple[float, ...]]
 Cost = Literal["default", "study"]
 Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
+Passive = Literal["table", "riener-edrich"]
 
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
@@ -63,9 +64,9 @@ A gait needs it nevertheless: where it should begin is what the cost at its mini
 def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
     leg_mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None,
-    cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0, clearance: float | None = None,
-    apart: float | None = None, reference: str | None = None, integrator: str = "rk4", horizon: int | None = None,
-    ends: States | None = None, angles: Angles | None = None,
+    passive: Passive = "table", cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0,
+    clearance: float | None = None, apart: float | None = None, reference: str | None = None, integrator: str = "rk4",
+    horizon: int | None = None, ends: States | None = None, angles: Angles | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
@@ -77,9 +78,11 @@ def human_step(
         height: Of the person, m.
         cadence: Steps per minute; a cycle is two.
         leg_mass: Of the legs, times the table's share of the mass: less where muscles have wasted.
-        stiffness: Of the passive joints, times the table's.
-        damping: The same.
+        stiffness: Of the passive joints, times that of `passive`.
+        damping: Of the passive joints, times the table's.
         brace: "ankle" for an orthosis that holds the feet.
+        passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
+            "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
         effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
@@ -98,7 +101,8 @@ def human_step(
     gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
     step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
-        "brace": brace, "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
+        "brace": brace, "passive": passive,
+        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
@@ -123,8 +127,8 @@ def human_step(
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
-        "brace": brace, "cost": cost, "pelvis": pelvis, "effort": effort, "clearance": clearance, "apart": apart,
-        "reference": reference, "integrator": integrator, "horizon": step.N,
+        "brace": brace, "passive": passive, "cost": cost, "pelvis": pelvis, "effort": effort,
+        "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
         "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip

@@ -56,14 +56,16 @@ def replay_case(
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
-            touching.look(i, data)
-            mujoco.mj_step(model, data)
+            with rollouts.curves(batch):
+                touching.look(i, data)
+                mujoco.mj_step(model, data)
             w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
                 w[i + 1] = np.nan
                 break
         if np.isfinite(w[M]).all():
-            touching.look(M, data)
+            with rollouts.curves(batch):
+                touching.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = CONTROL_STEPS * rollouts.substeps

@@ -1,7 +1,7 @@
 """Parity of a mechanism: its inertia, forces and accelerations and MuJoCo's, term by term, at random states.
 
     mass matrix     M(q), armature included
-    bias force      Coriolis + gravity + damping + springs: MuJoCo's qfrc_bias - qfrc_passive
+    bias force      Coriolis + gravity + damping + springs and curves: MuJoCo's qfrc_bias - qfrc_passive
     actuator force  M qacc + bias by ours, MuJoCo's qfrc_actuator
     acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth
     activation      d act / dt
@@ -25,6 +25,7 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.errors import ModelError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
+from planner.joint_curves import curve_torques, one_torque
 from planner.mechanism import SCREW, Mechanism
 from planner.mechanism_reader import mechanism_of
 from planner.mechanism_refusals import found
@@ -32,6 +33,8 @@ from planner.proof.differences import actuator_of, differences, joint_of
 from planner.space import unit
 
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
+LARGE = 10.0  # of the torque of a curve over all other forces
+_HALVINGS = 20
 
 
 class _Terms(NamedTuple):
@@ -103,7 +106,11 @@ def _unmodelled(mechanism: Mechanism, model: Any) -> Figure:
 
 
 def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:
-    """K states (K, nx) all over the space: angles and orientations uniform, lengths and velocities moderate."""
+    """K states (K, nx) all over the space: angles and orientations uniform, lengths and velocities moderate.
+
+    But where a torque is an exponential, only so far that it stays of the size of others: beside 1e11 N m nothing else
+    is seen.
+    """
     xs = rng.normal(size=(K, mechanism.space.nx))
     screws = mechanism.kind == SCREW
     reach = np.where(turns(mechanism), np.pi, 1.0)[screws]
@@ -111,7 +118,21 @@ def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.
     for address, _ in mechanism.quaternions:
         xs[:, address : address + 4] = unit(xs[:, address : address + 4])
     xs[:, mechanism.nq : mechanism.nq + mechanism.nv] *= SPEED
+    _approach(mechanism, xs)
     return xs
+
+
+def _approach(mechanism: Mechanism, xs: np.ndarray) -> None:
+    """Halve the way from home of the joints behind a torque that is LARGE times the machine's other forces."""
+    q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    most = LARGE * (float(np.abs(rigid_body.bias(mechanism, q, qd)).max()) or 1.0) if mechanism.curves else 0.0
+    for curve in mechanism.curves:
+        j = [dof for dof, _ in curve.slopes]
+        address, home = mechanism.q_address[j], mechanism.q_home[j]
+        for _ in range(_HALVINGS):
+            beyond = np.abs(one_torque(curve, mechanism.q_address, q)) > most
+            xs[np.ix_(beyond, address)] = home + 0.5 * (xs[np.ix_(beyond, address)] - home)
+            q = xs[:, : mechanism.nq]
 
 
 def turns(mechanism: Mechanism) -> np.ndarray:
@@ -123,12 +144,14 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     q, qd, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
     mass = rigid_body.mass_matrix(mechanism, q)
     rest, bias, back = (rigid_body.bias(mechanism, q, v) for v in (np.zeros_like(qd), qd, -qd))
+    held = curve_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
+    rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
         if dynamics is None or mechanism.contacts or mechanism.body_contacts or mechanism.stops:
             dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan
-        acceleration = rigid_body.forward_dynamics(mechanism, q, qd, np.zeros_like(qd))
+        acceleration = rigid_body.forward_dynamics(mechanism, q, qd, held)
         activation = np.zeros((len(xs), 0))
     actuator = np.einsum("kij,kj->ki", mass, acceleration) + bias
     return _Terms(mass, rest, bias, back, actuator, acceleration, activation)
