@@ -241,3 +241,29 @@ def test_one_sentence_and_exit_2(gaits, monkeypatch, capsys, words, said):
     assert lines[0].startswith("planner: ")
     assert said in lines[0]
     assert not (gaits / "renders").exists()
+
+
+def test_a_file_may_name_a_case(gaits, monkeypatch, capsys):
+    """Its parameters are those of the command line."""
+    monkeypatch.chdir(gaits)
+    text = 'case = "human-step"\nphase = "swing"\nmass = 100\nheight = 1.9\ncadence = 80\n'
+    (gaits / "person.toml").write_text(text)
+    assert main(["solve", "person.toml", "--out", "person.npz", "--quiet"]) == 0
+    flags = "--phase swing --mass 100 --height 1.9 --cadence 80"
+    assert main(["solve", "human-step", *flags.split(), "--out", "flags.npz", "--quiet"]) == 0
+    one, other = (planner.Plan.load(gaits / name) for name in ("person.npz", "flags.npz"))
+    assert one.parameters == other.parameters
+    np.testing.assert_array_equal(one.us, other.us)
+    for more, said in (
+        ("weight = 3", "human-step has no parameter 'weight'"),
+        ('model = "a.xml"', "both a case and a model"),
+        ("mass = 5", "not TOML"),  # twice
+        ("cycles = 2.5", "cycles is 2.5"),
+        ('stiffness = "high"', "stiffness is 'high'"),
+    ):
+        (gaits / "wrong.toml").write_text(f"{text}{more}\n")
+        assert main(["solve", "wrong.toml"]) == 2
+        assert said in capsys.readouterr().err
+    (gaits / "wrong.toml").write_text('case = "walk"')
+    assert main(["solve", "wrong.toml"]) == 2
+    assert "case is 'walk', expected one of" in capsys.readouterr().err
