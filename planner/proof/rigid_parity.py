@@ -7,8 +7,7 @@
     activation      d act / dt
 
 Each is measured at each state, relative to the largest of its kind there: forces to the largest force, among which
-counts the inertia times the velocity squared; accelerations likewise, but where axes all but line up (a hip on its
-side) only to what the condition of M leaves of rounding. A term that differs is traced to its joint.
+counts the inertia times the velocity squared; accelerations likewise. A term that differs is traced to its joint.
 """
 
 from __future__ import annotations
@@ -33,7 +32,6 @@ from planner.space import unit
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
 LARGE = 10.0  # of the torque of a curve over all other forces
 _HALVINGS = 20
-_ROUNDING = 100.0 * np.finfo(float).eps  # of M qdd = f, over the condition of M
 
 
 class _Terms(NamedTuple):
@@ -77,7 +75,7 @@ def rigid_parity(
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest(theirs.mass)
     force = np.max([_largest(theirs.bias), _largest(theirs.actuator), mass * speed2], axis=0)
-    acceleration = np.maximum(_largest(theirs.acceleration), speed2) * slack(theirs.mass, bound)
+    acceleration = np.maximum(_largest(theirs.acceleration), speed2)
     scales = {"mass": mass, "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
         scales["activation"] = np.maximum(_largest(theirs.activation), 1.0)
@@ -182,13 +180,6 @@ def unlimited(model: Any) -> None:
     model.opt.disableflags |= bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONSTRAINT
     model.actuator_forcelimited[:] = 0
     model.jnt_actfrclimited[:] = 0
-
-
-def slack(mass: np.ndarray, bound: float) -> np.ndarray:
-    """(K,) by how much more than a bound accelerations may differ for mass matrices (K, n, n): 1, or rounding's."""
-    units = np.sqrt(np.diagonal(mass, axis1=1, axis2=2))
-    condition = np.linalg.cond(mass / units[:, :, None] / units[:, None])
-    return np.maximum(1.0, _ROUNDING * condition / bound)
 
 
 def _cause(
