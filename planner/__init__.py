@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from planner import cases
     from planner.body_contact import BodyContact, Capsule
     from planner.check import Checked, check
+    from planner.closing import Periodic
     from planner.contact import Contact, Law, Plane, Stop, Touch
     from planner.contact_forces import ContactForces, body_contact_forces, contact_forces
     from planner.control_spline import SplineControls, solve_by_splines
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from planner.payload import largest_payload, static_limit
     from planner.penalty_cost import PenaltyCost
     from planner.penalty_terms import Distance, Gap, Height, Point, Segment
+    from planner.periodic import Pass, solve_periodic
     from planner.plan import Iteration, Plan, Start, Status
     from planner.problem import Problem
     from planner.proof import Proof, prove
@@ -79,6 +81,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "body_contact": "BodyContact Capsule",
     "check": "Checked check",
+    "closing": "Periodic",
     "contact": "Contact Law Plane Stop Touch",
     "contact_forces": "ContactForces body_contact_forces contact_forces",
     "control_spline": "SplineControls solve_by_splines",
@@ -100,6 +103,7 @@ _MODULES = {
     "payload": "largest_payload static_limit",
     "penalty_cost": "PenaltyCost",
     "penalty_terms": "Distance Gap Height Point Segment",
+    "periodic": "Pass solve_periodic",
     "plan": "Iteration Plan Start Status",
     "problem": "Problem",
     "proof": "Proof prove",
@@ -183,7 +187,9 @@ __all__ = [
     "Mechanism",
     "ModelError",
     "Objective",
+    "Pass",
     "PenaltyCost",
+    "Periodic",
     "Perturbation",
     "Plan",
     "Plane",
@@ -250,6 +256,7 @@ __all__ = [
     "solve",
     "solve_by_splines",
     "solve_for",
+    "solve_periodic",
     "static_limit",
     "stop_attributes",
     "with_objective",

@@ -33,7 +33,7 @@ from planner.warm_start import warm_start
 
 LEFT = 1e-4
 """Newton passes go on until the decrease that they promise is below this part of the cost, or the cost has settled."""
-_TO_CLOSE = 2  # passes that only close the gap, kept for the end when no motion came back yet
+_TO_CLOSE = 2  # passes kept for the end, which only close the gap
 _SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
 
@@ -153,13 +153,12 @@ class _Search:
         if not ran or (little and not open_):
             self.next = None
         else:
-            self.next = _followed(plan) if answer is None else moved(answer, close=settled or self._is_late)
+            self.next = _followed(plan) if answer is None else moved(answer, close=settled or (open_ and self._is_late))
 
     @property
     def _is_late(self) -> bool:
-        """Whether the passes that are left are to bring one motion back at least."""
-        assert self.best is not None  # there was a pass
-        return self.best[0][0] and self.passes - len(self.lines) <= _TO_CLOSE
+        """Whether the passes that are left are to bring back what is there."""
+        return self.passes - len(self.lines) <= _TO_CLOSE
 
     def found(self, options: dict[str, Any]) -> Plan:
         """The best plan, with how the passes went."""

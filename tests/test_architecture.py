@@ -15,7 +15,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 # Reading order; nothing imports from a later line. Names of one line are siblings.
 ORDER = [
     ["errors", "jsonable", "versions"],
-    ["figures", "stage"],
+    ["figures", "stage", "pictures"],
     ["arguments", "files", "gl", "digests"],
     ["mjcf_bounds"],
     ["mjcf"],

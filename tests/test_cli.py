@@ -338,7 +338,8 @@ def test_list_help_version_warmup(tmp_path):
     assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0
     assert [case["case"] for case in cases] == list(planner.cases.CASES)
     for case in cases:
-        assert set(case["parameters"]) == set(planner.cases.build(case["case"]).parameters)
+        hidden = {"ends"}  # numbers of a plan, nothing to type
+        assert set(case["parameters"]) == set(planner.cases.build(case["case"]).parameters) - hidden
     text = run("run", "hopper", "--help", cwd=tmp_path)
     assert text.returncode == 0
     for word in ("--height", "Default: 20.0", "--no-refine", "--no-video", "--json", "in/s^2"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from legs import leg, standing
-from numba.core.errors import TypingError
+from numba.core.errors import NumbaError, TypingError
 from trees import chain
 
 from planner.dynamics import RigidBodyDynamics
@@ -79,6 +79,17 @@ def test_a_machine_calls_the_variants_that_are_compiled_ahead(touches):
             kernel, types = precompile.KERNELS[f"{name} touching" if touches else name]
             assert set(kernel.overloads) - before[name] <= {jit.arguments_of(types)}
             assert jit.is_warm(kernel, types)
+
+
+def made_up(count):
+    """A kernel that takes memory of its own."""
+    return np.zeros(count)
+
+
+def test_a_kernel_cannot_allocate(monkeypatch, tmp_path):
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    with pytest.raises(NumbaError):
+        jit.jit(made_up)(3)
 
 
 def test_every_kernel_has_a_process_that_compiles_it():

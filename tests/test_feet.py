@@ -141,10 +141,12 @@ def written(tmp_path, contacts, more="settle = true"):
 )
 def test_problem_files_give_a_law(tmp_path, contacts, law):
     problem = load(written(tmp_path, contacts)).problem
-    touch = problem.dynamics.mechanism.contacts[0].touch
+    dynamics = problem.dynamics
+    assert isinstance(dynamics, planner.RigidBodyDynamics)
+    touch = dynamics.mechanism.contacts[0].touch
     for name in ("stiffness", "damping", "ramp", "slip_damping", "friction"):
         assert getattr(touch, name) == pytest.approx(getattr(law, name), rel=1e-9)
-    rates = problem.dynamics.rates(problem.x0[None], problem.first_guess[:1])
+    rates = dynamics.rates(problem.x0[None], problem.first_guess[:1])
     np.testing.assert_allclose(rates, 0.0, atol=1e-5)  # start and guess rest on the ground
 
 
@@ -169,6 +171,8 @@ def test_a_stored_plan_keeps_its_ground(tmp_path):
     plan = planner.solve(load(written(tmp_path, '"ground"')).problem)
     plan.save(tmp_path / "plan.npz")
     stored = planner.Plan.load(tmp_path / "plan.npz").problem
+    assert stored is not None
+    assert plan.problem is not None
     np.testing.assert_allclose(stored.x0, plan.problem.x0, atol=1e-10)
     np.testing.assert_allclose(stored.dynamics.step(plan.xs[:-1], plan.us), plan.xs[1:], atol=1e-9)
 

@@ -1,10 +1,12 @@
 """Gaits from files: what is read is what was written, in every form; what is no gait is refused in a sentence."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
+from planner import cases
 from planner.cases.gait import ANGLES, NORMAL_GAIT
 from planner.cases.gait_file import ALSO, read_gait
 from planner.errors import FileError
@@ -149,3 +151,14 @@ def test_what_is_no_csv_is_refused(tmp_path, content, fragment):
 def test_no_such_file(tmp_path):
     with pytest.raises(FileError, match=r"cannot read the gait .*No such file"):
         read_gait(tmp_path / "none.csv")
+
+
+def test_a_plan_needs_the_file_no_more(tmp_path):
+    path = write(tmp_path / "gait.csv", angles=changed("knee", lambda knee: 0.9 * knee))
+    problem = cases.human_step(phase="swing", reference=str(path))
+    parameters = json.loads(json.dumps(problem.parameters))  # as a plan's file keeps them
+    path.unlink()
+    again = cases.build("human-step", **parameters)
+    assert np.array_equal(again.cost.costs[0].x_ref, problem.cost.costs[0].x_ref)
+    usual = cases.human_step(phase="swing")
+    assert not np.allclose(usual.cost.costs[0].x_ref, problem.cost.costs[0].x_ref)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import planner
 from planner.cases import anthropometry, build, human_step
 from planner.cases.gait import NORMAL_GAIT
 from planner.cases.step import Step
-from planner.cases.step_measures import CLEAR, arrives, measures, normal_height, robot_wrench
+from planner.cases.step_measures import CLEAR, measures, normal_height, robot_wrench
 from planner.cases.walker import BRACES, PASSIVE, PELVIS, SIDES, STOP, TOUCH, Walker
 from planner.contact_forces import generalized_forces
 from planner.gl import load_mujoco
@@ -187,7 +188,8 @@ def test_legs_are_kept_apart(swing):
     apart = planner.solve(problem)
 
     def nearest(plan):
-        return problem.cost.costs[1].values(plan.xs)[:, -4:].min()  # the last four terms
+        penalties: Any = problem.cost.costs[1]  # type: ignore[attr-defined]
+        return penalties.values(plan.xs)[:, -4:].min()  # the last four terms
 
     assert nearest(apart) > 0.17
     assert nearest(swing) < 0.17
@@ -246,6 +248,16 @@ def test_proof(phase, default):
     assert proof.order.passed, proof.table()
 
 
+def test_the_studys_cycle_is_repeated_by_mujoco(cycle):
+    """Section 7 of the study: 0.7 deg RMS without feedback, 0.35 with gains.
+
+    Its heels sink 25 mm into the belt: a box that is 20 mm to its middle pushes them out below.
+    """
+    for feedback, most in ((False, 0.7), (True, 0.35)):
+        error = np.degrees(planner.replay(cycle, feedback=feedback).error[:, 7:17])
+        assert np.sqrt(np.mean(error**2)) < most
+
+
 def test_the_robot_carries_what_the_belt_does_not(default):
     """The mean vertical force is the weight, but for the change of momentum and the belt's share."""
     m = default.problem.dynamics.mechanism
@@ -273,7 +285,7 @@ def test_forces_as_controls():
     problem = human_step(phase="swing", pelvis="force")
     same = human_step(phase="swing")
     assert problem.dynamics.nu == 6
-    assert not problem.dynamics.prescribed
+    assert not problem.dynamics.prescribed  # type: ignore[attr-defined]
     xs, other = [problem.x0], [same.x0]
     for u, a in zip(problem.first_guess, same.first_guess, strict=True):
         xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
@@ -292,7 +304,7 @@ def test_the_start_is_on_the_normal_gait():
     problem = human_step()
     np.testing.assert_allclose(problem.x0[[0, 17]], [0.0, -1.055], atol=1e-3)
     np.testing.assert_allclose(problem.x0[3], 0.9093 - 0.00842, atol=2e-4)
-    assert problem.dynamics.prescribed == PELVIS
+    assert problem.dynamics.prescribed == PELVIS  # type: ignore[attr-defined]
     assert (problem.N, problem.dynamics.dt) == (240, 0.005)
     longer = human_step(cadence=75.0, cycles=2)
     assert (longer.N, longer.duration) == (640, pytest.approx(3.2))
@@ -308,12 +320,6 @@ def test_built_twice_it_is_the_same(tmp_path, swing):
     assert read.problem is not None
     assert read.problem.parameters == swing.problem.parameters
     np.testing.assert_array_equal(read.xs, swing.xs)
-
-
-def test_success_of_perturbed_ends(default):
-    ends = np.stack([default.xs[-1], CYCLE.states[-1], CYCLE.states[-1]])
-    ends[2, 7:17] += 6.0 * DEGREE
-    np.testing.assert_array_equal(arrives(CYCLE, ends)[1:], [True, False])
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,11 @@ from swings import mechanism
 import planner
 from planner import cases
 from planner.closing import Periodic
+from planner.commands.parser import build, parse
+from planner.commands.problems import asked_problem
 from planner.ends import Ends, response, with_ends
 from planner.periodic import Pass, solve_periodic
+from planner.report.reproduce import command
 from planner.space import StateSpace, euclidean
 
 N, CYCLE = 60, 2.0
@@ -274,3 +277,41 @@ def test_what_cannot_be_periodic_is_refused():
         with pytest.raises(planner.PlannerError) as caught:
             wrong()
         assert fragment in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return solve_periodic(cases.human_step(phase="gait", cost="study"))
+
+
+def test_a_gait_comes_back(walk):
+    """The study of the human step, section 7: within 6 passes, joints within 0.5 deg RMS and the pelvis within 4 mm."""
+    assert walk.success
+    assert len(walk.options["tried"]) <= 6
+    gap = walk.xs[-1] - walk.xs[0]
+    assert np.degrees(np.sqrt(np.mean(gap[7:17] ** 2))) < 0.5
+    assert np.abs(gap[1:4]).max() < 4e-3
+    assert gap[0] < -1.0  # the belt travels on
+    # the study's passes end at 35.9; of all gaits that come back this is among those of least cost
+    assert min(line[0] for line in walk.options["tried"] if line[1] <= 1.0) < 33.0
+
+
+def test_a_gait_is_built_from_its_file(walk, tmp_path):
+    stored = planner.Plan.load(walk.save(tmp_path / "plan.npz"))
+    np.testing.assert_array_equal(stored.problem.x0, walk.xs[0])
+    assert stored.problem.cost.value(walk.xs, walk.us) == pytest.approx(walk.cost, rel=1e-13)
+    ends = stored.parameters["ends"]
+    with pytest.raises(planner.PlannerError, match="expected them for phase='gait' alone"):
+        cases.human_step(phase="cycle", ends=ends)
+    with pytest.raises(planner.PlannerError, match=r"ends has shape \(1, 34\), expected \(2, 34\)"):
+        cases.human_step(phase="gait", ends=ends[:1])
+
+
+def test_the_command_line_finds_ends_by_itself(walk):
+    parser_flags = [flag for action in build().parse_args(["solve", "human-step"]).parser._actions
+                    for flag in action.option_strings]  # fmt: skip
+    assert "--phase" in parser_flags
+    assert "--ends" not in parser_flags
+    assert command(walk) == "planner run human-step --phase gait --cost study"
+    with pytest.raises(planner.PlannerError, match="expected none: its cycle has a time of its own"):
+        asked_problem(parse(["solve", "human-step", "--phase", "gait", "--objective", "time", "--durations", "1,2"]))

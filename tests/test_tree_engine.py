@@ -223,10 +223,9 @@ def test_many_solves_take_no_more_memory_than_one():
 
 
 def test_iterations_allocate_nothing():
-    """Beyond handles of the arrays that enter: as many for ten times the stages, and none is left."""
+    """Nor make handles of the arrays that enter: kernels count no references (see kernels.jit)."""
     _nrt_python.memsys_enable_stats()
     try:
-        made = []
         for N in (12, 120):
             task = example("body in space", "rk4", N)
             engine = borrow(task)
@@ -236,14 +235,9 @@ def test_iterations_allocate_nothing():
                 outcome = engine.iterate(feedback, rule, 0.0, True, cost, 0.0, 0.0)
                 after, cost = rtsys.get_allocation_stats(), outcome.cost
                 assert outcome.kind == ACCEPTED
-                made.append(after.alloc - before.alloc)
-                assert after.free - before.free == made[-1]
+                assert after.alloc - before.alloc == after.free - before.free == 0
     finally:
         _nrt_python.memsys_disable_stats()
-    assert made[:2] == made[2:]
-    # the arrays of linearisation (2 tables, xs, us, F), gradients, sweep and search (3 tables and its own)
-    assert made[0] <= 11
-    assert made[1] == made[0] + 1  # and the direction's table
 
 
 # ------------------------------------------------------------------------------------------------ what runs away

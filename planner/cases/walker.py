@@ -67,6 +67,7 @@ LIGHTEST, HEAVIEST = 20.0, 300.0  # kg
 SHORTEST, TALLEST = 1.0, 2.5  # m
 LEANEST, STOUTEST = 8.0, 80.0  # kg/m^2, body mass indices beyond what is known of people
 STIFFEST = 20.0  # times PASSIVE
+LEGS = (0.3, 3.0)  # times Winter's
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Walker:
         legs: Some of SIDES.
         belt: Whether there is a belt and contact with it.
         motors: Whether the pelvis has six motors.
+        leg_mass: Of the legs, times Winter's share of the mass: less where muscles have wasted.
     """
 
     mass: float = FILE_MASS
@@ -94,11 +96,12 @@ class Walker:
     legs: tuple[str, ...] = SIDES
     belt: bool = True
     motors: bool = False
+    leg_mass: float = 1.0
 
     def __post_init__(self) -> None:
         ranges = {
             "mass": (LIGHTEST, HEAVIEST), "height": (SHORTEST, TALLEST), "stiffness": (0.0, STIFFEST),
-            "damping": (0.0, STIFFEST),
+            "damping": (0.0, STIFFEST), "leg_mass": LEGS,
         }  # fmt: skip
         for name, (least, most) in ranges.items():
             object.__setattr__(self, name, number(name, getattr(self, name), least=least, most=most))
@@ -142,7 +145,7 @@ class Walker:
         bulk = self.mass * self.height**2 / (FILE_MASS * FILE_HEIGHT**2)
         ix, iy, iz = (bulk * inertia for inertia in ABOVE_INERTIA)
         above = Segment(ABOVE_MASS * self.mass, (0.0, 0.0, ABOVE_COM * self.height), (ix, iy, iz))
-        return {"pelvis": above, **winter.leg_segments(self.mass, self.height)}
+        return {"pelvis": above, **winter.leg_segments(self.leg_mass * self.mass, self.height)}
 
     @cached_property
     def mechanism(self) -> Mechanism:

@@ -54,13 +54,13 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if limit is not None or arguments.exact_goal:
         bound = None if limit is None else number("control-limit", limit, above=0.0)
         problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
-    if objective is not None:
-        problem = with_objective(problem, objective)
-    checked_durations(durations, objective or {})
     if durations is not None and problem.periodic is not None:
         raise PlannerError(
             "--durations are given for a periodic motion, expected none: its cycle has a time of its own."
         )
+    if objective is not None:
+        problem = with_objective(problem, objective)
+    checked_durations(durations, objective or {})
     return ProblemOf(problem, starts, seed, objective, durations)
 
 

@@ -26,6 +26,9 @@ from planner.paper_studies.objective_study import (
 from planner.paper_studies.page import Row, Study
 from planner.paper_studies.puma_study import draw_puma, puma_markdown, puma_results, puma_rows
 from planner.paper_studies.shooting_study import draw_shooting, shooting_markdown, shooting_results, shooting_rows
+from planner.paper_studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
+from planner.paper_studies.step_page import step_markdown, step_rows
+from planner.paper_studies.step_study import step_results
 from planner.paper_studies.table_study import table_markdown, table_results, table_rows
 from planner.paper_studies.theorem_study import draw_theorems, theorem_markdown, theorem_results, theorem_rows
 
@@ -76,26 +79,16 @@ STUDIES: tuple[Study, ...] = (
         "dive", "a high dive (reference 16)",
         dive_results, dive_markdown, dive_rows, {"dive.png": draw_dive}, seconds=25,
     ),
+    Study(
+        "step", "the human step (2.3)", step_results, step_markdown, step_rows,
+        {"step_fig5.png": draw_step, "step_cycle.png": draw_step_cycle, "step_methods.png": draw_step_methods},
+        seconds=50,
+    ),
 )  # fmt: skip
 
 
-_STEP = "contact on trees and the human step come next"
-
-
-def _pending(where: str, paper: str) -> Row:
-    return {"where": where, "paper": paper, "why": _STEP}
-
-
 # Rows of studies that do not exist yet, by the name that the study will have: with it in STUDIES they are gone.
-PENDING: dict[str, tuple[Row, ...]] = {
-    "step": (
-        _pending("2.3", "Human step: 32 B-spline parameters for the swing hip"),
-        _pending("2.3, Fig. 5", "The pelvis alone moves a paralysed leg through a step near the recorded gait"),
-        _pending("2.3", "Approximately 4 hours to converge (PIII-800)"),
-        _pending("2.3", "Stance and swing together were unstable and did not converge"),
-        _pending("2.3", '"In just a few minutes" with the new algorithm, stance and swing together'),
-    ),
-}
+PENDING: dict[str, tuple[Row, ...]] = {}
 
 
 def chosen(names: Sequence[str]) -> list[Study]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.dynamics import CompiledDynamics, Dynamics
+from planner.dynamics import CompiledDynamics, Dynamics, PenalisedDynamics
 from planner.errors import PlannerError
 from planner.plan import Plan
 from planner.problem import Problem
@@ -31,7 +31,9 @@ class _Watched:
     """Compiled dynamics that note workspace and slope whenever a line search begins."""
 
     def __init__(self, dynamics: Any) -> None:
-        names = {name for kind in (Dynamics, CompiledDynamics) for name in dir(kind) if not name.startswith("_")}
+        known = (Dynamics, CompiledDynamics, PenalisedDynamics)
+        kinds = known if isinstance(dynamics, PenalisedDynamics) else known[:2]
+        names = {name for kind in kinds for name in dir(kind) if not name.startswith("_")}
         for name in names - {"search"}:
             setattr(self, name, getattr(dynamics, name))
         self.space = space_of(dynamics)

@@ -6,8 +6,11 @@
     acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth
     activation      d act / dt
 
-Each is measured at each state, relative to the largest of its kind there: forces to the largest force, among which
-counts the inertia times the velocity squared; accelerations likewise. A term that differs is traced to its joint.
+Each is measured at each state: entries of the mass matrix relative to its diagonal, sqrt(M_ii M_jj), so that a foot is
+seen beside a treadmill of a hundred thousand tons; forces to the largest force there, among which counts the inertia
+times the velocity squared; accelerations to what they are computed from, |M^-1| (|M| |qacc| + |bias|), which is large
+where hinges come to lie along each other: there the two models are the same and their accelerations are not, to
+rounding (Skeel). A term that differs is traced to its joint.
 """
 
 from __future__ import annotations
@@ -75,17 +78,18 @@ def rigid_parity(
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest(theirs.mass)
     force = np.max([_largest(theirs.bias), _largest(theirs.actuator), mass * speed2], axis=0)
-    acceleration = np.maximum(_largest(theirs.acceleration), speed2)
-    scales = {"mass": mass, "bias": force, "actuator": force, "acceleration": acceleration}
+    acceleration = np.maximum(rounded(theirs.mass, theirs.bias, theirs.acceleration), speed2)
+    own = np.sqrt(np.einsum("kii->ki", theirs.mass))
+    scales = {"mass": own[:, :, None] * own[:, None, :], "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
         scales["activation"] = np.maximum(_largest(theirs.activation), 1.0)
     names = {"mass": "mass_matrix_error", "bias": "bias_force_error", "actuator": "actuator_force_error"}
     figures = []
     for term, scale in scales.items():
         difference = np.abs(getattr(theirs, term) - getattr(ours, term))
-        relative = difference / scale.reshape(-1, *[1] * (difference.ndim - 1))
+        relative = difference / (scale if scale.ndim > 1 else scale.reshape(-1, *[1] * (difference.ndim - 1)))
         value = float(relative.max())
-        note = f"at {states} random states (seed {seed}), relative to the largest at each"
+        note = f"at {states} random states (seed {seed}), relative to what it is made of at each"
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
         figures.append(Figure(names.get(term, f"{term}_error"), value, "", bound, note))
@@ -222,6 +226,12 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
     alone = entries.sum() == 1 and np.ptp(own) <= 1e-3 * np.abs(own).max()
     what = "armature" if alone else "mass, inertia or place of what moves"
     return f"{what} at {joint_of(mechanism, outermost)}"
+
+
+def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """(K,) what rounding of the terms of the equation of motion makes of its accelerations, per unit of rounding."""
+    terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
+    return _largest(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
 
 
 def _largest(values: np.ndarray) -> np.ndarray:

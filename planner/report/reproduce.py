@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from planner import cases, problem_file
-from planner.ends import PARAMETER as ENDS
 from planner.errors import PlannerError
 from planner.plan import Plan
 
@@ -53,11 +52,16 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
 
 def _at_first(plan: Plan, path: Sequence[Refinement]) -> dict[str, Any]:
     """The parameters of a plan, before it was refined."""
-    found = {name: value for name, value in plan.parameters.items() if name != ENDS}  # the command finds them again
+    found = typed(plan.parameters) if plan.case in cases.CASES else dict(plan.parameters)
     if len(path) < 2:
         return found
     first = {"integrator": path[0].integrator, "horizon": path[0].horizon, "dt": path[0].dt}
     return found | {name: value for name, value in first.items() if name in found}
+
+
+def typed(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Those parameters of a case that can be typed: arrays and tables the command finds again from the others."""
+    return {name: value for name, value in parameters.items() if not isinstance(value, (dict, list, tuple))}
 
 
 def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
@@ -69,7 +73,7 @@ def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
         for name in list(needed):
             others = {other: value for other, value in needed.items() if other != name}
             made = cases.build(case, **others).parameters
-            if {key: value for key, value in made.items() if key != ENDS} == parameters:
+            if typed(made) == parameters:
                 needed = others
     except PlannerError:  # of another version: all of them, then
         pass
