@@ -27,12 +27,15 @@ lint: ## check style and types
 
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)
-	@for case in hopper two-link acrobot puma high-dive; do \
+	@for case in hopper two-link acrobot puma high-dive human-step; do \
 	    $(PLANNER) run $$case --out renders/$$case && \
 	    cp renders/$$case/video.mp4 $(GALLERY)/$$case.mp4 && \
 	    cp renders/$$case/strip.png $(GALLERY)/$$case.strip.png && \
 	    cp renders/$$case/plots.png $(GALLERY)/$$case.plots.png && \
 	    cp renders/$$case/proof.png $(GALLERY)/$$case.proof.png || exit 1; \
+	done
+	@for name in poses measures paths; do \
+	    cp renders/human-step/$$name.png $(GALLERY)/human-step.$$name.png || exit 1; \
 	done
 	$(PLANNER) paper
 	$(PLANNER) paper --proofs --out renders/proofs

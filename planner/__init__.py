@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
     from planner.hold import hold_gain
     from planner.jerk import JerkCost
+    from planner.joint_curves import ExponentialTorque
     from planner.limits import Limits
     from planner.mechanism import Mechanism
     from planner.mechanism_contacts import contact_attributes, stop_attributes
@@ -93,6 +94,7 @@ _MODULES = {
     "gradient_methods": "Descended cost_and_gradient minimize_by_gradient",
     "hold": "hold_gain",
     "jerk": "JerkCost",
+    "joint_curves": "ExponentialTorque",
     "limits": "Limits",
     "mechanism": "Mechanism",
     "mechanism_contacts": "contact_attributes stop_attributes",
@@ -170,6 +172,7 @@ __all__ = [
     "DrivenMotion",
     "Dynamics",
     "EnergyCost",
+    "ExponentialTorque",
     "Extremal",
     "FileError",
     "FrameCost",

@@ -1,4 +1,4 @@
-"""What contacts and stops do to a mechanism, in NumPy: forces for pictures and proofs, and the twin of the kernels.
+"""What contacts, stops and curves do to a mechanism, in NumPy: for pictures and proofs, and the twin of the kernels.
 
 The law and its pieces are planner.contact's. A contact acts at p, halfway between the surfaces, which moves over the
 link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.
@@ -18,6 +18,7 @@ from planner import rigid_body
 from planner.arguments import array
 from planner.body_contact_places import BodyPlace
 from planner.contact import Contact, Law, Touch, slide_direction
+from planner.joint_curves import curve_torque_derivatives, curve_torques
 from planner.mechanism import Frame, Mechanism
 
 
@@ -81,9 +82,9 @@ def contact_jacobians(mechanism: Mechanism, q: Any) -> np.ndarray:
 
 
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """The applied force tau (..., nv) of all contacts and stops at q (..., nq), qd (..., nv)."""
+    """The applied force tau (..., nv) of all contacts, stops and curves at q (..., nq), qd (..., nv)."""
     q, qd, single = _states(mechanism, q, qd)
-    tau = np.zeros_like(qd)
+    tau = curve_torques(mechanism, q)
     for place in _places(mechanism, q, qd):
         tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
     for stop in mechanism.stops:
@@ -95,7 +96,8 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
 def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives (..., nv, nv) of generalized_forces by q (in the tangent) and qd, exact."""
     q, qd, single = _states(mechanism, q, qd)
-    by_q, by_qd = np.zeros((len(q), mechanism.nv, mechanism.nv)), np.zeros((len(q), mechanism.nv, mechanism.nv))
+    by_q = curve_torque_derivatives(mechanism, q)
+    by_qd = np.zeros_like(by_q)
     for place in _places(mechanism, q, qd):
         J, (de, dn, dJ) = place.J, place.derivatives(q)
         f, f_e, f_v = _force(place)

@@ -6,7 +6,8 @@ MuJoCo knows forces alone. So the joints that a plan prescribes are made heavy, 
 
 with H the armature of each degree of freedom and the gear of its motor, and tau_p the force that the plan's motion asks
 of them. MuJoCo's ctrl is then the plan's u: the actuators, then the prescribed accelerations in the order of qvel. What
-acts on such a joint alone does nothing in the plan, so it is taken out here: springs, dampers, ranges and actuators.
+acts on such a joint alone does nothing in the plan, so it is taken out here: springs, dampers, curves, ranges and
+actuators.
 
 MuJoCo's contacts and stops are as hard as the inertias behind them, and these are others now: the force of every
 contact and stop is kept by scaling its numbers (see planner.mechanism_contacts). A contact that pushes prescribed
@@ -26,6 +27,7 @@ import numpy as np
 from planner.contact_edits import joints_of, keep_law
 from planner.errors import ModelError
 from planner.gl import load_mujoco
+from planner.joint_curves import ExponentialTorque
 from planner.mechanism import BALL, DIRECT, Actuators, Mechanism
 from planner.mechanism_contacts import pairs
 from planner.mechanism_reader import compile_tree
@@ -57,8 +59,14 @@ def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
     known = _twins.setdefault(mechanism, {})
     if names not in known:
         text = driven(mechanism.mjcf, mechanism.assets, names)
-        known[names] = replace(Twin.of(mechanism), mjcf=text, source=mechanism.mjcf)
+        curves = _felt(mechanism, prescribed_dofs(mechanism, names))
+        known[names] = replace(Twin.of(mechanism), mjcf=text, source=mechanism.mjcf, curves=curves)
     return known[names]
+
+
+def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, ...]:
+    """The curves of a mechanism that act on none of these degrees of freedom."""
+    return tuple(curve for curve in mechanism.curves if curve.dof not in driven)
 
 
 def as_driven(twin: Twin, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
@@ -230,8 +238,8 @@ def _still(model: Any, joints: list[int]) -> np.ndarray:
 def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     """The mechanism of a driven twin but for its armature: the other half of a parity.
 
-    Without armature, springs, dampers and actuators of the prescribed joints, and with a motor of gear HEAVY for each
-    of their degrees of freedom; without contacts and stops.
+    Without armature, springs, dampers, curves and actuators of the prescribed joints, and with a motor of gear HEAVY
+    for each of their degrees of freedom; without contacts and stops.
     """
     dofs = prescribed_dofs(mechanism, prescribed)
     given = np.zeros(mechanism.nv, dtype=bool)
@@ -258,4 +266,5 @@ def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
         mechanism, armature=np.where(given, 0.0, mechanism.armature), damping=np.where(given, 0.0, mechanism.damping),
         stiffness=np.where(given, 0.0, mechanism.stiffness),
         ball_stiffness=np.where(balls, 0.0, mechanism.ball_stiffness), actuators=actuators, contacts=(), stops=(),
+        curves=_felt(mechanism, dofs),
     )  # fmt: skip

@@ -178,7 +178,7 @@ class Film:
 def _stage_values(stage: Stage) -> dict[str, Any]:
     """What a film needs of a stage, as JSON values: of its ghost, the states are already in the film."""
     ghost = stage.ghost and {"label": stage.ghost.label, "colour": stage.ghost.colour, "opacity": stage.ghost.opacity}
-    return {**asdict(replace(stage, plots=(), ghost=None)), "ghost": ghost}
+    return {**asdict(replace(stage, plots=(), pictures=None, ghost=None)), "ghost": ghost}
 
 
 def _stage_of_values(values: dict[str, Any]) -> Stage:

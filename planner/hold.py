@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.arguments import number
 from planner.cost import TrackingCost
+from planner.curve_callback import curves_acting
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
@@ -199,7 +200,8 @@ def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
         if not np.all(np.abs(w[i]) < RUNAWAY):
             break
         data.ctrl[:] = ctrl[i] = hold.control(twin.x_of(w[i]))
-        mujoco.mj_step(model, data)
+        with curves_acting(twin, model):
+            mujoco.mj_step(model, data)
         w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     t = replay.t[-1] + replay.timestep * np.arange(steps + 1)

@@ -23,8 +23,8 @@ generalized forces, where u is the control or, with a state of its own, the acti
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from planner.arguments import choice
 from planner.body_contact import BodyContact, check_body_contact
 from planner.contact import Contact, Stop, Touch, slide_direction
 from planner.errors import ModelError, PlannerError
+from planner.joint_curves import ExponentialTorque, check_curve
 from planner.space import StateSpace
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
@@ -121,6 +122,7 @@ class Mechanism:
         contacts: What touches the planes of the world.
         stops: Ends of joints that push back.
         body_contacts: Spheres and capsules that touch each other.
+        curves: Torques that are exponentials of coordinates; the file knows nothing of them.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -162,6 +164,7 @@ class Mechanism:
     assets: dict[str, bytes] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
     body_contacts: tuple[BodyContact, ...] = ()
+    curves: tuple[ExponentialTorque, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("armature", "damping", "stiffness"):
@@ -198,6 +201,9 @@ class Mechanism:
                     f"stops[{k}] is of dof {stop.dof}, expected one of a hinge or slide, below {self.nv}."
                 )
 
+        for k, curve in enumerate(self.curves):
+            check_curve(curve, self.kind == SCREW, f"curves[{k}]")
+
     @classmethod
     def from_mjcf(
         cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | Touch = "on"
@@ -220,6 +226,14 @@ class Mechanism:
         from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
 
         return read(model, ignore=ignore, contacts=contacts)
+
+    def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
+        """The same machine with torques that are exponentials of its coordinates, in place of those it has.
+
+        Raises:
+            PlannerError: One of them is of a ball, or of a degree of freedom that there is not.
+        """
+        return replace(self, curves=tuple(curves))
 
     @property
     def nv(self) -> int:

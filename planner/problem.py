@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,10 @@ class Requirements:
         tracking: Replay -> the Section that judges it.
         goal: Replay -> the Section that judges whether the goal was reached.
         success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
+        follows: In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the
+            plan's (T, nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
+        perturbation: What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its
+            defaults.
     """
 
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
@@ -48,6 +52,8 @@ class Requirements:
     tracking: Callable[[Replay], Section] | None = None
     goal: Callable[[Replay], Section] | None = None
     success: Callable[[np.ndarray], np.ndarray] | None = None
+    follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    perturbation: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

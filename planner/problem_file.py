@@ -18,6 +18,12 @@
     final = "exact"                     # meet the goal exactly where final weights are above 0
 
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
+
+In place of a machine of one's own the file may name a case of the package, with its parameters:
+
+    case = "human-step"
+    mass = 100.0
+    cadence = 80.0
 """
 
 from __future__ import annotations
@@ -31,6 +37,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from planner import cases
 from planner.arguments import array, choice, count, number, shown
 from planner.contact import Touch
 from planner.cost import TrackingCost, states
@@ -159,6 +166,22 @@ def load(
     problem = _problem(table, mechanism, str(path))
     given = problem.parameters
     return ProblemFile(problem, given["starts"], given["seed"])
+
+
+def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
+    """The case that a file names, its parameters, starts and seed; None for a machine of the file's own.
+
+    Raises:
+        PlannerError: The file cannot be read, or it names a model besides.
+    """
+    table = _read(Path(path))
+    if "case" not in table:
+        return None
+    if "model" in table:
+        raise PlannerError(f"{path} has both a case and a model, expected one of the two.")
+    given = {name: value for name, value in table.items() if name not in ("case", "starts", "seed")}
+    starts = count("starts", table.get("starts", 1), most=MOST_STARTS)
+    return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), least=0)
 
 
 def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:

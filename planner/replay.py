@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.arguments import count, number, shown
+from planner.curve_callback import curves_acting
 from planner.errors import ModelError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism_refusals import named
@@ -182,7 +183,8 @@ def replay(
         )
     model.opt.timestep = dt / n
     model.opt.integrator = getattr(load_mujoco().mjtIntegrator, f"mjINT_{integrator}")
-    return _run(plan, twin, model, feedback, n)
+    with curves_acting(twin, model):
+        return _run(plan, twin, model, feedback, n)
 
 
 def between_knots(plan: Plan, substeps: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 q, qd and qdd are MuJoCo's qpos, qvel and qacc in its order and frames (free joint: world linear, then body angular;
 quaternion w first). tau (nv,) is the applied generalized force; gravity, springs, damping and armature are the
-mechanism's own; actuators, contacts and stops are not part of these functions:
+mechanism's own; actuators, contacts, stops and curves are not part of these functions:
 
     M(q) qdd + bias(q, qd) = tau                                                            (Eq. 6)
 

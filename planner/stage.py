@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from planner.pictures import CasePicture
+    from planner.plan import Plan
+    from planner.replay import Replay
 
 Point = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -91,6 +98,7 @@ class Stage:
         force_unit: Of the contact force, for plots.
         speed: Playback speed; 0.25 is four times slow motion.
         plots: Panels of the report.
+        pictures: Of a plan, and of the replay that was judged or None: what else the case shows, one of a kind.
         trail: A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none.
     """
 
@@ -113,6 +121,7 @@ class Stage:
     force_unit: str = ""
     speed: float = 1.0
     plots: tuple[Panel, ...] = field(default=())
+    pictures: Callable[[Plan, Replay | None], Sequence[CasePicture]] | None = None
     trail: str = ""
 
     def seen_from(self, view: View) -> Stage:

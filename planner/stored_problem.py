@@ -34,7 +34,8 @@ def stored(problem: Problem | None) -> tuple[dict[str, Any], dict[str, np.ndarra
     if type(dynamics) is not RigidBodyDynamics or problem.requirements is not None:
         return None
     own = twin_of(dynamics.mechanism, dynamics.prescribed)
-    if twin is None or (twin.mjcf, twin.source) != (own.mjcf, own.source):  # the file's model is not the mechanism's
+    parts = ("mjcf", "source", "curves")  # where the file's model is not the mechanism's, it is no such problem
+    if twin is None or any(getattr(twin, part) != getattr(own, part) for part in parts):
         return None
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
     facts = {"kind": KIND, "dt": dynamics.dt, "integrator": dynamics.integrator}
@@ -58,7 +59,7 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
         raise PlannerError(f"its problem is {what}, expected {KIND} with {', '.join(PARTS)} and a model.")
     from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
 
-    mechanism: Mechanism = read(twin.planned, assets=twin.assets)
+    mechanism: Mechanism = read(twin.planned, assets=twin.assets).with_curves(twin.curves)
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
     periodic = None if facts.get("periodic") is None else Periodic.from_dict(facts["periodic"])

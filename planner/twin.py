@@ -22,6 +22,7 @@ import numpy as np
 
 from planner.arguments import array
 from planner.errors import PlannerError
+from planner.joint_curves import ExponentialTorque
 
 if TYPE_CHECKING:
     from planner.mechanism import Mechanism
@@ -43,6 +44,7 @@ class Twin:
         to_sim_offset: (K, nw).
         assets: Files that the text names, meshes for example, by the name it uses.
         source: The text that the plan's mechanism was read from, where it is another one: see planner.driven_twin.
+        curves: Torques that act beside what the text says: see planner.curve_callback.
     """
 
     mjcf: str
@@ -52,6 +54,7 @@ class Twin:
     to_sim_offset: np.ndarray
     assets: dict[str, bytes] = field(default_factory=dict)
     source: str = ""
+    curves: tuple[ExponentialTorque, ...] = ()
 
     def __post_init__(self) -> None:
         for name, sizes in _MAPS.items():
@@ -67,7 +70,7 @@ class Twin:
     def of(cls, mechanism: Mechanism) -> Twin:
         """The model that a mechanism was read from; the plan's state is MuJoCo's own, x = (qpos, qvel, act)."""
         same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
-        return cls(mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets))
+        return cls(mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), curves=mechanism.curves)
 
     def x_of(self, w: np.ndarray) -> np.ndarray:
         """The plan's state (..., nx) of simulator states w (..., nw)."""
@@ -83,9 +86,10 @@ class Twin:
         return self.source or self.mjcf
 
     def to_dict(self) -> dict[str, Any]:
-        """The maps (not the text and its files) as JSON values, and the source where it is another text."""
+        """The maps (not the text and its files) as JSON values; source and curves where there are any."""
         maps = {name: getattr(self, name).tolist() for name in _MAPS}
-        return maps | ({"source": self.source} if self.source else {})
+        maps |= {"source": self.source} if self.source else {}
+        return maps | ({"curves": [curve.to_list() for curve in self.curves]} if self.curves else {})
 
     @classmethod
     def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
@@ -96,6 +100,10 @@ class Twin:
         """
         maps, source = dict(maps), maps.get("source", "")
         maps.pop("source", None)
+        curves = maps.pop("curves", [])
+        if not (isinstance(curves, list) and all(isinstance(row, list) and len(row) == 4 for row in curves)):
+            raise PlannerError("a twin's curves are not rows of dof, amplitude, constant and slopes.")
         if not (isinstance(mjcf, str) and isinstance(source, str)) or set(maps) != set(_MAPS):
             raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
-        return cls(mjcf, **maps, assets=assets or {}, source=source)
+        torques = tuple(ExponentialTorque(*row) for row in curves)
+        return cls(mjcf, **maps, assets=assets or {}, source=source, curves=torques)

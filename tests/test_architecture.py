@@ -15,12 +15,12 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 # Reading order; nothing imports from a later line. Names of one line are siblings.
 ORDER = [
     ["errors", "jsonable", "versions"],
-    ["figures", "stage"],
+    ["figures", "stage", "pictures"],
     ["arguments", "files", "gl", "digests"],
     ["mjcf_bounds"],
     ["mjcf"],
     ["space"],
-    ["contact"],
+    ["contact", "joint_curves"],
     ["body_contact"],
     ["mechanism"],
     ["mechanism_refusals"],
@@ -67,7 +67,7 @@ ORDER = [
     ["control_spline", "shooting"],
     ["cases"],
     ["problem_file"],
-    ["ranges", "touches"],
+    ["ranges", "touches", "curve_callback"],
     ["replay"],
     ["hold"],
     ["proof"],
@@ -128,6 +128,7 @@ def test_mujoco_is_imported_by_gl_alone(path):
     assert 'import_module("mujoco")' not in path.read_text(encoding="utf-8") or path.name == "gl.py"
     users = {"gl", "mechanism_reader", "mechanism_refusals", "mechanism_contacts", "replay", "proof", "render", "scene"}
     users |= {"camera", "ranges", "touches", "hold", "drawing", "refine", "shapes", "driven_twin", "contact_shapes"}
+    users |= {"curve_callback"}
     if "load_mujoco" in path.read_text(encoding="utf-8"):
         assert module_of(path) in users
 

@@ -6,10 +6,11 @@ from legs import leg
 
 from planner.errors import FileError, PlannerError
 from planner.mechanism import Mechanism
-from planner.plots.charts import Band, Chart, Curve, draw_charts, plot_charts
-from planner.plots.paths import Trace, draw_paths, plot_paths
+from planner.pictures import Band, Chart, Curve, Motion, Stick, Trace
+from planner.plots.charts import draw_charts, plot_charts
+from planner.plots.paths import draw_paths, plot_paths
 from planner.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
-from planner.plots.stick_figures import Motion, Stick, draw_stick_figures, plot_stick_figures
+from planner.plots.stick_figures import draw_stick_figures, plot_stick_figures
 from planner.stage import View
 
 LEG = Stick((0, 1), "leg", hue=0)

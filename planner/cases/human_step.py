@@ -18,7 +18,9 @@ It finds what the paper found: the swinging hip is lifted, which clears the foot
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -28,7 +30,8 @@ from planner.cases.gait import NORMAL_GAIT, Gait
 from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
-from planner.cases.step_measures import arrives, closing, judge_step, judge_tracking, robot_wrench
+from planner.cases.step_measures import PATIENT, closing, follows, judge_step, judge_tracking, robot_wrench
+from planner.cases.step_pictures import step_pictures
 from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.errors import PlannerError
@@ -41,12 +44,14 @@ Angles = dict[str, tuple[float, ...]]
 Cost = Literal["default", "study"]
 Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
+Passive = Literal["table", "riener-edrich"]
 
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
 MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
+LEAST_EFFORT = 1e-3  # times the usual
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
@@ -58,10 +63,10 @@ A gait needs it nevertheless: where it should begin is what the cost at its mini
 
 def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
-    stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None, cost: Cost = "default",
-    pelvis: Pelvis = "motion", clearance: float | None = None, apart: float | None = None,
-    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
-    angles: Angles | None = None,
+    leg_mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None,
+    passive: Passive = "table", cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0,
+    clearance: float | None = None, apart: float | None = None, reference: str | None = None, integrator: str = "rk4",
+    horizon: int | None = None, ends: States | None = None, angles: Angles | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
@@ -72,11 +77,15 @@ def human_step(
         mass: Of the person, kg.
         height: Of the person, m.
         cadence: Steps per minute; a cycle is two.
-        stiffness: Of the passive joints, times the table's.
-        damping: The same.
+        leg_mass: Of the legs, times the table's share of the mass: less where muscles have wasted.
+        stiffness: Of the passive joints, times that of `passive`.
+        damping: Of the passive joints, times the table's.
         brace: "ankle" for an orthosis that holds the feet.
+        passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
+            "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
+        effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
         clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
@@ -91,7 +100,8 @@ def human_step(
     """
     gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
     step = _step(phase, cycles, cadence, gait, horizon, {
-        "mass": mass, "height": height, "stiffness": stiffness, "damping": damping, "brace": brace,
+        "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
+        "brace": brace, "passive": passive,
         "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
@@ -100,35 +110,37 @@ def human_step(
     if apart is not None:
         apart = number("apart", apart, least=0.0, most=1.0)
     wish = wishes(step, cost, clearance, apart)
+    promised = cost == "default" and wish.clearance >= PROMISED
     mechanism = step.walker.mechanism
     prescribed = () if step.walker.motors else PELVIS
     dynamics = RigidBodyDynamics(
         mechanism, step.dt, choice("integrator", integrator, INTEGRATORS), prescribed=prescribed
     )  # fmt: skip
     start, goal = _ends(step, phase, ends)
+    effort = number("effort", effort, least=LEAST_EFFORT, most=1.0 / LEAST_EFFORT)
     us, control = step.motion.qdd[: step.N, : len(PELVIS)], np.zeros(len(PELVIS))
-    effort = np.repeat([wish.acceleration, wish.turning], 3)
+    tolerances = np.repeat([wish.acceleration, wish.turning], 3)
     if step.walker.motors:
         us, control = forces(step, us), np.array([0.0, 0.0, weight(step.walker), 0.0, 0.0, 0.0])
         share = step.walker.mass / FILE_MASS
-        effort = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
+        tolerances = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
-        "stiffness": step.walker.stiffness, "damping": step.walker.damping, "brace": brace, "cost": cost,
-        "pelvis": pelvis, "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator,
-        "horizon": step.N, "ends": None if ends is None else [start.tolist(), goal.tolist()],
+        "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
+        "brace": brace, "passive": passive, "cost": cost, "pelvis": pelvis, "effort": effort,
+        "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
+        "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
     return Problem(
-        dynamics, step_cost(dynamics, step, wish, effort, control, goal), x0=start, us=us, case="human-step",
-        parameters=parameters, stage=_stage(step), decrease_tolerance=TOLERANCE[phase],
+        dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us,
+        case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),
-            goal=lambda run: judge_step(
-                step, run, promised=cost == "default" and wish.clearance >= PROMISED, closes=phase == "gait"
-            ),
-            success=lambda ends: arrives(step, ends),
+            goal=lambda run: judge_step(step, run, promised=promised, closes=phase == "gait"),
+            follows=lambda xs, plan_xs, knots: follows(step, xs, plan_xs, knots, clear=promised),
+            perturbation=PATIENT,
         ),
     )  # fmt: skip
 
@@ -181,7 +193,7 @@ def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
     return robot_wrench(carried, xs, accelerations)
 
 
-def _stage(step: Step) -> Stage:
+def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
     """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
     names = step.walker.mechanism.joint_names
     duration = step.N * step.dt
@@ -193,6 +205,7 @@ def _stage(step: Step) -> Stage:
         return tuple((names.index(joint), joint.removeprefix("pelvis_")) for joint in joints)
 
     axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
+    low = (0.0, 0.0, 0.74 * step.walker.scale)  # so that no label hides the feet
     unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
     moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
     return Stage(
@@ -202,12 +215,13 @@ def _stage(step: Step) -> Stage:
         distance=4.2 * step.walker.scale,
         azimuth=90.0,
         elevation=-10.0,
-        views=(View(90.0, label="from the right"), View(180.0, label="from ahead")),
+        views=(View(90.0, label="from the right"), View(180.0, look_at=low, label="from ahead")),
         ghost=Ghost(step.states, "normal gait"),
         scenery=(*(("belt",) if step.walker.belt else ()), *CYLINDERS),
-        force_scale=0.0 if not step.walker.belt else 4e-3,
+        force_scale=0.0 if not step.walker.belt else 8e-3,
         force_unit="N",
         speed=0.25 if duration < 1.0 else 0.5,
+        pictures=partial(step_pictures, step, tolerances),
         plots=(
             *(Panel(f"{side.capitalize()} leg", "angle, rad", states=curves(side, "hip_flexion", "knee", "ankle"))
               for side in step.walker.legs),

@@ -8,7 +8,8 @@
                                     tip, since a foot of one piece would dig its tip in
     pelvis, trunk, arms, head       .678 of the mass, one rigid body        Winter; its inertia is ours
     passive joints                  PASSIVE: spring, damper, angle at rest  ours: of the size of pendulum tests
-    knee                            stops where it is straight              ours
+    or, of the joints of CURVED     exponentials instead of springs         Riener and Edrich, see riener_edrich.py
+    knee                            stops where it is straight              ours; with exponentials it needs no stop
 
 x is ahead, y to the left, z up; angles have the signs of OpenSim's gait models. All angles zero is standing. The feet
 touch the belt at z = 0.
@@ -25,6 +26,7 @@ import numpy as np
 from planner.arguments import choice, number
 from planner.cases import anthropometry as winter
 from planner.cases.anthropometry import Segment
+from planner.cases.riener_edrich import CURVED, curves
 from planner.contact import Law, Touch
 from planner.errors import PlannerError
 from planner.mechanism import Frame, Mechanism
@@ -49,6 +51,7 @@ PASSIVE = {  # N m/rad, N m s/rad, rad at rest
     "knee": (5.0, 0.5, np.radians(-10.0)),
     "ankle": (15.0, 0.5, np.radians(-5.0)),
 }
+RESISTANCES = ("table", "riener-edrich")
 BRACES = {"ankle": (40.0, 0.5, 0.0)}  # the same, of a joint in an orthosis
 
 TOUCH = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6)
@@ -64,6 +67,7 @@ LIGHTEST, HEAVIEST = 20.0, 300.0  # kg
 SHORTEST, TALLEST = 1.0, 2.5  # m
 LEANEST, STOUTEST = 8.0, 80.0  # kg/m^2, body mass indices beyond what is known of people
 STIFFEST = 20.0  # times PASSIVE
+LEGS = (0.3, 3.0)  # times Winter's
 
 
 @dataclass(frozen=True)
@@ -76,9 +80,11 @@ class Walker:
         stiffness: Of the passive joints, times PASSIVE.
         damping: The same.
         brace: A joint in an orthosis, of BRACES, or None.
+        passive: What the passive joints resist with, of RESISTANCES.
         legs: Some of SIDES.
         belt: Whether there is a belt and contact with it.
         motors: Whether the pelvis has six motors.
+        leg_mass: Of the legs, times Winter's share of the mass: less where muscles have wasted.
     """
 
     mass: float = FILE_MASS
@@ -86,19 +92,22 @@ class Walker:
     stiffness: float = 1.0
     damping: float = 1.0
     brace: str | None = None
+    passive: str = "table"
     legs: tuple[str, ...] = SIDES
     belt: bool = True
     motors: bool = False
+    leg_mass: float = 1.0
 
     def __post_init__(self) -> None:
         ranges = {
             "mass": (LIGHTEST, HEAVIEST), "height": (SHORTEST, TALLEST), "stiffness": (0.0, STIFFEST),
-            "damping": (0.0, STIFFEST),
+            "damping": (0.0, STIFFEST), "leg_mass": LEGS,
         }  # fmt: skip
         for name, (least, most) in ranges.items():
             object.__setattr__(self, name, number(name, getattr(self, name), least=least, most=most))
         if self.brace is not None:
             choice("brace", self.brace, BRACES)
+        choice("passive", self.passive, RESISTANCES)
         bulk = self.mass / self.height**2
         if not LEANEST <= bulk <= STOUTEST:
             raise PlannerError(
@@ -117,9 +126,17 @@ class Walker:
         return (winter.THIGH + winter.SHANK) * self.height
 
     @property
-    def passive(self) -> dict[str, tuple[float, float, float]]:
+    def curved(self) -> tuple[str, ...]:
+        """The joints of a leg whose springs are exponentials; an orthosis has one of its own."""
+        return () if self.passive == "table" else tuple(joint for joint in CURVED if joint != self.brace)
+
+    @property
+    def springs(self) -> dict[str, tuple[float, float, float]]:
         """Of the joints of a leg: N m/rad, N m s/rad, rad at rest."""
-        own = {joint: (self.stiffness * k, self.damping * b, rest) for joint, (k, b, rest) in PASSIVE.items()}
+        own = {
+            joint: (0.0 if joint in self.curved else self.stiffness * k, self.damping * b, rest)
+            for joint, (k, b, rest) in PASSIVE.items()
+        }
         return own if self.brace is None else own | {self.brace: BRACES[self.brace]}
 
     @property
@@ -128,12 +145,14 @@ class Walker:
         bulk = self.mass * self.height**2 / (FILE_MASS * FILE_HEIGHT**2)
         ix, iy, iz = (bulk * inertia for inertia in ABOVE_INERTIA)
         above = Segment(ABOVE_MASS * self.mass, (0.0, 0.0, ABOVE_COM * self.height), (ix, iy, iz))
-        return {"pelvis": above, **winter.leg_segments(self.mass, self.height)}
+        return {"pelvis": above, **winter.leg_segments(self.leg_mass * self.mass, self.height)}
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """The model, read from the very text that a replay uses."""
-        return Mechanism.from_mjcf(self.text)
+        """The model, read from the very text that a replay uses; exponentials, which no text holds, beside it."""
+        machine = Mechanism.from_mjcf(self.text)
+        legs = [{joint: machine.joint(f"{side}_{joint}").start for joint in CURVED} for side in self.legs]
+        return machine.with_curves(curve for leg in legs for curve in curves(leg, self.curved, self.stiffness))
 
     @cached_property
     def text(self) -> str:
@@ -148,7 +167,8 @@ class Walker:
         edits: dict[str, dict[str, str]] = {}
         for side in self.legs:
             knee = stop_attributes(STOP.stiffness, STOP.damping, weights.of_joint(f"{side}_knee"))
-            edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": _text(*stop_range())}
+            if "knee" not in self.curved:
+                edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": _text(*stop_range())}
             for end in ("heel", "toe") if self.belt else ():
                 edits[f"contact/pair[@geom2='{side}_{end}']"] = contact_attributes(
                     TOUCH.stiffness, TOUCH.damping, TOUCH.slip_damping, TOUCH.friction,
@@ -186,9 +206,9 @@ class Walker:
             numbers = {"pos": _text(*segment.com), "diaginertia": _text(*segment.inertia)}
             inertial.attrib.update(numbers, mass=written(segment.mass))
         for joint in pelvis.iter("joint"):
-            passive = self.passive.get(_sideless(joint.attrib["name"]))
-            if passive is not None:
-                values = zip(("stiffness", "damping", "springref"), passive, strict=True)
+            spring = self.springs.get(_sideless(joint.attrib["name"]))
+            if spring is not None:
+                values = zip(("stiffness", "damping", "springref"), spring, strict=True)
                 joint.attrib.update({key: written(value) for key, value in values})
         return root
 

@@ -46,8 +46,8 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     return code
 
 
-def _perturbation(words: list[str] | None) -> Perturbation:
-    """What --perturb says, e.g. mass=0.1."""
+def _perturbation(words: list[str] | None, plan: Plan) -> Perturbation:
+    """What --perturb says, e.g. mass=0.1, and for the rest what is usual for a plan."""
     given = {}
     for word in words or ():
         name, _, value = word.partition("=")
@@ -56,13 +56,13 @@ def _perturbation(words: list[str] | None) -> Perturbation:
             given[name] = float(value)
         except ValueError:
             raise PlannerError(f"--perturb {name} is {value!r}, expected a number, e.g. {name}=0.05.") from None
-    return Perturbation(**given)
+    return Perturbation.usual(plan.problem, **given)
 
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = Plan.load(arguments.plan)
-    perturbation = _perturbation(arguments.perturb)
+    perturbation = _perturbation(arguments.perturb, plan)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out"):
             if getattr(arguments, flag) is not None:
@@ -136,7 +136,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     plan = Plan.load(arguments.plan)
     require_backend()
     if arguments.replay_case is not None:
-        shown = _case(plan, arguments, _perturbation(arguments.perturb))
+        shown = _case(plan, arguments, _perturbation(arguments.perturb, plan))
     else:
         shown = prove(plan, rollouts=0)  # both of its replays, side by side
     size = {} if arguments.size is None else dict(zip(("width", "height"), arguments.size, strict=True))

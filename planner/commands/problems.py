@@ -20,7 +20,7 @@ from planner.objective import checked_durations, weights_of, with_objective
 from planner.periodic import solve_periodic
 from planner.plan import Plan
 from planner.problem import Problem
-from planner.problem_file import load
+from planner.problem_file import case_in, load
 from planner.proof.cost import proven_cost
 from planner.slq import solve
 
@@ -42,14 +42,16 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     count("max_iterations", arguments.max_iterations)
     objective = None if arguments.objective is None else objective_of(arguments.objective)
     durations = None if arguments.durations is None else durations_of(arguments.durations)
-    if arguments.case == PROBLEM_FILE:
+    named = case_in(arguments.problem) if arguments.case == PROBLEM_FILE else None
+    if arguments.case == PROBLEM_FILE and named is None:
         given = {"starts": arguments.starts, "seed": arguments.seed}
         file = load(arguments.problem, **given, objective=objective, durations=durations)
         return ProblemOf(*file, file.objective, file.durations)
-    starts = 1 if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
-    seed = 0 if arguments.seed is None else count("seed", arguments.seed, least=0)
-    given = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
-    problem = cases.build(arguments.case, **given)
+    flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
+    case, given, starts, seed = named or (arguments.case, flags, 1, 0)
+    starts = starts if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
+    seed = seed if arguments.seed is None else count("seed", arguments.seed, least=0)
+    problem = cases.build(case, **given)
     limit = arguments.control_limit
     if limit is not None or arguments.exact_goal:
         bound = None if limit is None else number("control-limit", limit, above=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from planner.errors import RenderingUnavailable
 from planner.files import file_error, write_atomically
 from planner.jsonable import json_text
 from planner.plan import Plan, Status
-from planner.plots import plot_plan, plot_proof
+from planner.plots import CASE_PICTURES, case_pictures, plot_case_picture, plot_plan, plot_proof
 from planner.proof import Proof
 from planner.report import NAME as REPORT
 from planner.report import write_report
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from planner.refine import Refinement
 
 INTERRUPTED = "The pictures were interrupted."
-PICTURES = ("plots.png", "proof.png", "strip.png", "video.mp4")
+PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "video.mp4")
 OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
 
 
@@ -101,6 +102,8 @@ def _pictures(
     """How each picture of a run is drawn, the quickest first."""
     pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: plot_plan(plan, proof, file)}
     if proof is not None:
+        for name, picture in case_pictures(plan, proof.replay).items():
+            pictures[name] = partial(plot_case_picture, picture)
         pictures["proof.png"] = lambda file: plot_proof(proof, file)
         if video:
             from planner.render import render_strip, render_video

@@ -149,7 +149,7 @@ class RigidBodyDynamics:
         return TreeMemory(self._model, self._code, N)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses balls, free joints, contacts and stops."""
+        """Scratch of second_order_nominal; refuses balls, free joints, contacts, stops and curves."""
         if self.space.quaternions:
             raise PlannerError(
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
@@ -158,6 +158,11 @@ class RigidBodyDynamics:
         if self.mechanism.contacts or self.mechanism.body_contacts or self.mechanism.stops:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
+                'hessian="gauss-newton".'
+            )
+        if self.mechanism.curves:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '
                 'hessian="gauss-newton".'
             )
         return tree_second.SecondOrderMemory(self._model, self._code)

@@ -1,4 +1,4 @@
-"""Functions of floats, V4 and (but for the square root) D4 alike: rounding, square root, sines, transposes."""
+"""Functions of floats, V4 and (but for root and exponential) D4 alike: rounding, root, sines, exponential."""
 
 from __future__ import annotations
 
@@ -60,6 +60,47 @@ def sincos(x):
     s = s * z
     c = (c * z + _C1) * z
     return sign * (r + r * s), sign * (1.0 + c)
+
+
+@intrinsic
+def _power_of_two(typingctx: Any, k: Any) -> Any:
+    """2^k of whole numbers from -1022 to 1023."""
+    if k is D4:
+        return None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        value = args[0]
+        wide = isinstance(value.type, ir.VectorType)
+        whole = ir.VectorType(ir.IntType(64), WIDTH) if wide else ir.IntType(64)
+
+        def constant(kind: Any, number: float) -> ir.Constant:
+            return ir.Constant(kind, [number] * WIDTH if wide else number)
+
+        # Beside 1.5 2^52 the last bits of a float are the whole number: moved up, they are an exponent.
+        bits = builder.bitcast(builder.fadd(value, constant(value.type, 1.5 * 2.0**52 + 1023.0)), whole)
+        return builder.bitcast(builder.shl(bits, constant(whole, 52)), value.type)
+
+    return k(k), lower
+
+
+_INVERSE_LN2 = 1.0 / math.log(2.0)
+_LN2, _LN2_REST = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # k times the first is exact
+# Taylor coefficients: on |r| <= ln(2) / 2 the first term left out is below 1e-17.
+_E = tuple(1.0 / math.factorial(k) for k in range(14))
+_E2, _E3, _E4, _E5, _E6, _E7, _E8, _E9, _E10, _E11, _E12, _E13 = _E[2:]
+
+
+@inline
+def exp(x):
+    """The exponential of -708 to 709, to about two units in the last place."""
+    k = rint(x * _INVERSE_LN2)
+    r = (x - k * _LN2) - k * _LN2_REST
+    r2 = r * r
+    r4 = r2 * r2
+    low = (_E2 + _E3 * r) + (_E4 + _E5 * r) * r2
+    middle = (_E6 + _E7 * r) + (_E8 + _E9 * r) * r2
+    high = (_E10 + _E11 * r) + (_E12 + _E13 * r) * r2
+    return _power_of_two(k) * (1.0 + (r + r2 * (low + r4 * (middle + r4 * high))))
 
 
 @intrinsic

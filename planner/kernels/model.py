@@ -27,23 +27,29 @@ PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.mechanism, and a slide that moves a whole tree
 
 # What the table holds: sizes first, then addresses.
-_SIZES = ("nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops", "pairs")
+_SIZES = (
+    "nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops", "pairs",
+    "curves",
+)  # fmt: skip
 _ARRAYS = (
     "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
     "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
     "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
     "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
     "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
-    "stop_value", "pair_links", "pair_value",
+    "stop_value", "pair_links", "pair_value", "curve_dof", "curve_value", "curve_start", "curve_slope_dof",
+    "curve_slope",
 )  # fmt: skip
-NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS, PAIRS = range(len(_SIZES))
+(
+    NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS, PAIRS, CURVES,
+) = range(len(_SIZES))  # fmt: skip
 (
     PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
     BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
     INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
     VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
     RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
-    PAIR_LINKS, PAIR_VALUE,
+    PAIR_LINKS, PAIR_VALUE, CURVE_DOF, CURVE_VALUE, CURVE_START, CURVE_SLOPE_DOF, CURVE_SLOPE,
 ) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
 
 
@@ -53,12 +59,13 @@ class Model:
     Args:
         mechanism: A planner.Mechanism.
         prescribed: (nv,) True where the acceleration is an input instead of the force.
-        actuated: Whether actuators, contacts and stops act; the public dynamics functions take applied forces instead.
+        actuated: Whether actuators, contacts, stops and curves act; the public dynamics functions take applied forces
+            instead.
 
     Attributes:
         table: What kernels take.
-        touching: True where contacts or stops act, else None. Kernels take it beside the table: Numba compiles them
-            once for each type and leaves out, for None, what stands under `if touching is not None`.
+        touching: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
+            them once for each type and leaves out, for None, what stands under `if touching is not None`.
     """
 
     def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
@@ -73,7 +80,11 @@ class Model:
             coupled[arrays[f"{name}_row"], arrays[f"{name}_column"]] = True
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
         pairs = mechanism.body_contacts if actuated else ()
-        self.touching = True if contacts or stops or pairs else None
+        curves = mechanism.curves if actuated else ()
+        self.touching = True if contacts or stops or pairs or curves else None
+        for curve in curves:
+            for j, _ in curve.slopes:
+                coupled[curve.dof, j] = True
         for contact in contacts:
             i = contact.link
             while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
@@ -85,11 +96,12 @@ class Model:
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
+        arrays |= _curves(curves)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
-            "pairs": len(pairs),
+            "pairs": len(pairs), "curves": len(curves),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
         addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
@@ -302,6 +314,18 @@ def _pairs(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> dict[
         row[17:21] = sum(radii) + pair.touch.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
         row[21:] = _touch(pair.touch)
     return {"pair_links": links, "pair_value": value}
+
+
+def _curves(curves: Any) -> dict[str, np.ndarray]:
+    """Per curve: where it acts, its amplitude and constant, and its slopes from curve_start on."""
+    slopes = [pair for curve in curves for pair in curve.slopes]
+    return {
+        "curve_dof": np.array([curve.dof for curve in curves], dtype=np.int64),
+        "curve_value": np.array([(curve.amplitude, curve.constant) for curve in curves], dtype=float),
+        "curve_start": np.cumsum([0, *(len(curve.slopes) for curve in curves)]),
+        "curve_slope_dof": np.array([j for j, _ in slopes], dtype=np.int64),
+        "curve_slope": np.array([slope for _, slope in slopes], dtype=float),
+    }
 
 
 def _touch(touch: Any) -> list[float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from planner.kernels.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.jit import inline, part
+from planner.kernels.joint_curves import subtract_curve_derivatives
 from planner.kernels.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.model import (
     INPUT_DOF,
@@ -82,6 +83,7 @@ def acceleration_derivatives(m, r, q, v, a, dA, touching):
     add_actuator_derivatives(m, Dq, Dv, ld)
     if touching is not None:
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
+        subtract_curve_derivatives(m, q, Dq, ld)
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
         if m[PAIRS] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))

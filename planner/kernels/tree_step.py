@@ -12,6 +12,7 @@ from __future__ import annotations
 from planner.kernels.contact import add_contact_wrenches, add_stops
 from planner.kernels.forces import activation_rates, applied_forces
 from planner.kernels.jit import inline, jit, part
+from planner.kernels.joint_curves import add_curves
 from planner.kernels.lane_math import transpose
 from planner.kernels.lanes import WIDTH, as_floats, at, doubles, floats, integers, lanes, load, load4, pointer, store
 from planner.kernels.model import (
@@ -85,12 +86,13 @@ def add_commutator(m, theta, first, second, factor):
 def accelerations(m, r, q, v, u, act, a, touching):
     """Accelerations a (nv lanes) under inputs u and activations act.
 
-    With `touching` None the machine has no contacts and stops, and their code is left out: see Model.touching.
+    With `touching` None the machine has no contacts, stops and curves, and their code is left out: see Model.touching.
     """
     tau, links = lanes(r, TAU), lanes(r, LINKS)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
     if touching is not None:
         add_stops(m, q, v, tau)
+        add_curves(m, q, tau)
     move_links(m, q, v, links)
     if touching is not None:
         add_contact_wrenches(m, q, links)

@@ -4,17 +4,21 @@ The parts know neither plan nor proof: stick figures over a motion, paths in spa
 """
 
 from planner.plots.charts import draw_charts, plot_charts
+from planner.plots.of_case import CASE_PICTURES, case_pictures, plot_case_picture
 from planner.plots.paths import draw_paths, plot_paths
 from planner.plots.plan import draw_plan, plot_plan
 from planner.plots.proof import draw_proof, plot_proof
 from planner.plots.stick_figures import draw_stick_figures, plot_stick_figures
 
 __all__ = [
+    "CASE_PICTURES",
+    "case_pictures",
     "draw_charts",
     "draw_paths",
     "draw_plan",
     "draw_proof",
     "draw_stick_figures",
+    "plot_case_picture",
     "plot_charts",
     "plot_paths",
     "plot_plan",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.arguments import array
 from planner.errors import PlannerError
 from planner.files import PathLike
+from planner.pictures import Band, Chart
 from planner.plots.style import HUES, INK, SOFT, drawable, dress, figure_of, save
 
 if TYPE_CHECKING:
@@ -21,58 +21,6 @@ _DASHED = (0, (4, 2))
 _BAND = "#c6d2de"
 _SPAN = "#ece7dc"
 _MOST = len(HUES)  # curves in one chart that can be told apart
-
-
-class Curve(NamedTuple):
-    """One quantity over time.
-
-    Attributes:
-        label: For the legend; the same label in another chart has the same colour there.
-        values: (K,) at the times of all charts, or at t; gaps where they are not finite.
-        dashed: Drawn dashed: what was planned beside what happened, for example. It shares the colour of a solid curve
-            of the same chart that has `of` for a label.
-        of: See dashed.
-        t: (K,) times of its own.
-    """
-
-    label: str
-    values: np.ndarray
-    dashed: bool = False
-    of: str = ""
-    t: np.ndarray | None = None
-
-
-class Band(NamedTuple):
-    """What is normal: a mean, dashed, and how far people are from it.
-
-    Attributes:
-        label: For the legend.
-        mean: (K,).
-        spread: (K,) or a number, to both sides: a standard deviation, for example.
-    """
-
-    label: str
-    mean: np.ndarray
-    spread: np.ndarray | float
-
-
-@dataclass(frozen=True, eq=False)
-class Chart:
-    """One panel.
-
-    Attributes:
-        title: Above it.
-        ylabel: With the unit.
-        curves: What is drawn.
-        band: Behind them, or None.
-        spans: (start, end) of times that are shaded: stance, for example.
-    """
-
-    title: str
-    ylabel: str
-    curves: Sequence[Curve] = ()
-    band: Band | None = None
-    spans: Sequence[tuple[float, float]] = field(default=())
 
 
 def plot_charts(
@@ -115,8 +63,9 @@ def draw_charts(
             axes.axvspan(start, end, color=_SPAN, lw=0, zorder=0)
         if chart.band is not None:
             _draw_band(axes, t, chart.band, chart.title)
-        if len(chart.curves) > _MOST:
-            raise PlannerError(f"chart {chart.title!r} has {len(chart.curves)} curves, expected at most {_MOST}.")
+        own_hue = sum(not curve.of for curve in chart.curves)
+        if own_hue > _MOST:
+            raise PlannerError(f"chart {chart.title!r} has {own_hue} curves, expected at most {_MOST}.")
         for curve in chart.curves:
             own = t if curve.t is None else array(f"t of {curve.label!r}", curve.t, ("K",))
             values = array(f"values of {curve.label!r}", curve.values, (len(own),), any_value=True)

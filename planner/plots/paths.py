@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.arguments import array, number
 from planner.errors import PlannerError
 from planner.files import PathLike
+from planner.pictures import Trace
 from planner.plots.projection import FRONT, SIDE, TOP, axes_of, projected
 from planner.plots.style import HUES, INK, SOFT, dress, figure_of, save
 from planner.stage import View
@@ -19,20 +20,6 @@ if TYPE_CHECKING:
 
 _DASHED = (0, (4, 2))
 _HIGH = 3.6  # inches
-
-
-class Trace(NamedTuple):
-    """Where a point goes.
-
-    Attributes:
-        label: For the legend.
-        points: (K, 3) m.
-        dashed: Drawn dashed and grey: what others are held to.
-    """
-
-    label: str
-    points: np.ndarray
-    dashed: bool = False
 
 
 def plot_paths(

@@ -6,7 +6,6 @@ The poses of one row stand apart, further than they are in space; all views of a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from planner.arguments import array, count, number
 from planner.errors import PlannerError
 from planner.files import PathLike
+from planner.pictures import Motion, Stick
 from planner.plots.projection import FRONT, SIDE, axes_of, projected
 from planner.plots.style import HUES, INK, SOFT, figure_of, save
 from planner.stage import View
@@ -26,36 +26,6 @@ _DASHED = (0, (3.5, 1.8))
 _APART = 1.06  # of the width of the widest pose
 _WIDE, _HEAD = 13.0, 0.6  # inches
 _EMPTY = 0.08  # of the height, above and below
-
-
-@dataclass(frozen=True)
-class Stick:
-    """Points joined by a line: a leg, for example.
-
-    Attributes:
-        points: Indices of the points, in order.
-        label: For the legend; "" for none.
-        hue: Which of the hues of all plots it has; None for ink.
-    """
-
-    points: tuple[int, ...]
-    label: str = ""
-    hue: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """A motion of points.
-
-    Attributes:
-        label: For the legend.
-        points: (K, P, 3) m, at equal times; see projection.frame_points.
-        dashed: Drawn thin and dashed: what others are held to.
-    """
-
-    label: str
-    points: np.ndarray
-    dashed: bool = False
 
 
 def plot_stick_figures(

@@ -27,7 +27,7 @@ def replay_case(
         twin: The MuJoCo model it is simulated in; the replay keeps it, with the errors in its motion alone.
         k: Number of the rollout, e.g. one of Perturbed.worst.
         seed: That of the Monte Carlo.
-        perturbation: That of the Monte Carlo; None for Perturbation().
+        perturbation: That of the Monte Carlo; None for Perturbation.usual(plan.problem).
         feedback: With the plan's gains, or open loop.
 
     Raises:
@@ -37,7 +37,7 @@ def replay_case(
     k, seed = count("k", k, least=0), count("seed", seed, least=0)
     mujoco = load_mujoco()
     with Rollouts(plan, twin, threads=1) as rollouts:
-        errors = draw(perturbation or Perturbation(), seed, k, rollouts.nominal.sizes)
+        errors = draw(perturbation or Perturbation.usual(plan.problem), seed, k, rollouts.nominal.sizes)
         batch, M = rollouts.batch([errors]), rollouts.steps
         piece, commands = rollouts.pieces(batch, MODES[feedback])
         model = batch.models[0]
@@ -56,14 +56,16 @@ def replay_case(
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
-            touching.look(i, data)
-            mujoco.mj_step(model, data)
+            with rollouts.curves(batch):
+                touching.look(i, data)
+                mujoco.mj_step(model, data)
             w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
                 w[i + 1] = np.nan
                 break
         if np.isfinite(w[M]).all():
-            touching.look(M, data)
+            with rollouts.curves(batch):
+                touching.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = CONTROL_STEPS * rollouts.substeps

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.curve_callback import curves_acting
 from planner.figures import Figure, Section
 from planner.plan import Plan
 from planner.problem import Problem
@@ -167,6 +168,7 @@ def _level(plan: Plan, problem: Problem, twin: Twin, integrator: str, substeps: 
     assert advance is not None  # every integrator of NOMINAL has one
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0
-    for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
-        xs[n] = x
+    with curves_acting(twin, model):
+        for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
+            xs[n] = x
     return xs[-1], problem.cost.value(xs, plan.us)

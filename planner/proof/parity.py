@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.arguments import shown
+from planner.curve_callback import curves_acting
 from planner.errors import PlannerError
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
@@ -58,13 +59,16 @@ def parity(
     if requirements.rates is None and isinstance(mechanism, Mechanism):
         if prescribed:
             model = compile_model(twin.mjcf, twin.assets)
-            return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
+            with curves_acting(twin, model):
+                return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
         return _of_mechanism(mechanism, machine.dynamics, twin, seed)
     return _of_rates(machine, requirements, twin, seed)
 
 
 def _of_mechanism(mechanism: Mechanism, dynamics: Any, twin: Twin, seed: int) -> Section:
-    return rigid_parity(mechanism, compile_model(twin.mjcf, twin.assets), dynamics, STATES, BOUND, seed)
+    model = compile_model(twin.mjcf, twin.assets)
+    with curves_acting(twin, model):
+        return rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
 
 
 def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: int) -> Section:
@@ -83,7 +87,8 @@ def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: in
     for i, w in enumerate(ws):
         data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [nq, nq + nv])
         data.ctrl[:] = us[i]
-        mujoco.mj_forward(model, data)
+        with curves_acting(twin, model):
+            mujoco.mj_forward(model, data)
         theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
     error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
     note = f"dx/dt at {STATES} random states (seed {seed}), relative to the largest"

@@ -7,7 +7,7 @@ is the same in any company, and switching one kind of error off leaves the other
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,8 +18,10 @@ from planner.driven_twin import driven_dofs
 from planner.errors import PlannerError
 from planner.gl import load_mujoco
 from planner.plan import Plan
+from planner.problem import Problem
 from planner.twin import Twin
 
+_FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _MOST_KNOTS = 200  # of the plan are asked for its largest forces
 
 
@@ -34,7 +36,6 @@ class Perturbation:
         mass: Each body's mass is scaled by a factor uniform in 1 +- this, and its inertia with it.
         inertia: Each body's inertia is scaled, as a whole, by another factor uniform in 1 +- this.
         damping: The damping that the model has in a joint is scaled by a factor uniform in 1 +- this.
-        stiffness: The stiffness of a joint's spring is scaled by a factor uniform in 1 +- this: a patient's, say.
         drag: Damping added to a joint, uniform in 0 to this times the inertia it moves (MuJoCo's dof_M0), 1/s: the
             rate at which its speed would decay. Free joints move through the air and have none, and joints whose
             acceleration the plan prescribes feel none.
@@ -46,6 +47,10 @@ class Perturbation:
             plan applies.
         delay: The controls come late by a time uniform in 0 to this, s, in whole steps of the simulator. Until then
             the first ones are held.
+        stiffness: The stiffness of a joint's spring is scaled by a factor uniform in 1 +- this.
+        common_mass: All bodies' masses and inertias are scaled by one more factor uniform in 1 +- this: of a patient
+            who is heavier than was thought.
+        common_stiffness: The same of all joints' springs.
 
     Raises:
         PlannerError: A number that is negative or not finite, or a factor that could reach zero.
@@ -61,12 +66,20 @@ class Perturbation:
     noise: float = 0.01
     delay: float = 0.002
     stiffness: float = 0.0
+    common_mass: float = 0.0
+    common_stiffness: float = 0.0
 
     def __post_init__(self) -> None:
         for one in fields(self):
-            most = 0.99 if one.name in ("mass", "inertia", "damping", "stiffness", "contact_friction") else None
+            most = 0.99 if one.name in _FACTORS else None
             value = number(f"Perturbation: {one.name}", getattr(self, one.name), least=0.0, most=most)
             object.__setattr__(self, one.name, value)
+
+    @classmethod
+    def usual(cls, problem: Problem | None, **changes: float) -> Perturbation:
+        """What is varied where a problem's own requirements have a say, but for `changes`."""
+        own = None if problem is None else problem.requirements
+        return cls(**{**({} if own is None else own.perturbation), **changes})
 
     def to_dict(self) -> dict[str, float]:
         """The numbers by name."""
@@ -126,7 +139,7 @@ class Sizes:
 def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
     """The errors of rollout k."""
     rng, p = np.random.default_rng([seed, k]), perturbation
-    return Draw(
+    own = Draw(
         mass=1.0 + p.mass * rng.uniform(-1.0, 1.0, sizes.nbody),
         inertia=1.0 + p.inertia * rng.uniform(-1.0, 1.0, sizes.nbody),
         damping=1.0 + p.damping * rng.uniform(-1.0, 1.0, sizes.nv),
@@ -138,6 +151,8 @@ def draw(perturbation: Perturbation, seed: int, k: int, sizes: Sizes) -> Draw:
         noise=p.noise * rng.standard_normal((sizes.N, sizes.nu)),
         stiffness=1.0 + p.stiffness * rng.uniform(-1.0, 1.0, sizes.njnt),
     )
+    heavier, stiffer = 1.0 + np.array([p.common_mass, p.common_stiffness]) * rng.uniform(-1.0, 1.0, 2)
+    return replace(own, mass=heavier * own.mass, stiffness=stiffer * own.stiffness)
 
 
 def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Draw:

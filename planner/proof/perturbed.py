@@ -162,7 +162,7 @@ def perturbed(
         twin: The MuJoCo model it is simulated in.
         rollouts: How many, in each mode; rollout k is the same whatever their number.
         seed: Of the random numbers, at least 0.
-        perturbation: What is varied; None for Perturbation().
+        perturbation: What is varied; None for Perturbation.usual(plan.problem).
         tolerance: Largest component of the end state's deviation, rad, m, rad/s, m/s.
         budget: s; fewer rollouts where they would take too long, and an end when it is used up.
         partial: An .npz that keeps finished rollouts; those of this plan, seed and perturbation are not run again.
@@ -177,7 +177,7 @@ def perturbed(
     asked = count("rollouts", rollouts)
     seed = count("seed", seed, least=0)
     tolerance = number("tolerance", tolerance, above=0.0)
-    perturbation = Perturbation() if perturbation is None else perturbation
+    perturbation = Perturbation.usual(plan.problem) if perturbation is None else perturbation
     deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, above=0.0)
     with Rollouts(plan, twin, threads) as simulator:
         wanted = asked if budget is None else min(asked, _affordable(budget, simulator.seconds))
@@ -225,6 +225,8 @@ def _run(
             batch = simulator.batch([draw_one(k) for k in range(done, min(done + size, wanted))])
             runs = [simulator.run(batch, mode, deadline) for mode in MODES]
             more = {f"{name}_end": np.stack([xs[:, -1] for xs in runs], axis=1)}
+            if (follows := _rule(simulator.plan, "follows")) is not None:
+                more[f"{name}_won"] = np.stack([_following(simulator, follows, xs) for xs in runs], axis=1)
             if name == "cases":
                 more["cases_deviation"] = np.stack([_deviations(simulator, xs) for xs in runs], axis=1)
             store.add(**more)
@@ -232,6 +234,14 @@ def _run(
             if progress is not None:
                 progress(before + done, total)
         before += wanted
+
+
+def _following(simulator: Rollouts, follows: Callable[..., np.ndarray], xs: np.ndarray) -> np.ndarray:
+    """Which (K,) of states (K, T, nx) at the kept knots are successes; none that has exploded is."""
+    won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
+    if sound.any():
+        won[sound] = follows(xs[sound], simulator.plan.xs[simulator.knots], simulator.knots)
+    return won
 
 
 def _deviations(simulator: Rollouts, xs: np.ndarray) -> np.ndarray:
@@ -255,9 +265,12 @@ def _result(
     for m, mode in enumerate(MODES):
         end_error[mode], success[mode] = _judged(plan, ends[:, m], tolerance)
         _, kept = _judged(plan, levels[:, m], tolerance)
+        if _rule(plan, "follows") is not None and len(ends):
+            success[mode] = store.arrays["cases_won"][:wanted, m]
+            kept = store.arrays["levels_won"][: len(levels), m] if len(levels) else kept
         margin[mode] = _margin(kept.reshape(per_level, len(LEVELS)))
         fans[mode] = _percentiles(deviations[:wanted, m])
-    if _own_rule(plan) is not None:
+    if any(_rule(plan, name) is not None for name in ("success", "follows")):
         tolerance = math.nan
     return Perturbed(
         perturbation=perturbation, seed=seed, asked=asked, done=len(ends), step=simulator.step,
@@ -266,9 +279,9 @@ def _result(
     )  # fmt: skip
 
 
-def _own_rule(plan: Plan) -> Callable[[np.ndarray], np.ndarray] | None:
-    """How the machine says which ends are successes, None for the general rule."""
-    return None if plan.problem is None else getattr(plan.problem.requirements, "success", None)
+def _rule(plan: Plan, name: str) -> Callable[..., np.ndarray] | None:
+    """How the machine says which rollouts are successes, by their ends or by their way; None where it does not."""
+    return None if plan.problem is None else getattr(plan.problem.requirements, name, None)
 
 
 def _judged(plan: Plan, ends: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -276,7 +289,7 @@ def _judged(plan: Plan, ends: np.ndarray, tolerance: float) -> tuple[np.ndarray,
     sound = np.isfinite(ends).all(axis=1)
     error, won = np.full(len(ends), np.inf), np.zeros(len(ends), dtype=bool)
     error[sound] = np.abs(plan.space.difference(ends[sound], plan.xs[-1])).max(axis=1, initial=0.0)
-    own = _own_rule(plan)
+    own = _rule(plan, "success")
     won[sound] = error[sound] <= tolerance if own is None else own(ends[sound])
     return error, won
 

@@ -13,12 +13,14 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from planner.arguments import number
+from planner.curve_callback import CALL, curves_acting
 from planner.errors import PlannerError
 from planner.gl import load_mujoco, load_rollout
 from planner.plan import Plan
@@ -47,12 +49,14 @@ class Batch:
         start: (K, nw) simulator states.
         noise: (K, N, nu) added to the controls.
         delay: (K,) steps of the simulator.
+        stiffness: (K, curves) factors of the twin's exponential torques.
     """
 
     models: list[Any]
     start: np.ndarray
     noise: np.ndarray
     delay: np.ndarray
+    stiffness: np.ndarray
 
 
 class Rollouts:
@@ -100,6 +104,7 @@ class Rollouts:
         mujoco.mj_getState(model, self._scratch, self._row, self._full)
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         threads = cores if threads is None else threads
+        threads = 1 if twin.curves else threads  # threads would wait for each other at every call of the callback
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
 
@@ -128,7 +133,8 @@ class Rollouts:
     @property
     def seconds(self) -> float:
         """What a rollout costs in one mode, s, as far as the sizes tell; of no particular machine."""
-        return self.steps * 0.5 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
+        own = 0.5 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
+        return self.steps * (own + (4.0 * CALL if self.twin.curves else 0.0))  # at each stage of RK4
 
     @property
     def batch_size(self) -> int:
@@ -141,13 +147,19 @@ class Rollouts:
         """The machines with these errors."""
         plan = self.plan
         assert plan.problem is not None  # checked at the start
+        joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
         x0 = plan.problem.x0
         return Batch(
             models=[self.nominal.with_errors(draw, self._scratch) for draw in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, draw.start)) for draw in draws]),
             noise=np.array([draw.noise * self.nominal.control for draw in draws]),
             delay=np.array([round(min(draw.delay / self.step, self.steps)) for draw in draws]),
+            stiffness=np.array([draw.stiffness[joints] for draw in draws]),
         )
+
+    def curves(self, batch: Batch) -> AbstractContextManager[None]:
+        """In which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
+        return curves_acting(self.twin, *batch.models, factors=batch.stiffness)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
         """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes.
@@ -172,9 +184,10 @@ class Rollouts:
                 states = np.empty((K, n, len(self._row)))
             with np.errstate(all="ignore"):  # of one about to explode
                 ctrl = commands(i, n, row[:, 1 : 1 + nw])
-            self._pool.rollout(
-                batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
-            )
+            with self.curves(batch):
+                self._pool.rollout(
+                    batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
+                )
             row[:] = states[:, -1]
             # MuJoCo stops a simulation that explodes, and its time with it.
             sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)

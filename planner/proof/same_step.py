@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.curve_callback import curves_acting
 from planner.driven_twin import driven_dofs
 from planner.figures import Figure, Section
 from planner.gl import load_mujoco
@@ -56,9 +57,10 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
     how, stage = found
     path = np.empty_like(plan.xs)
     path[0] = problem.x0
-    for n, u in enumerate(plan.us):
-        path[n + 1] = stage(path[n], u)
-    ends = np.array([stage(x, u) for x, u in zip(plan.xs[:-1], plan.us, strict=True)])
+    with curves_acting(twin, model):
+        for n, u in enumerate(plan.us):
+            path[n + 1] = stage(path[n], u)
+        ends = np.array([stage(x, u) for x, u in zip(plan.xs[:-1], plan.us, strict=True)])
     largest = max(1.0, float(np.abs(plan.xs).max()))
     errors = [float(np.abs(space.difference(xs, plan.xs[-len(xs) :])).max()) / largest for xs in (path, ends)]
     amplification = rounding_amplification(problem.dynamics.linearize(plan.xs, plan.us)[0])

@@ -176,7 +176,7 @@ def prove(
         twin: Another model and other maps in place of the plan's own.
         seed: Of the random states of parity and of the perturbations.
         rollouts: Of step 5; 0 leaves it out.
-        perturbation: What step 5 varies; by default Perturbation().
+        perturbation: What step 5 varies; by default Perturbation.usual(plan.problem).
         hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
         budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
         partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
@@ -255,8 +255,8 @@ def with_rollouts(
     progress: Callable[[int, int], object] | None = None,
 ) -> Proof:
     """A proof with step 5 added; the arguments are those of prove()."""
-    perturbation = perturbation or Perturbation()
     run = proof.replay
+    perturbation = perturbation or Perturbation.usual(run.plan.problem)
     found = perturbed(
         run.plan, run.twin, rollouts=rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
         progress=progress,

@@ -16,6 +16,7 @@ from planner.cases import CASES
 from planner.default_stage import stage_of
 from planner.files import PathLike, file_error, write_atomically
 from planner.plan import Plan
+from planner.plots import case_pictures
 from planner.report.reproduce import command, problem_text, typed
 from planner.report.style import STYLE
 from planner.report.tables import figures_table, number, table
@@ -73,8 +74,8 @@ def html(
     parts = [
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof),
-        _film(folder, video_note),  # people look before they read
-        _pictures(folder),
+        _film(plan, folder, video_note),  # people look before they read
+        _pictures(plan, proof, folder),
         _refinement(path),
         _proof(proof),
         _solver(plan),
@@ -118,21 +119,25 @@ def _verdict(plan: Plan, proof: Proof | None) -> str:
     )
 
 
-def _film(folder: Path, note: str) -> str:
+def _film(plan: Plan, folder: Path, note: str) -> str:
     video = _embedded(folder / "video.mp4", "video/mp4")
     if video:
         player = (
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
             "This browser does not play H.264 video.</video>"
         )
-        caption = "MuJoCo solid, the plan as a ghost; at the left open loop, at the right with the plan's gains"
+        stage = stage_of(plan.problem)
+        ghost = "plan" if stage is None or stage.ghost is None else stage.ghost.label
+        caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
 
 
-def _pictures(folder: Path) -> str:
+def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
+    own = {} if proof is None else case_pictures(plan, proof.replay)
+    first, *others = _PICTURES
     shown = []
-    for name, caption in _PICTURES:
+    for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
         source = _embedded(folder / name, "image/png")
         if source:
             shown.append(
