@@ -221,7 +221,7 @@ def _geoms(model: Any, poses: np.ndarray) -> np.ndarray:
     return poses[model.geom_bodyid] @ np.array(local).reshape(-1, 4, 4)
 
 
-def _screws(model: Any) -> dict[str, np.ndarray]:
+def _screws(model: Any) -> dict[str, Any]:
     """kind, q_address, q_home and S of every degree of freedom."""
     joints = load_mujoco().mjtJoint
     kind, address = np.full(model.nv, SCREW, dtype=np.int64), np.zeros(model.nv, dtype=np.int64)
@@ -244,7 +244,7 @@ def _screws(model: Any) -> dict[str, np.ndarray]:
     return {"kind": kind, "q_address": address, "q_home": home, "S": S}
 
 
-def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, np.ndarray]:
+def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     """Mass, centre and inertia of every link: its bodies together, by the parallel axis theorem."""
     mass, com, inertia = np.zeros(model.nv), np.zeros((model.nv, 3)), np.zeros((model.nv, 3, 3))
     frames = poses @ np.array([_pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])

@@ -12,6 +12,7 @@ ASME V&V 20-2009). With f1, f2, f3 the coarse, middle and fine values,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -137,7 +138,7 @@ def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:
     """Whether states (M+1, nx) come to a stop of the plan's machine, whose force MuJoCo has without its smoothing."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
     return any(
         bool(np.any(stop.side * (xs[:, mechanism.q_address[stop.dof]] - stop.end) > -stop.law.lift))
         for stop in getattr(mechanism, "stops", ())
