@@ -57,6 +57,8 @@ class Wishes:
         straight: Of a leg's length, how far the standing ankle may be from the hip.
         stance_depth: How deep in the belt a standing foot is wanted, m.
         stance_tolerance: m.
+        deepest: In the belt, of any foot, m: a blow on a leg that is nearly straight makes its knee buckle one way in
+            the plan and the other way in MuJoCo; 0 for no such wish.
         ramp: m, over which clearance, distances and stance begin to count.
         reach_ramp: m.
         reach_tolerance: m.
@@ -82,6 +84,7 @@ class Wishes:
     straight: float = 0.999
     stance_depth: float = 0.003
     stance_tolerance: float = 0.005
+    deepest: float = 0.0
     ramp: float = 0.003
     reach_ramp: float = 0.002
     reach_tolerance: float = 0.003
@@ -103,6 +106,7 @@ STUDY_CYCLE = Wishes(
 )  # fmt: skip
 CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing:
 CLEAR = (0.20, 0.20, *SWING)
+DEEPEST = 0.010  # m, wanted by the default cost: 50 N on one point of a foot
 STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
 
 
@@ -111,7 +115,7 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
         scale = step.walker.scale
-        found = replace(found, clearance=CLEARANCE)
+        found = replace(found, clearance=CLEARANCE, deepest=DEEPEST)
         lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
         found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
     if clearance is not None:
@@ -192,6 +196,11 @@ def _standing(step: Step, wish: Wishes) -> list[Any]:
                 Height(Point(f"{side}_{end}_point"), most=most, tolerance=wish.stance_tolerance, ramp=wish.ramp,
                        weight=1.0 / PERIOD)
             )  # fmt: skip
+        terms += [
+            Height(Point(f"{side}_{end}_point"), least=-wish.deepest, tolerance=wish.stance_tolerance, ramp=wish.ramp,
+                   weight=1.0 / PERIOD)
+            for end in STANCE if wish.deepest
+        ]  # fmt: skip
     return terms
 
 
