@@ -1,6 +1,6 @@
 """What a step should be like, each wish with its tolerance.
 
-    J = 1/2 sum_k (dt / .4 s) sum (e / tolerance)^2 + 1/2 sum (e_N / final tolerance)^2
+    J = 1/2 sum_k (dt / period) sum (e / tolerance)^2 + 1/2 sum (e_N / final tolerance)^2
 
 e are the distances of pelvis, joints and controls from the normal gait (controls: from zero), and
 
@@ -12,7 +12,8 @@ e are the distances of pelvis, joints and controls from the normal gait (control
 Without the last one the cheapest way to copy the angles of a gait is to carry the patient through the air.
 
 "study" are the numbers with which the case was first solved; the default wants more clearance and over the whole
-swing, which is what the training is for, and its lengths go with the body.
+swing, which is what the training is for; its lengths go with the body and its rates with the time of a cycle, see
+SLOWER. The period is .4 s, of a slower cycle than the usual as much more as it takes.
 """
 
 from __future__ import annotations
@@ -29,6 +30,16 @@ from planner.penalty_cost import PenaltyCost
 from planner.penalty_terms import Distance, Height, Point, Segment
 
 PERIOD = 0.4  # s, over which a tolerance on the way is an average: about a swing
+USUAL = 1.2  # s, the cycle that the tolerances are for
+SLOWER = {"period": 1.0, "clearance": 1.0, "place": -1.5, "turn": -1.5, "acceleration": -2.0, "turning": -2.0,
+          "final_speed": -1.0, "final_turn_rate": -1.0, "final_joint_rate": -1.0}  # fmt: skip
+FASTER = {"clearance": -3.0, "acceleration": -1.0, "turning": -1.0}
+"""How numbers of the default cost go with the time of a cycle, as its powers, if slower or faster than usual.
+
+Rates and accelerations go as those of the motion do. A slow passive leg copies less of the normal gait, and a pelvis
+free to make up for it is led over ever other touches of the belt, for hundreds of iterations: so it is kept nearer. The
+height that is wanted is what leaves the promised clearance to people of 45 to 110 kg in cycles of 1.0 to 1.8 s.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +73,7 @@ class Wishes:
         ramp: m, over which clearance, distances and stance begin to count.
         reach_ramp: m.
         reach_tolerance: m.
+        period: s, over which a tolerance on the way is an average.
     """
 
     joints: dict[str, float]
@@ -88,6 +100,7 @@ class Wishes:
     ramp: float = 0.003
     reach_ramp: float = 0.002
     reach_tolerance: float = 0.003
+    period: float = PERIOD
 
 
 _DEGREES = {"hip_flexion": 5.0, "hip_adduction": 5.0, "hip_rotation": 10.0, "knee": 5.0, "ankle": 10.0}
@@ -118,6 +131,9 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
         found = replace(found, clearance=CLEARANCE, deepest=DEEPEST)
         lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
         found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
+        time = step.duration / USUAL
+        powers = SLOWER if time > 1.0 else FASTER
+        found = replace(found, **{name: time**power * getattr(found, name) for name, power in powers.items()})
     if clearance is not None:
         found = replace(found, clearance=clearance)
     return found if apart is None else replace(found, shanks_apart=apart, feet_apart=apart)
@@ -151,8 +167,8 @@ def _tracking(
     final = _by_joint(step, wish.final_place, wish.final_turn, wish.final_joints)
     rates = _by_joint(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
     return TrackingCost.joints(
-        dynamics, None, step.N, effort=1.0 / (PERIOD * effort**2), control=control, reference=states,
-        position={joint: 1.0 / (PERIOD * tolerance**2) for joint, tolerance in on_the_way.items()},
+        dynamics, None, step.N, effort=1.0 / (wish.period * effort**2), control=control, reference=states,
+        position={joint: 1.0 / (wish.period * tolerance**2) for joint, tolerance in on_the_way.items()},
         final_position={joint: 1.0 / tolerance**2 for joint, tolerance in final.items()},
         final_velocity={joint: 1.0 / tolerance**2 for joint, tolerance in rates.items()},
     )  # fmt: skip
@@ -179,7 +195,7 @@ def _clearance(step: Step, wish: Wishes) -> list[Any]:
         wanted = wish.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
         terms += [
             Height(Point(f"{side}_{end}_point"), least=np.where(on, wanted, np.nan),
-                   tolerance=wish.clearance_tolerance, ramp=wish.ramp, weight=1.0 / PERIOD)
+                   tolerance=wish.clearance_tolerance, ramp=wish.ramp, weight=1.0 / wish.period)
             for end in ("heel", "toe")
         ]  # fmt: skip
     return terms
@@ -194,7 +210,7 @@ def _standing(step: Step, wish: Wishes) -> list[Any]:
             most = np.where((t > begin) & (t < until), -wish.stance_depth, np.nan)
             terms.append(
                 Height(Point(f"{side}_{end}_point"), most=most, tolerance=wish.stance_tolerance, ramp=wish.ramp,
-                       weight=1.0 / PERIOD)
+                       weight=1.0 / wish.period)
             )  # fmt: skip
         terms += [
             Height(Point(f"{side}_{end}_point"), least=-wish.deepest, tolerance=wish.stance_tolerance, ramp=wish.ramp,
@@ -209,7 +225,7 @@ def _reach(step: Step, wish: Wishes) -> list[Any]:
     ankle = step.feet(step.motion.q)[:, 3]
     return [
         Distance(Point("left_hip"), Point(world=ankle), most=wish.straight * step.walker.leg_length,
-                 tolerance=wish.reach_tolerance, ramp=wish.reach_ramp, weight=1.0 / PERIOD)
+                 tolerance=wish.reach_tolerance, ramp=wish.reach_ramp, weight=1.0 / wish.period)
     ]  # fmt: skip
 
 
@@ -228,7 +244,7 @@ def _apart(step: Step, wish: Wishes) -> list[Any]:
         (shank, other_foot, wish.feet_apart), (foot, other_shank, wish.feet_apart),
     )  # fmt: skip
     return [
-        Distance(a, b, least=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / PERIOD)
+        Distance(a, b, least=least, tolerance=wish.apart_tolerance, ramp=wish.ramp, weight=1.0 / wish.period)
         for a, b, least in pairs
     ]
 
