@@ -97,4 +97,4 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
         "refined_feedback": Section("refined, with feedback", (Figure("growth_rate", 1.5, "1/s"),)),
         "goal": Section("goal", (Figure("height_error", 0.1, "%", 0.2),)),
     } | sections
-    return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every)
+    return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None)
