@@ -21,7 +21,11 @@ DT = 5e-3  # s
 PUSH, FLIGHT, LAND, REST = 0.4, 0.24, 0.4, 0.8  # s: the centre of mass moves in the last and first half of PUSH, LAND
 LENGTH, CLEARANCE, RISE = 0.25, 0.08, 0.02  # m: of the hop; of the foot in mid-flight; of the centre of mass before it
 CROUCH = [0.0, 1.25, -0.65, -0.45, -0.75, 0.55]  # x, z, pitch, hip, knee, ankle; where the ground is, is found
-SOFT, FIRM, FRICTION = 0.05, 0.02, 1.5  # m that the machine at rest sinks in: a first, easier ground and that of the proof
+SOFT, FIRM, FRICTION = (
+    0.05,
+    0.02,
+    1.5,
+)  # m that the machine at rest sinks in: a first, easier ground and that of the proof
 
 
 def hopper(sink: float) -> planner.Mechanism:
@@ -41,7 +45,7 @@ def parabola(t: np.ndarray) -> np.ndarray:
     v = np.array([LENGTH / (FLIGHT + 0.5 * PUSH), 0.5 * g[1] * FLIGHT])  # thrown: back at the same height after FLIGHT
     left = np.array([0.5 * (LENGTH - v[0] * FLIGHT), RISE])
     thrown = left + v * (t[:, None] - up) - 0.5 * g * (t[:, None] - up) ** 2
-    landed, end = left + [v[0] * FLIGHT, 0.0], [LENGTH, 0.0]
+    landed, end = left + np.array([v[0] * FLIGHT, 0.0]), [LENGTH, 0.0]
     path = np.empty((len(t), 2))
     for i in range(2):  # quintics meet the parabola in place, speed and acceleration
         before = BPoly.from_derivatives([0.5 * PUSH, up], [[0.0, 0.0, 0.0], [left[i], v[i], -g[i]]])
@@ -58,7 +62,7 @@ def foot_of(machine: planner.Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def posed(machine: planner.Mechanism, q: np.ndarray, com: np.ndarray, foot: np.ndarray) -> np.ndarray:
-    """Poses (N+1, 6) with the centre of mass at com (N+1, 2), the foot at foot (N+1, 3) and the trunk's pitch that of q.
+    """Poses (N+1, 6) with the centre of mass at com (N+1, 2), the foot at foot (N+1, 3), the trunk's pitch that of q.
 
     Six equations in six joints, by Newton's method.
     """

@@ -66,6 +66,7 @@ ORDER = [
     ["continuous", "underactuated"],
     ["control_spline", "shooting"],
     ["cases"],
+    ["problem_keys"],
     ["problem_file"],
     ["ranges", "touches", "curve_callback"],
     ["replay"],

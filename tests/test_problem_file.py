@@ -12,7 +12,8 @@ from carts import refuse, write
 
 import planner
 from planner.guess import follow, hold
-from planner.problem_file import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS, load
+from planner.problem_file import load
+from planner.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

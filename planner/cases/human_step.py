@@ -149,9 +149,7 @@ def human_step(
     )  # fmt: skip
 
 
-def _step(
-    phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]
-) -> Step:
+def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> Step:
     """Checked."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
     cycles = count("cycles", cycles, most=MOST_CYCLES)

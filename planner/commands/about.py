@@ -8,7 +8,7 @@ import json
 import time
 from typing import get_type_hints
 
-from planner import cases, problem_file
+from planner import cases, problem_keys
 from planner.commands.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
 from planner.console import Console
 from planner.kernels.jit import is_warm
@@ -34,8 +34,8 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
             {"case": name, "summary": summary(case),
              "parameters": {p.name: p.default for p in shown}}
         )  # fmt: skip
-    keys = {**problem_file.KEYS, **{f"weights.{name}": text for name, text in problem_file.WEIGHTS.items()}}
-    defaults = {**problem_file.DEFAULTS, **{f"weights.{n}": v for n, v in problem_file.DEFAULT_WEIGHTS.items()}}
+    keys = {**problem_keys.KEYS, **{f"weights.{name}": text for name, text in problem_keys.WEIGHTS.items()}}
+    defaults = {**problem_keys.DEFAULTS, **{f"weights.{n}": v for n, v in problem_keys.DEFAULT_WEIGHTS.items()}}
     console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
     lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
     console.table(("  key", "default", ""), lines)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from typing import Any, NoReturn, get_args, get_type_hints
 
-from planner import problem_file
+from planner import problem_keys
 from planner.cases import CASES
 from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
@@ -205,7 +205,7 @@ def build() -> argparse.ArgumentParser:
             child.add_argument("--exact-goal", action="store_true", help="Meet the goal exactly, to 1e-4.")
             children.append(child)
         own = machines.add_parser(
-            PROBLEM_FILE, help=_OWN, description=f"{text} {_OWN}", epilog=f"Its keys: {', '.join(problem_file.KEYS)}."
+            PROBLEM_FILE, help=_OWN, description=f"{text} {_OWN}", epilog=f"Its keys: {', '.join(problem_keys.KEYS)}."
         )
         own.set_defaults(parser=own)
         own.add_argument("problem", metavar="FILE", help="A problem.toml.")
