@@ -66,10 +66,11 @@ def test_quaternions_and_prescribed_joints_are_kept():
     machine = planner.Mechanism.from_mjcf(text)
     dynamics = planner.RigidBodyDynamics(machine, 0.1, prescribed=("pivot",))
     cost = planner.TrackingCost.joints(dynamics, machine.home, 10, effort=1.0, final_position=1.0)
-    fine = finer(planner.Problem(dynamics, cost, x0=machine.home))
+    problem = planner.Problem(dynamics, cost, x0=machine.home)
+    fine = finer(problem)
     assert fine.dynamics.prescribed == ("pivot",)
     assert fine.cost.space == machine.space
-    assert fine.twin is None
+    assert fine.twin.mjcf == problem.twin.mjcf != machine.mjcf  # the joint is driven
 
 
 class Own:

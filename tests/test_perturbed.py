@@ -1,7 +1,6 @@
 """Step 5 of a proof: the same rollouts in any company, honest rates, nothing lost when interrupted."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ import planner
 from planner.errors import FileError, PlannerError
 from planner.gl import load_mujoco
 from planner.mechanism import Mechanism
+from planner.problem import Requirements
 from planner.proof import perturbed as step
 from planner.proof.case_replay import replay_case
 from planner.proof.partial import Partial
@@ -267,7 +267,7 @@ def test_the_acrobot_needs_its_gains(acrobot):
 
 
 def test_a_requirement_may_say_what_success_is(arm):
-    own = SimpleNamespace(success=lambda xs: np.arange(len(xs)) % 2 == 0)
+    own = Requirements(success=lambda xs: np.arange(len(xs)) % 2 == 0)
     problem = planner.cases.two_link(horizon=100)
     object.__setattr__(problem, "requirements", own)
     result = perturbed(replace(arm, problem=problem), coarse(arm), rollouts=10)
