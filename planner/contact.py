@@ -6,18 +6,19 @@ velocity v_t,
     ramp(e; a) = 0, e^2 / 2a, e - a/2          for e < 0, 0..a, > a
     s(e; a)    = 3 t^2 - 2 t^3, t = e/a within 0..1
     f_n = ramp(K ramp(e; a) - B s(e; a) v_n; f)
-    f_t = -c v_t mu f_n / sqrt((mu f_n)^2 + c^2 |v_t|^2),   c = c_t s(e; a)
+    f_t = -(h - ramp(h - (1 - b) mu f_n; 2 b mu f_n)) v_t / |v_t|,   h = c_t s(e; a) |v_t|
 
-which is once continuously differentiable and never pulls: friction is viscous (c_t) as long as it is little and
-Coulomb's (mu f_n) when it is much. Far beyond the ramps the force is that of a plain spring whose surface lies lower by
+which is once continuously differentiable and never pulls: friction is viscous, h, as long as that is less than
+(1 - b) mu f_n, Coulomb's mu f_n where it is more than (1 + b) mu f_n, and bends between. Far beyond the ramps the force
+is that of a plain spring whose surface lies lower by
 
     lift = a/2 + f/2K
 
 so the law's surface is raised by as much. `Touch.exact` is the limit of no smoothing, in which MuJoCo's
-contact tends to the same force (see planner.mechanism_contacts): friction is then c v_t, cut off at mu f_n, and where
+contact tends to the same force (see planner.mechanism_contacts): friction is then c_t v_t, cut off at mu f_n, and where
 it slips MuJoCo's projection onto the friction cone raises the normal force to
 
-    f_n = (K e - B v_n + mu c |v_t| / impratio) / (1 + mu^2 / impratio).
+    f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from planner.errors import PlannerError
 
 ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
-
+BEND = 0.5  # of the cone either way: the replays of the human step are nearest, and solves no longer
 RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
 
 
@@ -75,18 +76,19 @@ class Touch(Law):
         slip_damping: c_t, N s/m, of friction before it slips.
         friction: mu.
         impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
-        sharp: Whether friction is cut off at mu f_n rather than bent towards it.
+        bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1.
     """
 
     slip_damping: float = 0.0
     friction: float = 0.0
     impratio: float = math.inf
-    sharp: bool = False
+    bend: float = BEND
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("slip_damping", "friction"):
             _set(self, **{name: number(name, getattr(self, name), least=0.0)})
+        _set(self, bend=number("bend", self.bend, least=0.0, most=1.0))
         if self.impratio != math.inf:
             _set(self, impratio=number("impratio", self.impratio, above=0.0))
 
@@ -127,7 +129,7 @@ class Touch(Law):
         cls, stiffness: float, damping: float, slip_damping: float, friction: float, impratio: float = math.inf
     ) -> Touch:
         """The law without any smoothing, which is what MuJoCo's contact with these coefficients tends to."""
-        return cls(stiffness, damping, 0.0, 0.0, slip_damping, friction, impratio, sharp=True)
+        return cls(stiffness, damping, 0.0, 0.0, slip_damping, friction, impratio, bend=0.0)
 
 
 @dataclass(frozen=True, eq=False)

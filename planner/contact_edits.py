@@ -107,7 +107,7 @@ def _say_smoothing(root: ElementTree.Element, touch: Touch) -> None:
         for element in section.findall("numeric"):
             if element.get("name") == CONTACT_RAMP:
                 section.remove(element)
-    data = f"{touch.ramp!r} {touch.force_ramp!r}"
+    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
     ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
 
 

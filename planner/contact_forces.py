@@ -163,13 +163,10 @@ def _stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) 
     return e, -stop.side * qd[:, stop.dof]
 
 
-def ramp(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
+def ramp(e: np.ndarray, a: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """0, e^2 / 2a, e - a/2 for e < 0, 0..a, > a, and its slope."""
-    if a == 0.0:
-        return np.maximum(e, 0.0), np.where(e > 0.0, 1.0, 0.0)
-    inside, beyond = (e > 0.0) & (e <= a), e > a
-    value = np.where(inside, e**2 / (2.0 * a), np.where(beyond, e - 0.5 * a, 0.0))
-    return value, np.where(inside, e / a, np.where(beyond, 1.0, 0.0))
+    slope = np.clip(np.divide(e, a, out=np.where(e > 0.0, 1.0, 0.0), where=np.greater(a, 0.0)), 0.0, 1.0)
+    return slope * (e - 0.5 * a * slope), slope
 
 
 def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
@@ -231,14 +228,11 @@ def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tu
     normal, slope = ramp(h, float(touch.force_ramp or 0.0))
     dnormal = slope[:, None] * dh
     limit, dlimit = mu * normal, mu * dnormal
-    if touch.sharp:
-        cut = slip > limit
-        friction, dfriction = np.where(cut, limit, slip), np.where(cut[:, None], dlimit, dslip)
-    else:
-        D = np.hypot(limit, slip)
-        D[D == 0.0] = 1.0
-        friction = slip * limit / D
-        dfriction = ((limit / D) ** 3)[:, None] * dslip + ((slip / D) ** 3)[:, None] * dlimit
+    bend = touch.bend
+    t = ramp(slip - (1.0 - bend) * limit, 2.0 * bend * limit)[1]
+    by_limit = t * (1.0 - bend + bend * t)
+    friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without its cancellation
+    dfriction = (1.0 - t)[:, None] * dslip + by_limit[:, None] * dlimit
     force = normal[:, None] * n - friction[:, None] * d
     turning = np.where(speed > 0.0, friction / np.where(speed > 0.0, speed, 1.0), np.where(limit > 0.0, c, 0.0))
     by = dnormal[:, None, :] * n[:, :, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)

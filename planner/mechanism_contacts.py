@@ -9,9 +9,10 @@ are the K, B and c_t of a force K e - B v_n with friction c_t v_t, cut off at mu
 `contact_attributes` and `stop_attributes` write them. How much of it is smoothed for planning is no part of
 MuJoCo's model, so the file says it in numbers of its own:
 
-    <custom><numeric name="contact_ramp" data="0.002 1"/> <numeric name="stop_ramp" data="0.03"/></custom>
+    <custom><numeric name="contact_ramp" data="0.002 1 0.5"/> <numeric name="stop_ramp" data="0.03"/></custom>
 
-a ramp in m (stops: of their joint's coordinate) and one of the force; without them there is no smoothing.
+a ramp in m (stops: of their joint's coordinate), one of the force, and how gradually friction bends; the last two may
+be left out, and without any there is no smoothing.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 
 from planner.arguments import number
 from planner.body_contact import BodyContact
-from planner.contact import Contact, Law, Stop, Touch
+from planner.contact import BEND, Contact, Law, Stop, Touch
 from planner.contact_shapes import are_capsules, at_home, capsule_of, part_name, plane_and_spheres
 from planner.errors import ModelError
 from planner.gl import load_mujoco
@@ -168,7 +169,7 @@ def _law_reason(model: Any, pair: Pair) -> str:
         return "a pyramidal cone, expected cone='elliptic'"
     if np.any(pair.solreffriction) and not np.all(pair.solreffriction <= 0.0):
         return "solreffriction is a time constant, expected the direct format"
-    ramp = _ramp(model, CONTACT_RAMP)[0]
+    ramp = _smoothing(model, CONTACT_RAMP)[0]
     if ramp > 0.0 and model.opt.impratio < LEAST_IMPRATIO:
         return f"impratio {model.opt.impratio:g}, expected at least {LEAST_IMPRATIO:g} for smoothed friction"
     return ""
@@ -233,10 +234,10 @@ def _touch(model: Any, pair: Pair) -> Touch:
     impratio = float(model.opt.impratio)
     slips = -pair.solreffriction[1] / weight if np.any(pair.solreffriction) else B
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
-    ramp, force_ramp = _ramp(model, CONTACT_RAMP)
+    ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
     if ramp == 0.0:
         return Touch.exact(K, B, ct, mu, impratio)
-    return Touch(K, B, ramp, force_ramp, ct, mu)
+    return Touch(K, B, ramp, force_ramp, ct, mu, bend=bend)
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:
@@ -252,23 +253,24 @@ def read_stops(model: Any) -> tuple[Stop, ...]:
         dof = int(model.jnt_dofadr[j])
         weight = float(model.dof_invweight0[dof]) * (1.0 - solimp[0])
         K, B = -solref / weight
-        law = Law(K, B, *_ramp(model, STOP_RAMP))
+        law = Law(K, B, *_smoothing(model, STOP_RAMP)[:2])
         found += [Stop(dof, float(end), side, law) for end, side in zip(model.jnt_range[j], (-1, 1), strict=True)]
     return tuple(found)
 
 
-def _ramp(model: Any, name: str) -> tuple[float, float | None]:
-    """What the file's numeric of that name says: a ramp, and one of the force or None.
+def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
+    """What the file's numeric of that name says: a ramp, one of the force or None, and of a contact its bend.
 
     Raises:
-        ModelError: It is no length.
+        ModelError: It is none of that.
     """
     mujoco = load_mujoco()
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if k < 0:
-        return 0.0, 0.0
+        return 0.0, 0.0, BEND
     start = int(model.numeric_adr[k])
     data = [float(x) for x in model.numeric_data[start : start + int(model.numeric_size[k])]]
-    if not (1 <= len(data) <= 2 and all(0.0 <= x < math.inf for x in data)):
-        raise ModelError(f"numeric {name!r} is {data}, expected a length and perhaps a force, of at least 0.")
-    return data[0], data[1] if len(data) == 2 else None
+    most, more = (3, ", and a bend within 0 to 1") if name == CONTACT_RAMP else (2, "")
+    if not (1 <= len(data) <= most and all(0.0 <= x < math.inf for x in data) and max(data[2:], default=0.0) <= 1.0):
+        raise ModelError(f"numeric {name!r} is {data}, expected a length and perhaps a force, of at least 0{more}.")
+    return data[0], data[1] if len(data) > 1 else None, data[2] if len(data) > 2 else BEND

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 class Status(StrEnum):
     """How a solve ended. The value is a sentence; for everything but CONVERGED it says what to do next."""
 
-    CONVERGED = "The gradient or the predicted decrease fell below its tolerance."
+    CONVERGED = "The gradient, the predicted or the actual decrease fell below its tolerance."
     MAX_ITERATIONS = "The iteration limit was reached; raise max_iterations, or start from this plan's controls."
     NO_DESCENT = (
         "No step length lowered the cost, even strongly regularised; check the derivatives, "

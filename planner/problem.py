@@ -74,6 +74,7 @@ class Problem:
         objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
         decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
             digits of it are worth no iterations; None for solve's own.
+        gain_tolerance: The same, where a cost has kinks.
         periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
         case: Name in planner.cases, or None.
         parameters: Every argument of the case by name.
@@ -98,6 +99,7 @@ class Problem:
     objective: Objective | None = None
     periodic: Periodic | None = None
     decrease_tolerance: float | None = None
+    gain_tolerance: float = 0.0
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
@@ -130,6 +132,7 @@ class Problem:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
         if self.decrease_tolerance is not None:
             number("decrease_tolerance", self.decrease_tolerance, least=0.0)
+        number("gain_tolerance", self.gain_tolerance, least=0.0)
         if self.periodic is not None:
             object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
         if self.limits is not None:

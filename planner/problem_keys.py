@@ -48,6 +48,7 @@ LAW = {
     "ramp": "m of smoothing",
     "slip_damping": "N s/m, of friction before it slips",
     "friction": "mu",
+    "bend": "how gradually friction turns from viscous to Coulomb's, 0 to 1",
 }
 GROUND = {
     "sink": "m, how deep the machine sinks in when it stands on one contact",

@@ -124,7 +124,8 @@ def refine(
         prove: Judges the plans on the way; by default without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
-        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance, decrease_tolerance.
+        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance, decrease_tolerance,
+            gain_tolerance.
 
     Returns:
         The last plan that was proved, and why it is the last. That it never passed is its proof's verdict, not an

@@ -47,6 +47,7 @@ DECREASE = 1e-10  # of solve, where neither it nor the problem has a decrease_to
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
 # fails, lowered tenfold after a full step, zero below its least value.
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
+_SLOW = 3  # iterations in a row of the plain model that gain less than gain_tolerance
 # With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
 _MU_AGAIN = 1e8
 
@@ -60,6 +61,7 @@ def solve(
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float | None = None,
+    gain_tolerance: float | None = None,
     callback: Callable[[Any], object] | None = None,
     starts: int = 1,
     seed: int = 0,
@@ -79,6 +81,9 @@ def solve(
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
             own, where it has none 1e-10.
+        gain_tolerance: Stop when three iterations in a row have each gained less than this times max(1, J): at the
+            kinks of contact the model goes on to promise what no step along it brings. By default the problem's own,
+            where it has none 0, which is never.
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
@@ -106,6 +111,9 @@ def solve(
     if decrease_tolerance is None:
         decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
     number("decrease_tolerance", decrease_tolerance, least=0.0)
+    gain_tolerance = number(
+        "gain_tolerance", problem.gain_tolerance if gain_tolerance is None else gain_tolerance, least=0.0
+    )
     count("starts", starts, most=MOST_STARTS)
     count("seed", seed, least=0)
     number("spread", spread, above=0.0)
@@ -114,10 +122,11 @@ def solve(
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
     core = iterated(problem)
-    descend = partial(_descend, core, feedback, rule, exact, gradient_tolerance, decrease_tolerance)
+    descend = partial(_descend, core, feedback, rule, exact, (gradient_tolerance, decrease_tolerance, gain_tolerance))
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
-        "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance, "starts": starts,
+        "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
+        "gain_tolerance": gain_tolerance, "starts": starts,
     }  # fmt: skip
     if starts > 1:
         ranking = rank if rank is None or core is problem else lambda plan: rank(settled(problem, plan))
@@ -131,29 +140,30 @@ def settled(problem: Problem, plan: Plan) -> Plan:
     """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
-    own = _minimise(problem, True, 0, False, 0.0, 0.0, None, plan.us, plan.hinges, 0, 0)
+    own = _minimise(problem, True, 0, False, (0.0, 0.0, 0.0), None, plan.us, plan.hinges, 0, 0)
     more = own.cost - plan.cost  # what no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
 
 
 def _descend(
-    problem: Problem, feedback: bool, rule: int, exact: bool, gradient_tolerance: float, decrease_tolerance: float,
+    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
     first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu)."""
-    minimise = partial(_minimise, problem, feedback, rule, exact, gradient_tolerance, decrease_tolerance, callback)
+    minimise = partial(_minimise, problem, feedback, rule, exact, tolerances, callback)
     if problem.ranges is None or problem.limits is None:
         return minimise(first_guess, None, max_iterations, 0)
     return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
 
 
 def _minimise(
-    problem: Problem, feedback: bool, rule: int, exact: bool, gradient_tolerance: float, decrease_tolerance: float,
+    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
     callback: Callable[[Iteration], object] | None, first_guess: np.ndarray, hinges: Hinges | None,
     max_iterations: int, first_line: int,
 ) -> Plan:  # fmt: skip
-    """A minimum of the cost, and of hinges where there are any."""
+    """A minimum of the cost, and of hinges where there are any; tolerances of gradient, decrease and gain."""
+    gradient_tolerance, decrease_tolerance, gain_tolerance = tolerances
     engine = borrow(problem)
     if problem.ranges is not None:
         engine.hinge(hinges)
@@ -163,7 +173,7 @@ def _minimise(
         return _not_finite(problem, engine, cost)
 
     largest = engine.largest_control_weight
-    mu, fresh, status, asked = 0.0, True, Status.MAX_ITERATIONS, False
+    mu, fresh, status, asked, slow = 0.0, True, Status.MAX_ITERATIONS, False, 0
     second = exact
     try:
         for i in range(first_line, first_line + max_iterations):
@@ -173,17 +183,19 @@ def _minimise(
 
             line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest)
             history.append(line)
+            little = mu == 0.0 and done.kind == ACCEPTED and line.actual < gain_tolerance * max(1.0, abs(cost))
+            slow = slow + 1 if little else 0
             cost = done.cost
             if callback is not None:
                 callback(line)
-            if done.kind == CONVERGED:
+            if done.kind == CONVERGED or slow == _SLOW:
                 status = Status.CONVERGED
                 break
             fresh = done.kind == ACCEPTED
-            little = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
-            if fresh and not little:
+            flat = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
+            if fresh and not flat:
                 asked = False
-            if exact and little and mu > 0.0 and not asked:
+            if exact and flat and mu > 0.0 and not asked:
                 mu, asked = 0.0, True  # Newton steps get to the end before mu does: ask the plain model, once
             elif not fresh:
                 mu = max(_MU_LEAST, _MU_FACTOR * mu)
@@ -205,7 +217,7 @@ def _minimise(
 
     xs, us = engine.trajectory()
     gradient_norm = history[-1].gradient_norm if history else math.nan
-    if status is not Status.CONVERGED:  # the last line and the gains belong to an earlier trajectory
+    if status is not Status.CONVERGED or slow == _SLOW:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
         gradient_norm = _sweep(engine, largest)
         history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))

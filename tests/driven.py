@@ -40,7 +40,7 @@ STIFFNESS, DAMPING, SLIP, FRICTION, STOP = 5e3, 60.0, 150.0, 0.6, (1000.0, 10.0)
 LEG = """
 <mujoco model="hanging leg"><compiler angle="radian"/>
   <option timestep="5e-4" integrator="RK4" cone="elliptic" impratio="{impratio}"><flag refsafe="disable"/></option>
-  <custom><numeric name="contact_ramp" data="0.005 5"/><numeric name="stop_ramp" data="0.03 1"/></custom>
+  <custom><numeric name="contact_ramp" data="0.005 5"/><numeric name="stop_ramp" data="0.003 0.1"/></custom>
   <worldbody>
     <body name="belt"><inertial pos="0 0 0" mass="1e5" diaginertia="1e5 1e5 1e5"/>
       <joint name="belt" type="slide" axis="1 0 0"/>

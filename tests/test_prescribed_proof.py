@@ -130,7 +130,7 @@ def test_a_wrong_gear_of_the_motors_fails(cart):
 
 def sharp_leg():
     """The leg's text without smoothing and of a low impratio: MuJoCo computes the law itself. And its mechanism."""
-    text = hanging_leg(10.0).replace('data="0.005 5"', 'data="0 0"').replace('data="0.03 1"', 'data="0 0"')
+    text = hanging_leg(10.0).replace('data="0.005 5"', 'data="0 0"').replace('data="0.003 0.1"', 'data="0 0"')
     return text, Mechanism.from_mjcf(text)
 
 
@@ -175,7 +175,7 @@ def test_a_leg_on_a_belt_is_repeated(leg):
     proof = planner.prove(leg, rollouts=0)
     assert proof.passed, proof.reason
     run = proof.replays["open-loop"]
-    assert run.contact_force.max() > 50.0
+    assert run.contact_force.max() > 30.0
     errors = largest_errors(run)
     assert errors[:7].max() < 1e-6  # the belt and the pelvis, m and rad
     assert proof.same_step.not_applicable

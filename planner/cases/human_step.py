@@ -57,11 +57,8 @@ PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
 """Tendons of the scene: the robot, which the ghost is drawn without."""
 TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
-"""Of a solve: the last percent of the cost of a cycle takes half of the iterations, at the kinks of touch-downs.
-A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
-ENOUGH = 1e-3
-"""The same of a cycle with the default cost: of the last percent, at the kinks of touch-downs, a few people would
-otherwise ask for a hundred iterations."""
+"""Of a solve, promised or gained: the last percent of the cost of a cycle takes half of the iterations, at the kinks of
+touch-downs. A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
 
 
 def human_step(
@@ -135,10 +132,10 @@ def human_step(
         "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
-    enough = ENOUGH if phase == "cycle" and cost == "default" else TOLERANCE[phase]
     return Problem(
         dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us,
-        case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=enough,
+        case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
+        gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),

@@ -174,8 +174,8 @@ class Walker:
                     TOUCH.stiffness, TOUCH.damping, TOUCH.slip_damping, TOUCH.friction,
                     weights.of_joint("belt") + weights.of_body(f"{side}_foot"), IMPRATIO,
                 )  # fmt: skip
-        for name, law in (("contact_ramp", TOUCH), ("stop_ramp", STOP)):
-            edits[f"custom/numeric[@name='{name}']"] = {"data": _text(law.ramp, law.force_ramp or 0.0)}
+        for name, law, more in (("contact_ramp", TOUCH, [TOUCH.bend]), ("stop_ramp", STOP, [])):
+            edits[f"custom/numeric[@name='{name}']"] = {"data": _text(law.ramp, law.force_ramp or 0.0, *more)}
         return edited(text, edits)
 
     def _root(self) -> ElementTree.Element:

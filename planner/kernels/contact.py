@@ -67,12 +67,11 @@ def _ramped(law, o, h):
 
 
 @inline
-def _cut(law, o, c, slip, fn):
-    """The viscosity of friction bent to the cone, f_t = -viscosity v_t, for a slip force c |v_t|; and what it is of."""
-    limit = load(law, o + FRICTION) * fn
-    least = minimum(limit, slip)
-    D = sqrt(limit * limit + slip * slip - load(law, o + BEND) * (least * least) + _TINY)
-    return c * limit / D, limit, D
+def _bent(law, o, slip, fn):
+    """Slopes of friction by the slip force and the cone's limit, whose sum times these it is; the limit."""
+    limit, bend = load(law, o + FRICTION) * fn, load(law, o + BEND)
+    t = _clamp((slip - (1.0 - bend) * limit) / (2.0 * bend * limit + _TINY))
+    return 1.0 - t, t * (1.0 - bend + bend * t), limit
 
 
 @inline
@@ -106,11 +105,12 @@ def touch_force(value, o, e, v, n):
     vt = axpy(v, spread(0.0) - opening, n)
     g, _, _, s, _ = _normal(value, o, e, opening)
     c = load(value, o + SLIP) * s
-    slip = c * sqrt(dot(vt, vt) + _TINY)
+    speed = sqrt(dot(vt, vt) + _TINY)
+    slip = c * speed
     raised = load(value, o + SHARE) * (g + load(value, o + RAISE) * slip)
     fn, _ = _ramped(value, o, maximum(g, raised))
-    viscosity, _, _ = _cut(value, o, c, slip, fn)
-    return sub(scaled(fn, n), scaled(viscosity, vt))
+    by_slip, by_limit, limit = _bent(value, o, slip, fn)
+    return sub(scaled(fn, n), scaled(by_slip * c + by_limit * limit / speed, vt))
 
 
 @part
@@ -147,14 +147,10 @@ def differentiated(value, o, e, v, n):
     by_g, by_slip = select(g, raised, share, 1.0), select(g, raised, share * raise_, 0.0)
     fn, slope = _ramped(value, o, maximum(g, raised))
     fn_e, fn_n, fn_t = slope * (by_g * g_e + by_slip * slip_e), slope * by_g * g_n, slope * by_slip * slip_t
-    viscosity, limit, D = _cut(value, o, c, slip, fn)
-    mu, bend = load(value, o + FRICTION), 1.0 - load(value, o + BEND)
-    D_limit = select(limit, slip, bend, 1.0) * (limit / D)
-    D_slip = select(limit, slip, 1.0, bend) * (slip / D)
-    per = viscosity / D
-    by_limit, by_slip = mu * (c / D - per * D_limit), per * D_slip
-    a_e = c_e * (limit / D) + by_limit * fn_e - by_slip * slip_e
-    a_n, a_t = by_limit * fn_n, by_limit * fn_t - by_slip * slip_t
+    by_slip, by_limit, limit = _bent(value, o, slip, fn)
+    coulomb, per = by_limit * limit / speed, load(value, o + FRICTION) * by_limit / speed
+    viscosity = by_slip * c + coulomb
+    a_e, a_n, a_t = by_slip * c_e + per * fn_e, per * fn_n, per * fn_t - coulomb / (speed * speed)
     f, f_e = sub(scaled(fn, n), scaled(viscosity, vt)), sub(scaled(fn_e, n), scaled(a_e, vt))
     return f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity
 

@@ -331,7 +331,7 @@ def _curves(curves: Any) -> dict[str, np.ndarray]:
 def _touch(touch: Any) -> list[float]:
     raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.contact
     share = 1.0 / (1.0 + touch.friction * raised)
-    return [*_law(touch), touch.slip_damping, touch.friction, raised, share, 1.0 if touch.sharp else 0.0]
+    return [*_law(touch), touch.slip_damping, touch.friction, raised, share, touch.bend]
 
 
 def _law(law: Any) -> list[float]:
