@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from planner.kernels.jit import inline, part
 from planner.kernels.lane_math import sqrt
-from planner.kernels.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
+from planner.kernels.lanes import any_less, floats, integers, load, maximum, select, spread, store
 from planner.kernels.model import (
     CONTACT_ADDRESS,
     CONTACT_LINK,
@@ -33,6 +33,7 @@ from planner.kernels.model import (
     STOP_VALUE,
     STOPS,
 )  # fmt: skip
+from planner.kernels.ramp import clamp, ramp
 from planner.kernels.sensitivity import Y
 from planner.kernels.spatial import add, axpy, cross, dot, load3, rotated, scaled, store3, sub
 from planner.kernels.tree import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
@@ -45,32 +46,26 @@ _TINY = 1e-40  # added to squares before their root, so that none is zero
 
 
 @inline
-def _clamp(x):
-    return minimum(maximum(x, 0.0), 1.0)
-
-
-@inline
 def _normal(law, o, e, opening):
     """The force before its own ramp, and its derivatives by e and by the opening speed; the slope of s; t."""
     K, B, a, per_a = load(law, o), load(law, o + DAMPING), load(law, o + RAMP), load(law, o + PER_RAMP)
-    t = _clamp(e * per_a)
+    depth, t = ramp(e, a, per_a)
     s, ds = t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) * per_a
-    g = K * (t * (e - 0.5 * a * t)) - B * (s * opening)
+    g = K * depth - B * (s * opening)
     return g, K * t - B * (ds * opening), spread(0.0) - B * s, s, ds
 
 
 @inline
 def _ramped(law, o, h):
     """The second ramp and its slope."""
-    t = _clamp(h * load(law, o + PER_FORCE))
-    return t * (h - 0.5 * load(law, o + FORCE) * t), t
+    return ramp(h, load(law, o + FORCE), load(law, o + PER_FORCE))
 
 
 @inline
 def _bent(law, o, slip, fn):
     """Slopes of friction by the slip force and the cone's limit, whose sum times these it is; the limit."""
     limit, bend = load(law, o + FRICTION) * fn, load(law, o + BEND)
-    t = _clamp((slip - (1.0 - bend) * limit) / (2.0 * bend * limit + _TINY))
+    t = clamp((slip - (1.0 - bend) * limit) / (2.0 * bend * limit + _TINY))
     return 1.0 - t, t * (1.0 - bend + bend * t), limit
 
 

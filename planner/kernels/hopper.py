@@ -26,6 +26,7 @@ from planner.kernels.lanes import (
     spread,
     store,
 )
+from planner.kernels.ramp import ramp
 from planner.kernels.search import WOLFE, batches, choose, ladder, refine
 from planner.kernels.workspace import (
     ALPHA,
@@ -66,11 +67,9 @@ EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2
 
 @inline
 def spring(compression, stiffness, smoothing):
-    """Force per mass F(e) / m of section 2.4 and its slope."""
-    pushed = maximum(compression, 0.0)
-    soft = minimum(pushed, smoothing)  # the part of the compression on the parabola
-    force = stiffness * (soft * soft * (0.5 / smoothing) + (pushed - soft))
-    return force, stiffness * soft * (1.0 / smoothing)
+    """Force per mass F(e) / m of section 2.4 and its slope: the one-sided law of every contact, without damping."""
+    force, slope = ramp(compression, smoothing, 1.0 / smoothing)
+    return stiffness * force, stiffness * slope
 
 
 @inline

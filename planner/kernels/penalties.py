@@ -25,14 +25,13 @@ from planner.kernels.lanes import (
     lanes,
     load,
     load4,
-    maximum,
-    minimum,
     pointer,
     spread,
     store,
 )
 from planner.kernels.model import FIRST, HOME, KIND, PARENT, Q_ADDRESS
 from planner.kernels.penalty_table import DISTANCE, HEIGHT, PARALLEL, TINY
+from planner.kernels.ramp import clamp, ramp
 from planner.kernels.spatial import add, axpy, cross, dot, load3, rotated, scaled, store3, sub
 from planner.kernels.tree import PLACE, RECORD, SCREW_AXIS, place
 from planner.kernels.tree_linearize import scatter_row
@@ -40,11 +39,6 @@ from planner.kernels.tree_memory import LINKS, X_LANES
 from planner.kernels.tree_step import gather
 
 LEVEL, SIDE, RAMP, PER_RAMP = 3, 4, 5, 6  # offsets in a term's constants, after its normal
-
-
-@inline
-def _clamp(x):
-    return minimum(maximum(x, 0.0), 1.0)
 
 
 @inline
@@ -86,9 +80,9 @@ def _nearest(a0, a1, b0, b1):
     v, w, r = sub(a1, a0), sub(b1, b0), sub(a0, b0)
     vv, ww, vw, vr, wr = dot(v, v), dot(w, w), dot(v, w), dot(v, r), dot(w, r)
     pull = PARALLEL * vv * ww
-    s = _clamp((vw * wr - vr * ww + 0.5 * pull) / (vv * ww - vw * vw + pull + TINY))
-    u = _clamp((vw * s + wr) / (ww + TINY))
-    s = _clamp((vw * u - vr) / (vv + TINY))
+    s = clamp((vw * wr - vr * ww + 0.5 * pull) / (vv * ww - vw * vw + pull + TINY))
+    u = clamp((vw * s + wr) / (ww + TINY))
+    s = clamp((vw * u - vr) / (vv + TINY))
     return axpy(axpy(r, s, v), spread(0.0) - u, w), s, u
 
 
@@ -116,9 +110,8 @@ def _ramped(p, t, value, bound):
     side, a = load(term, SIDE), load(term, RAMP)
     if side == 0.0:
         return value - bound, spread(1.0)
-    e = side * (value - bound)
-    slope = _clamp(e * load(term, PER_RAMP))
-    return slope * (e - 0.5 * a * slope), side * slope
+    residual, slope = ramp(side * (value - bound), a, load(term, PER_RAMP))
+    return residual, side * slope
 
 
 @part
