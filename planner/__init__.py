@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from planner.objective import Objective, with_objective
     from planner.payload import largest_payload, static_limit
     from planner.penalty_cost import PenaltyCost
-    from planner.penalty_terms import Distance, Gap, Height, Point, Segment
+    from planner.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
     from planner.periodic import Pass, solve_periodic
     from planner.plan import Iteration, Plan, Start, Status
     from planner.problem import Problem
@@ -102,7 +102,7 @@ _MODULES = {
     "objective": "Objective with_objective",
     "payload": "largest_payload static_limit",
     "penalty_cost": "PenaltyCost",
-    "penalty_terms": "Distance Gap Height Point Segment",
+    "penalty_terms": "Distance Gap Height Point Segment Velocity",
     "periodic": "Pass solve_periodic",
     "plan": "Iteration Plan Start Status",
     "problem": "Problem",
@@ -214,6 +214,7 @@ __all__ = [
     "Touch",
     "TrackingCost",
     "Twin",
+    "Velocity",
     "angular_momentum",
     "bias",
     "bias_derivatives",

@@ -1,11 +1,12 @@
-"""PenaltyCost: what points, distances and gaps of a machine should be, as least squares over the stages.
+"""PenaltyCost: what points, distances, gaps and velocities of a machine should be, as least squares over the stages.
 
     J = sum_n dt weight_n 1/2 r_n^2  over the stages,  + final_weight 1/2 r_N^2 at the end
 
 for each term of planner.penalty_terms, r its residual. The Hessian is that of Gauss and Newton, J'J. Heights and gaps
 are n'p - level; distances |d| - radii, with d from the nearest point of one line to that of the other. Since those
 are nearest, that they move along the lines does not change |d| to first order: the derivative is that of two fixed
-points, which share the motion of the ends.
+points, which share the motion of the ends. Velocities are d'(V_1 - V_2), with the velocities V of points that are
+fixed to their links.
 """
 
 from __future__ import annotations
@@ -19,20 +20,21 @@ import numpy as np
 from planner.arguments import LONGEST_HORIZON, count, shown
 from planner.cost import Quadratic, Term, mechanism_of
 from planner.errors import PlannerError
-from planner.kernels.penalty_table import HEIGHT, PARALLEL, TINY
+from planner.kernels.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
+from planner.mechanism import Frame
 from planner.penalty_measures import Measures, measures_of, spaced
-from planner.rigid_body import points_of
+from planner.rigid_body import jacobian_derivatives, points_of
 
 
 class PenaltyCost(Term):
-    """Penalties of heights, distances and gaps; one term of a cost: TrackingCost(...) + PenaltyCost(...).
+    """Penalties of heights, distances, gaps and velocities; one term of a cost: TrackingCost(...) + PenaltyCost(...).
 
     With RigidBodyDynamics and one TrackingCost in the sum it is part of the compiled solver.
 
     Args:
         machine: RigidBodyDynamics or a Mechanism.
         horizon: N, number of stages.
-        terms: Height, Distance and Gap.
+        terms: Height, Distance, Gap and Velocity.
         dt: s; that of the dynamics by default.
 
     Attributes:
@@ -48,16 +50,18 @@ class PenaltyCost(Term):
         self.space = self.mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
         if not isinstance(terms, Sequence):
-            raise PlannerError(f"terms is {shown(terms)}, expected a list of Height, Distance and Gap.")
+            raise PlannerError(f"terms is {shown(terms)}, expected a list of Height, Distance, Gap and Velocity.")
         self.names = tuple(str(term) for term in terms)
         self.measures = measures_of(self.mechanism, self.N, terms, dt)
 
     def values(self, xs: np.ndarray) -> np.ndarray:
-        """(N+1, T) m, what the terms measure along xs (N+1, nx), also where they are off."""
-        places, _ = self._places(xs, moving=False)
+        """(N+1, T) m or m/s, what the terms measure along xs (N+1, nx), also where they are off."""
+        fast = self._fast
+        places, J = self._places(xs, moving=bool(fast.size))
+        velocities = self._velocities(xs, J) if fast.size else places
         values = np.empty((len(xs), len(self.names)))
         for t in range(len(self.names)):
-            values[:, t] = _measured(self.measures, t, places).value
+            values[:, t] = _measured(self.measures, t, velocities if t in fast else places).value
         return values
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
@@ -69,21 +73,24 @@ class PenaltyCost(Term):
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Gradient and Gauss-Newton Hessian; nothing of the control."""
-        (N, nu), nv, m = us.shape, self.mechanism.nv, self.measures
+        (N, nu), m, fast = us.shape, self.measures, self._fast
         model = Quadratic(
             np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))
         )
         places, J = self._places(xs, moving=True)
-        measured = [_measured(m, t, places) for t in range(len(self.names))]
+        velocities = self._velocities(xs, J) if fast.size else places
+        by_state = np.concatenate([self._turning(xs), J], axis=3) if fast.size else J
+        measured = [_measured(m, t, velocities if t in fast else places) for t in range(len(self.names))]
         residuals, slopes = _ramped(m, np.array([one.value for one in measured]).reshape(-1, N + 1))
         for t, one in enumerate(measured):
-            row = np.zeros((N + 1, nv))  # the derivative of the value
+            moves = by_state if t in fast else J
+            row = np.zeros((N + 1, moves.shape[3]))  # the derivative of the value
             for point, factor in zip(one.points, one.factors, strict=True):
-                row += factor[:, None] * np.einsum("na,nai->ni", one.direction, J[:, point])
+                row += factor[:, None] * np.einsum("na,nai->ni", one.direction, moves[:, point])
             row *= slopes[t][:, None]  # of the residual
-            weighted = m.weight[t][:, None] * row
-            model.q[:, :nv] += weighted * residuals[t][:, None]
-            model.Q[:, :nv, :nv] += weighted[:, :, None] * row[:, None]
+            weighted, n = m.weight[t][:, None] * row, moves.shape[3]
+            model.q[:, :n] += weighted * residuals[t][:, None]
+            model.Q[:, :n, :n] += weighted[:, :, None] * row[:, None]
         return model
 
     def spaced(self, ratio: float, parts: int = 1) -> PenaltyCost:
@@ -98,6 +105,27 @@ class PenaltyCost(Term):
         places, J = points_of(self.mechanism, xs[:, : self.mechanism.nq], m.link, m.offset, moving=moving)
         return m.share[:, None] * places + np.swapaxes(m.world, 0, 1), m.share[:, None, None] * J if moving else J
 
+    @property
+    def _fast(self) -> np.ndarray:
+        """The terms that are velocities."""
+        return np.flatnonzero(self.measures.kind == VELOCITY)
+
+    def _velocities(self, xs: np.ndarray, J: np.ndarray) -> np.ndarray:
+        """(N+1, P, 3) m/s of the points, by their Jacobians."""
+        nq = self.mechanism.nq
+        return np.einsum("npai,ni->npa", J, xs[:, nq : nq + self.mechanism.nv])
+
+    def _turning(self, xs: np.ndarray) -> np.ndarray:
+        """Derivatives (N+1, P, 3, nv) of the velocities by the configuration, of points that velocities are of."""
+        m, nq, nv = self.measures, self.mechanism.nq, self.mechanism.nv
+        D = np.zeros((len(xs), len(m.link), 3, nv))
+        for p in np.unique(m.ends[self._fast, :2]):
+            T = np.eye(4)
+            T[:3, 3] = m.offset[p]
+            by_q = jacobian_derivatives(self.mechanism, xs[:, :nq], Frame(int(m.link[p]), T))[:, :3]
+            D[:, p] = m.share[p] * np.einsum("najk,nj->nak", by_q, xs[:, nq : nq + nv])
+        return D
+
 
 class _Measured(NamedTuple):
     """A term's value (N+1,), and its derivative: the direction (N+1, 3) times each point's factor (N+1,)."""
@@ -109,12 +137,13 @@ class _Measured(NamedTuple):
 
 
 def _measured(m: Measures, t: int, places: np.ndarray) -> _Measured:
-    """Term t for points at places (N+1, P, 3)."""
-    if m.kind[t] == HEIGHT:
-        point, n = int(m.ends[t, 0]), m.normal[t]
-        K = len(places)
-        return _Measured(places[:, point] @ n - m.level[t], np.tile(n, (K, 1)), (point,), (np.ones(K),))
+    """Term t for points at places (N+1, P, 3), or of a velocity for points that move so."""
     i, j, k, l = (int(end) for end in m.ends[t])
+    n, ones = m.normal[t], np.ones(len(places))
+    if m.kind[t] == HEIGHT:
+        return _Measured(places[:, i] @ n - m.level[t], np.tile(n, (len(places), 1)), (i,), (ones,))
+    if m.kind[t] == VELOCITY:
+        return _Measured((places[:, i] - places[:, j]) @ n, np.tile(n, (len(places), 1)), (i, j), (ones, -ones))
     d, s, u = nearest(places[:, i], places[:, j], places[:, k], places[:, l])
     length = np.sqrt(np.sum(d * d, axis=-1) + TINY)
     return _Measured(length - m.level[t], d / length[:, None], (i, j, k, l), (1.0 - s, s, u - 1.0, -u))

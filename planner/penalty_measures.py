@@ -11,9 +11,9 @@ import numpy as np
 from planner.arguments import choice, shown
 from planner.contact import Contact
 from planner.errors import PlannerError
-from planner.kernels.penalty_table import DISTANCE
+from planner.kernels.penalty_table import DISTANCE, VELOCITY
 from planner.mechanism import Frame, Mechanism
-from planner.penalty_terms import Distance, Gap, Height, Penalty, Point, Segment
+from planner.penalty_terms import Distance, Gap, Height, Penalty, Point, Segment, Velocity
 
 _SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
 
@@ -27,9 +27,10 @@ class Measures:
         offset: (P, 3) in the link's frame.
         share: (P,).
         world: (P, N+1, 3).
-        kind: (T,) HEIGHT or DISTANCE.
-        ends: (T, 4) points: of a height its own first; of a distance start and end of a, start and end of b.
-        normal: (T, 3) of heights.
+        kind: (T,) HEIGHT, DISTANCE or VELOCITY.
+        ends: (T, 4) points: of a height its own first, of a velocity that relative to which it is then; of a distance
+            start and end of a, start and end of b.
+        normal: (T, 3) of heights and velocities.
         level: (T,) what is taken from n'p or |d|.
         side: (T,) +1 for most, -1 for least, 0 for a target.
         ramp: (T,).
@@ -140,6 +141,9 @@ def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -
         name = f"terms[{t}]"
         if isinstance(term, Height):
             ends[t], normal[t] = points.row(term.point, name), term.normal
+        elif isinstance(term, Velocity):
+            kind[t], normal[t] = VELOCITY, term.direction
+            ends[t] = 2 * [points.row(term.point, name), points.row(term.relative, name)]
         elif isinstance(term, Gap):
             contact = _contact(mechanism, term.contact, name)
             plane, T_centre = contact.plane, np.eye(4)
@@ -151,7 +155,7 @@ def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -
             kind[t], level[t] = DISTANCE, sum(line.radius for line in lines)
             ends[t] = [points.row(end, name) for line in lines for end in (line.start, line.end)]
         else:
-            raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance or Gap.")
+            raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance, Gap or Velocity.")
         side[t], ramp[t] = _SIDES[term.wanted], term.ramp
         bound[t], weight[t] = _wanted(name, term, N, dt)
     offsets, worlds = ([getattr(place, part) for place in points.places] for part in ("offset", "world"))

@@ -1,6 +1,6 @@
-"""What a PenaltyCost weighs: heights of points, distances between them or between capsules, gaps of contacts. Data.
+"""What a PenaltyCost weighs: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
 
-A term measures a value of the configuration and compares it, stage by stage, with what is wanted:
+A term measures a value of the state and compares it, stage by stage, with what is wanted:
 
     least     r = ramp(least - value; a) / tolerance        nothing above, a pull upwards below
     most      r = ramp(value - most; a) / tolerance
@@ -14,7 +14,7 @@ cost twice differentiable but for a jump, so that Gauss and Newton see a wall be
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -71,8 +71,7 @@ class Segment:
 
     def __post_init__(self) -> None:
         for name in ("start", "end"):
-            if not isinstance(getattr(self, name), Point):
-                raise PlannerError(f"{name} is {shown(getattr(self, name))}, expected a Point.")
+            _point(name, getattr(self, name))
         _set(self, radius=number("radius", self.radius, least=0.0))
 
     def __str__(self) -> str:
@@ -87,8 +86,8 @@ class Penalty:
         least: A number, or (N+1,) with NaN at stages where the term is off.
         most: The same.
         target: The same.
-        tolerance: Error that counts as one, m.
-        ramp: a, m; the tolerance by default.
+        tolerance: Error that counts as one, m; of a velocity m/s.
+        ramp: a, as the tolerance, which it is by default.
         weight: 1/s, a number or (N+1,), of r^2 / 2.
         final_weight: Of r^2 / 2 at the end; by default dt times the last of `weight`.
     """
@@ -137,18 +136,33 @@ class Height(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.point, Point):
-            raise PlannerError(f"point is {shown(self.point)}, expected a Point.")
-        normal = array("normal", self.normal, (3,))
-        length = float(np.linalg.norm(normal))
-        if not length > 0.0:
-            raise PlannerError("normal is (0, 0, 0), expected a direction.")
-        normal /= length
-        normal.flags.writeable = False
-        _set(self, normal=normal)
+        _set(self, point=_point("point", self.point), normal=_direction("normal", self.normal))
 
     def __str__(self) -> str:
         return f"height of {self.point}"
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity(Penalty):
+    """How fast a point moves along a direction of the world, as the frames of both points move.
+
+    Attributes:
+        point: Which; what it has of `world` counts as at rest.
+        direction: (3,) of any length above 0.
+        relative: A Point relative to which it moves, of a belt for example; by default the world's.
+    """
+
+    point: Point
+    direction: Any
+    relative: Point = field(default_factory=Point)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _set(self, point=_point("point", self.point), relative=_point("relative", self.relative))
+        _set(self, direction=_direction("direction", self.direction))
+
+    def __str__(self) -> str:
+        return f"velocity of {self.point}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +202,23 @@ class Gap(Penalty):
 
     def __str__(self) -> str:
         return f"gap of {self.contact}"
+
+
+def _point(name: str, value: Any) -> Point:
+    if not isinstance(value, Point):
+        raise PlannerError(f"{name} is {shown(value)}, expected a Point.")
+    return value
+
+
+def _direction(name: str, value: Any) -> np.ndarray:
+    """(3,) of length one, read-only."""
+    direction = array(name, value, (3,))
+    length = float(np.linalg.norm(direction))
+    if not length > 0.0:
+        raise PlannerError(f"{name} is (0, 0, 0), expected a direction.")
+    direction /= length
+    direction.flags.writeable = False
+    return direction
 
 
 def _per_stage(name: str, value: Any) -> np.ndarray:

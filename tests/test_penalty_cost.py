@@ -21,6 +21,7 @@ from planner import (
     RigidBodyDynamics,
     Segment,
     TrackingCost,
+    Velocity,
 )
 from planner.contact_forces import contact_forces
 from planner.penalty_cost import nearest
@@ -135,6 +136,29 @@ def test_values_are_what_mujoco_places(machine):
                           "distance of fixed and a point - a point")  # fmt: skip
 
 
+def test_velocities_are_differences_of_places(machine):
+    """Along the motion of one state, by central differences; and of a body that carries the other point."""
+    rng, h = np.random.default_rng(1), 1e-6
+    xs, space, nq, nv = random_states(machine, rng, 5), machine.space, machine.nq, machine.nv
+    rates = np.hstack([xs[:, nq : nq + nv], np.zeros((5, nv))])
+
+    def places(names, to):
+        moved = space.integrate(xs, to * rates)[:, :nq]
+        return [planner.frame_pose(machine, moved, name)[:, :3, 3] for name in names]
+
+    after, before = places(("hand", "arm"), h), places(("hand", "arm"), -h)
+    hand, arm = ((a - b) / (2.0 * h) for a, b in zip(after, before, strict=True))
+    d = np.array([0.6, 0.0, 0.8])
+    cost = PenaltyCost(
+        machine, 4,
+        [Velocity(Point("hand"), d, target=0.0, tolerance=1.0),
+         Velocity(Point("hand"), 2.0 * d, Point("arm"), target=0.0, tolerance=1.0)],
+        dt=0.1,
+    )  # fmt: skip
+    np.testing.assert_allclose(cost.values(xs), np.stack([hand @ d, (hand - arm) @ d], axis=1), rtol=0, atol=1e-7)
+    assert cost.names == ("velocity of hand", "velocity of hand")
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
 def test_gaps_are_the_depths_of_contacts(tilt):
     m = Mechanism.from_mjcf(leg(impratio=1000.0, ramp=5e-3, tilt=tilt))
@@ -182,6 +206,8 @@ TERMS = {
     "lines, the other way round": Distance(FLOOR, FOREARM, least=2.0, tolerance=0.3, ramp=0.5),
     "moving lines": Distance(Segment(Point("trunk"), Point("palm", share=0.5)), FOREARM, target=0.0, tolerance=0.3),
     "ends of lines": Distance(FOREARM, Segment(Point("fixed"), Point(world=(2.0, 2.0, 4.0))), most=0.1, tolerance=0.3),
+    "velocity": Velocity(POINT, (1.0, -2.0, 0.5), target=0.3, tolerance=0.5),
+    "velocity, least": Velocity(POINT, (0.0, 1.0, 0.3), Point("arm"), least=[3.0, 1.0, 2.0, 4.0], tolerance=0.5),
     "fixed": Distance(Point("fixed"), FLOOR, most=0.1, tolerance=0.3),
 }
 
@@ -305,8 +331,10 @@ UP = {"least": 0.1, "tolerance": 0.01}
         (lambda m: [Distance(Point(), "hand", **UP)], "b is 'hand', expected a Point or a Segment."),
         (lambda m: [Distance(Segment(Point(), Point(), -1.0), Point(), **UP)], "radius is -1.0, expected a finite"),
         (lambda m: [Distance(Segment(Point(), "hand"), Point(), **UP)], "end is 'hand', expected a Point."),
+        (lambda m: [Velocity(Point(), (0, 0, 0), **UP)], "direction is (0, 0, 0), expected a direction."),
+        (lambda m: [Velocity(Point(), (0, 0, 1), "hand", **UP)], "relative is 'hand', expected a Point."),
         (lambda m: [Gap("toe", **UP)], "terms[0]'s contact is 'toe', but the mechanism has no contacts."),
-        (lambda m: [3], "terms[0] is 3, expected a Height, Distance or Gap."),
+        (lambda m: [3], "terms[0] is 3, expected a Height, Distance, Gap or Velocity."),
         (lambda m: Height(Point(), **UP), "terms is Height("),
     ],
 )  # fmt: skip

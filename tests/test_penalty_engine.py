@@ -23,6 +23,7 @@ from planner import (
     Segment,
     Status,
     TrackingCost,
+    Velocity,
 )
 from planner.dynamics.protocol import INTEGRATORS
 from planner.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
@@ -55,8 +56,12 @@ def some_terms(rng, m, N, count=6):
             "ramp": 0.1 + rng.random(), "weight": rng.random(N + 1) if rng.random() < 0.5 else 1.0,
             "final_weight": rng.random() if rng.random() < 0.5 else None,
         }  # fmt: skip
-        if rng.random() < 0.4:
+        kind = rng.random()
+        if kind < 0.3:
             terms.append(Height(some_point(rng, m, N), normal=rng.normal(size=3), **options))
+        elif kind < 0.6:
+            points = [some_point(rng, m, N) for _ in range(2)]
+            terms.append(Velocity(points[0], rng.normal(size=3), relative=points[1], **options))
         else:
             terms.append(Distance(some_part(rng, m, N), some_part(rng, m, N), **options))
     return terms
@@ -107,7 +112,7 @@ def test_the_kernels_model_is_the_costs(text, seed):
     ours, _ = engines(task)
     ours.start(task.x0, task.first_guess)
     ours.sweep(0.0, True)
-    w, nv = ours._w, task.dynamics.mechanism.nv
+    w = ours._w
     xs, us = ours.trajectory()
     _, penalties = compiled_costs(task)
     tracking = compiled_costs(task)[0].quadratize(xs, us)
@@ -115,8 +120,9 @@ def test_the_kernels_model_is_the_costs(text, seed):
     q, Q = (sum(getattr(model, name) for model in models) for name in "qQ")
     theirs = w.l[:, w.first : w.first + task.dynamics.ndx]
     assert np.abs(theirs - q - tracking.q).max() < 1e-12 * max(1.0, np.abs(theirs).max())
-    mine = w._arrays["penalty_hessian"][:, :, :nv]
-    assert np.abs(np.triu(mine - Q[:, :nv, :nv])).max() < 1e-12 * max(1.0, np.abs(Q).max())
+    rows = w.penalties.rows
+    mine = w._arrays["penalty_hessian"][:, :, :rows]
+    assert np.abs(np.triu(mine - Q[:, :rows, :rows])).max() < 1e-12 * max(1.0, np.abs(Q).max())
 
 
 @machines(8, max_dofs=10, max_bodies=4, integrator=st.sampled_from(INTEGRATORS))

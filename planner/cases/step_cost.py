@@ -8,12 +8,13 @@ e are the distances of pelvis, joints and controls from the normal gait (control
     apart        shanks and feet of the two legs nearer than they may be
     reach        of a swing: the hip farther from the standing ankle than a leg is long
     stance       of a cycle: the standing foot above the belt, first the heel, then heel and toe, then the toe
+    slip         of a cycle: the standing foot sliding along the belt, in the default cost
 
-Without the last one the cheapest way to copy the angles of a gait is to carry the patient through the air.
+Without stance the cheapest way to copy the angles of a gait is to carry the patient through the air.
 
 "study" are the numbers with which the case was first solved; the default wants more clearance and over the whole
-swing, which is what the training is for; its lengths go with the body and its rates with the time of a cycle, see
-SLOWER. The period is .4 s, of a slower cycle than the usual as much more as it takes.
+swing, which is what the training is for, and a foot that does not slip; its lengths go with the body and its rates with
+the time of a cycle, see SLOWER. The period is .4 s, of a slower cycle than the usual as much more as it takes.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from planner.cases.step import SWING, Step
 from planner.cost import SumCost, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.penalty_cost import PenaltyCost
-from planner.penalty_terms import Distance, Height, Point, Segment
+from planner.penalty_terms import Distance, Height, Point, Segment, Velocity
 
 PERIOD = 0.4  # s, over which a tolerance on the way is an average: about a swing
 USUAL = 1.2  # s, the cycle that the tolerances are for
 SLOWER = {"period": 1.0, "clearance": 1.0, "place": -1.5, "turn": -1.5, "acceleration": -2.0, "turning": -2.0,
-          "final_speed": -1.0, "final_turn_rate": -1.0, "final_joint_rate": -1.0}  # fmt: skip
-FASTER = {"clearance": -3.0, "acceleration": -1.0, "turning": -1.0}
+          "slip": -1.0, "final_speed": -1.0, "final_turn_rate": -1.0, "final_joint_rate": -1.0}  # fmt: skip
+FASTER = {"clearance": -3.0, "acceleration": -1.0, "turning": -1.0, "slip": -1.0}
 """How numbers of the default cost go with the time of a cycle, as its powers, if slower or faster than usual.
 
 Rates and accelerations go as those of the motion do. A slow passive leg copies less of the normal gait, and a pelvis
@@ -68,6 +69,7 @@ class Wishes:
         straight: Of a leg's length, how far the standing ankle may be from the hip.
         stance_depth: How deep in the belt a standing foot is wanted, m.
         stance_tolerance: m.
+        slip: Of a standing foot along the belt, m/s; 0 for no such wish.
         deepest: In the belt, of any foot, m: a blow on a leg that is nearly straight makes its knee buckle one way in
             the plan and the other way in MuJoCo; 0 for no such wish.
         ramp: m, over which clearance, distances and stance begin to count.
@@ -96,6 +98,7 @@ class Wishes:
     straight: float = 0.999
     stance_depth: float = 0.003
     stance_tolerance: float = 0.005
+    slip: float = 0.0
     deepest: float = 0.0
     ramp: float = 0.003
     reach_ramp: float = 0.002
@@ -117,10 +120,13 @@ STUDY_CYCLE = Wishes(
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
     clear=(0.20, 0.15, 0.66, 0.95),
 )  # fmt: skip
-CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing:
+CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing,
+CLEARANCE_TOLERANCE = 0.002  # m, and so much that feet which stick to the belt until they leave it are clear, too:
 CLEAR = (0.20, 0.20, *SWING)
 DEEPEST = 0.010  # m, wanted by the default cost: 50 N on one point of a foot
+SLIP = 0.1  # m/s, in either direction, wanted by the default cost: of a light stance, what viscous friction leaves
 STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
+STICKS = {"heel": (0.0, 0.36), "toe": (0.04, 0.60)}  # and when they are wanted to move with it, from before they touch
 
 
 def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) -> Wishes:
@@ -128,7 +134,9 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
     found = STUDY_CYCLE if step.walker.belt else STUDY_SWING
     if cost != "study":
         scale = step.walker.scale
-        found = replace(found, clearance=CLEARANCE, deepest=DEEPEST)
+        found = replace(found, clearance=CLEARANCE, deepest=DEEPEST, slip=SLIP)
+        if step.walker.belt:  # a swing of its own has left it
+            found = replace(found, clearance_tolerance=CLEARANCE_TOLERANCE)
         lengths = ("clearance", "place", "final_place", "shanks_apart", "feet_apart")
         found = replace(found, clear=CLEAR, **{name: scale * getattr(found, name) for name in lengths})
         time = step.duration / USUAL
@@ -153,7 +161,9 @@ def step_cost(
         control: (6,) or (N, 6) what they are tolerances from.
         goal: (nx,) what the end is drawn to; the normal gait's by default.
     """
-    terms = _clearance(step, wish) + (_standing(step, wish) if step.walker.belt else _reach(step, wish))
+    terms = _clearance(step, wish) + (
+        _standing(step, wish) + _sticking(step, wish) if step.walker.belt else _reach(step, wish)
+    )
     return _tracking(dynamics, step, wish, effort, control, goal) + PenaltyCost(
         dynamics, step.N, terms + _apart(step, wish)
     )  # fmt: skip
@@ -217,6 +227,21 @@ def _standing(step: Step, wish: Wishes) -> list[Any]:
                    weight=1.0 / PERIOD)
             for end in STANCE if wish.deepest
         ]  # fmt: skip
+    return terms
+
+
+def _sticking(step: Step, wish: Wishes) -> list[Any]:
+    """Heel and toe of a standing foot carried along by the belt."""
+    terms = []
+    for side in step.walker.legs if wish.slip else ():
+        t = step.leg_time(side)
+        for end, (begin, until) in STICKS.items():
+            still = np.where((t > begin) & (t < until), 0.0, np.nan)
+            terms += [
+                Velocity(Point(f"{side}_{end}_point"), direction, Point("belt"), target=still, tolerance=wish.slip,
+                         weight=1.0 / wish.period)
+                for direction in np.eye(3)[:2]
+            ]  # fmt: skip
     return terms
 
 

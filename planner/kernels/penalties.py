@@ -6,7 +6,9 @@ each of its points (1 - s, s, u - 1 and -u for the ends of two lines; 1 for a he
     sum over points of factor share d'(v_i + w_i x p) = sum of w_i'(p x g) + v_i'g,    g = factor share d,
 
 a wrench on the point's link, for the links that move it: (w_i, v_i) is the screw of i, p the point, both about the
-tree's origin.
+tree's origin. The velocity V of a point, along d, has by q_i and v_i the derivatives
+
+    d'(Y_i(p) + w_i x V),   d'(v_i + w_i x p),   Y_i = V_base x S_i    (see kernels.contact, where p is the link's)
 """
 
 from __future__ import annotations
@@ -29,11 +31,11 @@ from planner.kernels.lanes import (
     spread,
     store,
 )
-from planner.kernels.model import FIRST, HOME, KIND, PARENT, Q_ADDRESS
-from planner.kernels.penalty_table import DISTANCE, HEIGHT, PARALLEL, TINY
+from planner.kernels.model import BASE, FIRST, HOME, KIND, NQ, NV, PARENT, Q_ADDRESS
+from planner.kernels.penalty_table import DISTANCE, HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.kernels.ramp import clamp, ramp
 from planner.kernels.spatial import add, axpy, cross, dot, load3, rotated, scaled, store3, sub
-from planner.kernels.tree import PLACE, RECORD, SCREW_AXIS, place
+from planner.kernels.tree import PLACE, RECORD, SCREW_AXIS, TWIST, place
 from planner.kernels.tree_linearize import scatter_row
 from planner.kernels.tree_memory import LINKS, X_LANES
 from planner.kernels.tree_step import gather
@@ -48,17 +50,25 @@ def _stage(values, k, knots):
 
 
 @inline
-def _place_points(m, p, q, ws, n, knots):
-    """Places of all points at stage n (or four from there on), in PLACES."""
+def _place_points(m, p, x, ws, n, knots):
+    """Places of all points at stage n (or four from there on), in PLACES; where terms ask for them also velocities."""
+    q, v, fast = x, at(x, m[NQ]), p[T.FAST]
     parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
     home, first, moved = floats(m, HOME), integers(m, FIRST), integers(p, T.LINKS)
     for k in range(p[T.MOVED]):
-        place(parent, kind, first, q_address, home, load(moved, k), q, ws)
+        i = load(moved, k)
+        _, _, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
+        if fast > 0:
+            w, u, b = scaled(load(v, i), sw), scaled(load(v, i), sv), load(parent, i) * RECORD + TWIST
+            if load(parent, i) >= 0:
+                w, u = add(w, load3(ws, b)), add(u, load3(ws, b + 3))
+            store3(ws, i * RECORD + TWIST, w)
+            store3(ws, i * RECORD + TWIST + 3, u)
     link, address, value = integers(p, T.POINT_LINK), integers(p, T.POINT_ADDRESS), floats(p, T.POINT_VALUE)
     world, places, stride = floats(p, T.WORLD), lanes(p, T.PLACES), p[T.STRIDE]
     for i in range(p[T.POINTS]):
         o, k = 3 * i * stride + n, load(link, i)
-        x = (_stage(world, o, knots), _stage(world, o + stride, knots), _stage(world, o + 2 * stride, knots))
+        seen = (_stage(world, o, knots), _stage(world, o + stride, knots), _stage(world, o + 2 * stride, knots))
         if k >= 0:
             b, own, share = k * RECORD, T.POINT_SIZE * i, load(value, T.POINT_SIZE * i + 3)
             R = (
@@ -67,11 +77,14 @@ def _place_points(m, p, q, ws, n, knots):
             )  # fmt: skip
             c = add(load3(ws, b + PLACE), rotated(R, load3(value, own)))
             store3(places, T.PLACE_SIZE * i, c)
-            x = axpy(x, share, c)
+            seen = axpy(seen, share, c)
             a = load(address, i)
             if a >= 0:  # a floating tree is described about where it is
-                x = axpy(x, share, load3(q, a))
-        store3(places, T.PLACE_SIZE * i + 3, x)
+                seen = axpy(seen, share, load3(q, a))
+            if fast > 0:
+                V = add(load3(ws, b + TWIST + 3), cross(load3(ws, b + TWIST), c))
+                store3(places, T.PLACE_SIZE * i + 6, V)
+        store3(places, T.PLACE_SIZE * i + 3, seen)
 
 
 @inline
@@ -87,14 +100,26 @@ def _nearest(a0, a1, b0, b1):
 
 
 @inline
+def _speed(p, i, d):
+    """Of point i along d; the world's is zero."""
+    speed = spread(0.0)
+    if load(integers(p, T.POINT_LINK), i) >= 0:
+        share = load(floats(p, T.POINT_VALUE), T.POINT_SIZE * i + 3)
+        speed = share * dot(load3(lanes(p, T.PLACES), T.PLACE_SIZE * i + 6), d)
+    return speed
+
+
+@inline
 def _measured(p, t):
     """Term t's value and direction, and where along their lines its points are."""
     ends, places, term = integers(p, T.ENDS), lanes(p, T.PLACES), at(floats(p, T.TERM), T.TERM_SIZE * t)
-    zero = spread(0.0)
+    zero, kind = spread(0.0), load(integers(p, T.KIND), t)
     i = T.PLACE_SIZE * load(ends, 4 * t) + 3
     d = add((zero, zero, zero), load3(term, 0))
     value, s, u = dot(load3(places, i), d), zero, zero
-    if load(integers(p, T.KIND), t) == DISTANCE:
+    if kind == VELOCITY:
+        value = _speed(p, load(ends, 4 * t), d) - _speed(p, load(ends, 4 * t + 1), d)
+    elif kind == DISTANCE:
         j, k = T.PLACE_SIZE * load(ends, 4 * t + 1) + 3, T.PLACE_SIZE * load(ends, 4 * t + 2) + 3
         l = T.PLACE_SIZE * load(ends, 4 * t + 3) + 3
         d, s, u = _nearest(load3(places, i), load3(places, j), load3(places, k), load3(places, l))
@@ -115,11 +140,11 @@ def _ramped(p, t, value, bound):
 
 
 @part
-def penalty_cost(m, p, q, ws, n):
-    """What the terms cost four candidates q (nq lanes) at stage n; ws (links) is overwritten."""
+def penalty_cost(m, p, x, ws, n):
+    """What the terms cost four candidates x (nx lanes) at stage n; ws (links) is overwritten."""
     J = spread(0.0)
     if load(floats(p, T.ACTIVE), n) > 0.0:
-        _place_points(m, p, q, ws, n, False)
+        _place_points(m, p, x, ws, n, False)
         weights, bounds, stride = floats(p, T.WEIGHT), floats(p, T.BOUND), p[T.STRIDE]
         for t in range(p[T.TERMS]):
             weight = load(weights, t * stride + n)
@@ -146,6 +171,31 @@ def _row(m, p, ws, t, d, s, u):
             while j >= 0:
                 b = j * RECORD + SCREW_AXIS
                 store(row, j, load(row, j) + dot(load3(ws, b), moment) + dot(load3(ws, b + 3), g))
+                j = load(parent, j)
+
+
+@inline
+def _velocity_row(m, p, ws, t, d):
+    """The same of a velocity, by positions and by velocities."""
+    parent, base, nv = integers(m, PARENT), integers(m, BASE), m[NV]
+    link, ends, row = integers(p, T.POINT_LINK), integers(p, T.ENDS), lanes(p, T.ROW)
+    for k in range(2):
+        i = load(ends, 4 * t + k)
+        o, share = T.PLACE_SIZE * i, load(floats(p, T.POINT_VALUE), T.POINT_SIZE * i + 3)
+        g = scaled(share if k == 0 else -share, d)
+        j = load(link, i)
+        if j >= 0:
+            moment, turned = cross(load3(lanes(p, T.PLACES), o), g), cross(load3(lanes(p, T.PLACES), o + 6), g)
+            while j >= 0:
+                b = j * RECORD + SCREW_AXIS
+                sw, sv = load3(ws, b), load3(ws, b + 3)
+                by_q = dot(sw, turned)
+                if load(base, j) >= 0:
+                    o = load(base, j) * RECORD + TWIST
+                    bw, bv = load3(ws, o), load3(ws, o + 3)
+                    by_q += dot(cross(bw, sw), moment) + dot(add(cross(bw, sv), cross(bv, sw)), g)
+                store(row, j, load(row, j) + by_q)
+                store(row, nv + j, load(row, nv + j) + dot(sw, moment) + dot(sv, g))
                 j = load(parent, j)
 
 
@@ -186,6 +236,7 @@ def penalise(w, m, r, p):
     w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
     stages, nx, x, ws = w[W.N] + 1, w[W.NX], lanes(r, X_LANES), lanes(r, LINKS)
     weights, bounds, stride, active = floats(p, T.WEIGHT), floats(p, T.BOUND), p[T.STRIDE], floats(p, T.ACTIVE)
+    kinds = integers(p, T.KIND)
     for first in range(0, stages, WIDTH):
         if not any_less(0.0, load4(active, first)):
             continue  # their Hessians are zero for good
@@ -201,6 +252,9 @@ def penalise(w, m, r, p):
                 value, d, s, u = _measured(p, t)
                 residual, slope = _ramped(p, t, value, load4(bounds, t * stride + first))
                 if any_less(0.0, slope * slope):
-                    _row(m, p, ws, t, d, s, u)
+                    if load(kinds, t) == VELOCITY:
+                        _velocity_row(m, p, ws, t, d)
+                    else:
+                        _row(m, p, ws, t, d, s, u)
                     _add_term(p, t, weight * slope * residual, weight * slope * slope)
         _scatter(w, p, first, min(WIDTH, stages - first))
