@@ -18,7 +18,8 @@ from planner.closing import Periodic
 from planner.contact_forces import contact_forces, generalized_forces
 from planner.dynamics import RigidBodyDynamics
 from planner.figures import Figure, Section
-from planner.rigid_body import frame_pose, rnea
+from planner.mechanism import Frame
+from planner.rigid_body import frame_pose, jacobian, rnea
 
 if TYPE_CHECKING:
     from planner.replay import Replay
@@ -48,6 +49,8 @@ class Measures:
         in_swing: Side -> the same of swing.
         stance_force: Side -> N, mean over stance.
         largest_force: N, upwards, of one foot.
+        slip: m/s along the belt of what bears, the mean weighted by the force; 0 without a belt.
+        depth: m, the deepest that heel or toe is in the belt.
         straightest_knee: deg; beyond 0 the knee is bent backwards.
         pelvis: (6, 2) least and largest deviation from the normal gait, m and rad.
     """
@@ -59,6 +62,8 @@ class Measures:
     in_swing: dict[str, float]
     stance_force: dict[str, float]
     largest_force: float
+    slip: float
+    depth: float
     straightest_knee: float
     pelvis: np.ndarray
 
@@ -82,6 +87,8 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
         in_swing={side: _mean(upward[side][swinging[side]] > TOUCHES) for side in sides},
         stance_force={side: _mean(upward[side][standing[side]]) for side in sides},
         largest_force=float(max(force.max() for force in upward.values())),
+        slip=slip(step, q, qd),
+        depth=float(contact_forces(m, q, qd).depths.max(initial=0.0)),
         straightest_knee=float(np.degrees(max(knees))),
         pelvis=np.stack([pelvis.min(axis=0), pelvis.max(axis=0)], axis=1),
     )  # fmt: skip
@@ -109,6 +116,22 @@ def vertical_force(step: Step, q: np.ndarray, qd: np.ndarray, side: str) -> np.n
     m = step.walker.mechanism
     found = contact_forces(m, q, qd).forces[:, :, 2]
     return found[:, [side in contact.name for contact in m.contacts]].sum(axis=1)
+
+
+def slip(step: Step, q: np.ndarray, qd: np.ndarray) -> float:
+    """m/s along the belt of heels and toes at K states, the mean weighted by what each bears."""
+    m = step.walker.mechanism
+    bears = contact_forces(m, q, qd).forces[:, :, 2]
+    if not bears.any():
+        return 0.0
+    speeds = np.zeros(bears.shape)
+    for k, contact in enumerate(m.contacts):
+        T = np.eye(4)
+        T[:3, 3] = contact.centre
+        v = np.einsum("kaj,kj->ka", jacobian(m, q, Frame(contact.link, T))[:, :2], qd)
+        v[:, 0] -= qd[:, m.joint("belt").start]
+        speeds[:, k] = np.linalg.norm(v, axis=1)
+    return float(np.sum(bears * speeds) / np.sum(bears))
 
 
 def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -160,9 +183,14 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
             Figure(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
             Figure(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip over normal gait"),
             Figure(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
-            *(Figure(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
-              for side, share in found.in_stance.items() if step.walker.belt),
         ]  # fmt: skip
+        if step.walker.belt:
+            figures += [
+                Figure(f"{who}_slip", found.slip, "m/s", None, "of what bears, along the belt, weighted by the force"),
+                Figure(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
+                *(Figure(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
+                  for side, share in found.in_stance.items()),
+            ]  # fmt: skip
         if closes:
             figures += _gaps(step, xs, who)
     return Section("goal", tuple(figures))
