@@ -14,7 +14,7 @@ import numpy as np
 import planner
 from planner.cases import human_step
 from planner.cases.step_measures import Measures, measures
-from planner.cases.walker import LEG, PELVIS, Walker
+from planner.cases.walker import LEG, PELVIS, TOUCH, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.gl import load_mujoco
 from planner.mechanism import Mechanism
@@ -241,9 +241,9 @@ class Bench:
         plan = self.cycle_plan
         run = planner.replay(plan, substeps=SUBSTEPS)
         errors = []
-        for ramp, force in ((5e-3, 5.0), (5e-4, 0.5)):
+        for ramp, force, bend in ((5e-3, 5.0, TOUCH.bend), (5e-4, 0.5, 0.1 * TOUCH.bend)):
             text = edited(plan.problem.dynamics.mechanism.mjcf,
-                          {"custom/numeric[@name='contact_ramp']": {"data": f"{ramp} {force}"}})  # fmt: skip
+                          {"custom/numeric[@name='contact_ramp']": {"data": f"{ramp} {force} {bend}"}})  # fmt: skip
             dynamics = RigidBodyDynamics(
                 Mechanism.from_mjcf(text), plan.problem.dynamics.dt / SUBSTEPS, prescribed=PELVIS
             )

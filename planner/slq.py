@@ -47,7 +47,7 @@ DECREASE = 1e-10  # of solve, where neither it nor the problem has a decrease_to
 # Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
 # fails, lowered tenfold after a full step, zero below its least value.
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
-_SLOW = 3  # iterations in a row of the plain model that gain less than gain_tolerance
+_SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 # With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
 _MU_AGAIN = 1e8
 
@@ -81,7 +81,7 @@ def solve(
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
             own, where it has none 1e-10.
-        gain_tolerance: Stop when three iterations in a row have each gained less than this times max(1, J): at the
+        gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J): at the
             kinks of contact the model goes on to promise what no step along it brings. By default the problem's own,
             where it has none 0, which is never.
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.

@@ -347,3 +347,16 @@ def test_built_twice_it_is_the_same(tmp_path, swing):
 def test_bad_input_is_refused(given, said):
     with pytest.raises(planner.PlannerError, match=said):
         human_step(**given)
+
+
+def test_the_default_costs_feet_stick(default, cycle):
+    """The wish halves how fast bearing feet slide; what is left is the creep of viscous friction (0.11 m/s here)."""
+    slips = {}
+    for name, plan in (("default", default), ("study", cycle)):
+        found = measures(CYCLE, plan.xs)
+        slips[name] = found.slip
+        m = CYCLE.walker.mechanism
+        by_hand = planner.contact_forces(m, plan.xs[:, : m.nq], plan.xs[:, m.nq :])
+        assert found.depth == pytest.approx(float(by_hand.depths.max()), rel=1e-12)
+    assert slips["default"] < 0.15
+    assert slips["study"] > 0.2
