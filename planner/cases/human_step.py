@@ -51,7 +51,8 @@ LONGEST_STAGE = 0.02  # s, over which contact is still resolved
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
 MOST_CYCLES, MOST_STAGES = 20, 100_000
 FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
-LEAST_EFFORT = 1e-3  # times the usual
+LEAST_EFFORT = 1e-3  # times the usual; of jerk, too
+CHANGE = 0.05  # s, in which the tolerances of jerk let accelerations change by theirs
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
@@ -65,7 +66,7 @@ def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
     leg_mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None,
     passive: Passive = "table", cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0,
-    clearance: float | None = None, apart: float | None = None, reference: str | None = None, integrator: str = "rk4",
+    jerk: float = 0.0, clearance: float | None = None, apart: float | None = None, reference: str | None = None, integrator: str = "rk4",
     horizon: int | None = None, ends: States | None = None, angles: Angles | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
@@ -86,6 +87,8 @@ def human_step(
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
         effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
+        jerk: Weight of the rates at which the pelvis' accelerations change, 0 for none: with it they are states, the
+            controls their rates, and the robot is a smoother one; 1 is about what the other wishes bear.
         clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
@@ -102,8 +105,10 @@ def human_step(
     step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
         "brace": brace, "passive": passive,
-        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
+        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force", "jerked": _weight("jerk", jerk) > 0.0,
     })  # fmt: skip
+    if step.walker.motors and step.walker.jerked:
+        raise PlannerError(f"jerk is {jerk:g} for pelvis='force', expected 0: it is that of pelvis='motion'.")
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
         clearance = number("clearance", clearance, least=0.0, most=HIGHEST)
@@ -112,28 +117,33 @@ def human_step(
     wish = wishes(step, cost, clearance, apart)
     promised = cost == "default" and wish.clearance >= PROMISED
     mechanism = step.walker.mechanism
-    prescribed = () if step.walker.motors else PELVIS
+    prescribed = () if step.walker.motors or step.walker.jerked else PELVIS
     dynamics = RigidBodyDynamics(
         mechanism, step.dt, choice("integrator", integrator, INTEGRATORS), prescribed=prescribed
     )  # fmt: skip
     start, goal = _ends(step, phase, ends)
     effort = number("effort", effort, least=LEAST_EFFORT, most=1.0 / LEAST_EFFORT)
-    us, control = step.motion.qdd[: step.N, : len(PELVIS)], np.zeros(len(PELVIS))
+    us, control = step.accelerations[: step.N], np.zeros(len(PELVIS))
     tolerances = np.repeat([wish.acceleration, wish.turning], 3)
     if step.walker.motors:
         us, control = forces(step, us), np.array([0.0, 0.0, weight(step.walker), 0.0, 0.0, 0.0])
         share = step.walker.mass / FILE_MASS
         tolerances = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
+    tolerances, acceleration = tolerances / np.sqrt(effort), np.inf
+    if step.walker.jerked:
+        us = np.diff(step.accelerations, axis=0) / step.dt
+        rates = np.repeat([wish.acceleration, wish.turning], 3) / CHANGE
+        tolerances, acceleration = rates / np.sqrt(jerk), tolerances
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
         "brace": brace, "passive": passive, "cost": cost, "pelvis": pelvis, "effort": effort,
-        "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
+        "jerk": float(jerk), "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
         "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
     return Problem(
-        dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us,
+        dynamics, step_cost(dynamics, step, wish, tolerances, control, goal, acceleration), x0=start, us=us,
         case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
         gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
@@ -144,6 +154,14 @@ def human_step(
             perturbation=PATIENT,
         ),
     )  # fmt: skip
+
+
+def _weight(name: str, value: float) -> float:
+    """One that may be left out: 0, or from LEAST_EFFORT on."""
+    value = number(name, value, least=0.0, most=1.0 / LEAST_EFFORT)
+    if 0.0 < value < LEAST_EFFORT:
+        raise PlannerError(f"{name} is {value:g}, expected 0 or at least {LEAST_EFFORT:g}.")
+    return value
 
 
 def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> Step:
@@ -205,8 +223,11 @@ def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
 
     axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
     low = (0.0, 0.0, 0.74 * step.walker.scale)  # so that no label hides the feet
-    unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
-    moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
+    unit, moment = "acceleration, m/s^2", "acceleration, rad/s^2"
+    if step.walker.motors:
+        unit, moment = "force, N", "moment, N m"
+    elif step.walker.jerked:
+        unit, moment = "jerk, m/s^3", "jerk, rad/s^3"
     return Stage(
         title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
         readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),

@@ -31,6 +31,7 @@ TOUCHES = 0.5  # N
 STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be on the belt
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start of a gait to its end
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
+CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
 PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
 FOLLOWS = 2.5  # deg, RMS over joints and time: by as much a planned cycle differs from the next (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
@@ -71,7 +72,7 @@ class Measures:
 def measures(step: Step, xs: np.ndarray) -> Measures:
     """Of states (N+1, nx) at the knots."""
     m = step.walker.mechanism
-    q, qd, sides = xs[:, : m.nq], xs[:, m.nq :], step.walker.legs
+    q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
     away = q - step.states[:, : m.nq]
     joints = {f"{side}_{joint}": m.joint(f"{side}_{joint}").start for side in sides for joint in LEG}
     swinging, standing = ({side: when(step, side) for side in sides} for when in (_swings, _stands))
@@ -137,8 +138,10 @@ def slip(step: Step, q: np.ndarray, qd: np.ndarray) -> float:
 def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """(N, 6) N and N m that the pelvis is driven with along xs (N+1, nx), us (N, nu), trunk and pelvis being rigid."""
     m, N = dynamics.mechanism, len(us)
-    q, qd = xs[:N, : m.nq], xs[:N, m.nq :]
-    tau = rnea(m, q, qd, dynamics.rates(xs[:N], us)[:, m.nv :]) - generalized_forces(m, q, qd)
+    q, qd = xs[:N, : m.nq], xs[:N, m.nq : m.nq + m.nv]
+    qdd = dynamics.rates(xs[:N], us)[:, m.nv : 2 * m.nv]
+    # a pelvis that is driven by jerk is heavy for its motors' sake
+    tau = rnea(m, q, qd, qdd) - m.armature * qdd - generalized_forces(m, q, qd)
     first = m.joint(PELVIS[0]).start
     return tau[:, first : first + len(PELVIS)]
 
@@ -169,7 +172,8 @@ def closing(step: Step) -> Periodic:
         [np.inf if name == "belt" else place if name in PELVIS[:3] else turn for name in names]
         for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
     ]
-    return Periodic(np.concatenate(sides), passes=PASSES, settled=SETTLED)
+    accelerations = [CLOSED_ACCELERATION] * 3 + [CLOSED_TURNING] * 3 if step.walker.jerked else []
+    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, settled=SETTLED)
 
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
