@@ -33,6 +33,7 @@ CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start o
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
 PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
+_PLACE_AND_TURN = (slice(0, 3), slice(3, 6))  # of PELVIS
 FOLLOWS = 2.5  # deg, RMS over joints and time: by as much a planned cycle differs from the next (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
 """What step 5 varies beside the usual: a person's mass, and the stiffness of joints that nobody has measured."""
@@ -146,6 +147,37 @@ def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) ->
     return tau[:, first : first + len(PELVIS)]
 
 
+@dataclass(frozen=True)
+class Robot:
+    """How hard a robot drives the pelvis: RMS and largest of the lengths of what it does, over the stages.
+
+    Attributes:
+        force: N, weight included.
+        moment: N m.
+        acceleration: m/s^2.
+        turning: rad/s^2.
+        jerk: m/s^3, from stage to stage.
+        twitch: rad/s^3, the same of its turning.
+    """
+
+    force: tuple[float, float]
+    moment: tuple[float, float]
+    acceleration: tuple[float, float]
+    turning: tuple[float, float]
+    jerk: tuple[float, float]
+    twitch: tuple[float, float]
+
+
+def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> Robot:
+    """Of a motion xs (N+1, nx), us (N, nu)."""
+    m, wrench = dynamics.mechanism, robot_wrench(dynamics, xs, us)
+    first = m.nv + m.joint(PELVIS[0]).start
+    driven = dynamics.rates(xs[: len(us)], us)[:, first : first + len(PELVIS)]
+    jerks = np.diff(driven, axis=0) / dynamics.dt
+    lengths = [np.linalg.norm(of[:, part], axis=1) for of in (wrench, driven, jerks) for part in _PLACE_AND_TURN]
+    return Robot(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
+
+
 def judge_tracking(step: Step, run: Replay) -> Section:
     """How far MuJoCo's legs are from the plan's: RMS over all joints."""
     m = step.walker.mechanism
@@ -197,6 +229,10 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
             ]  # fmt: skip
         if closes:
             figures += _gaps(step, xs, who)
+    assert run.plan.problem is not None  # whose requirements these are
+    drive = robot(run.plan.problem.dynamics, run.plan.xs, run.plan.us)  # pyright: ignore[reportArgumentType]
+    for name, (rms, most), unit in (("force", drive.force, "N"), ("moment", drive.moment, "N m")):
+        figures.append(Figure(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
     return Section("goal", tuple(figures))
 
 
