@@ -1,7 +1,7 @@
 """What makes the robot of the human step a gentler one: `python benchmarks/gentle_robot.py`.
 
 It makes the tables of docs/human-step.md. Each way of sparing it, on swing and cycle, with the default cost: how far
-the legs are from the normal gait, the jerk of the pelvis, force and moment of the robot, MuJoCo's distance from the plan.
+the legs are from the normal gait, jerk of the pelvis, force and moment of the robot, MuJoCo's distance from the plan.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ LIMIT = 100  # iterations
 def plans():
     """Swing and cycle of the default cost: sparing of accelerations, of jerk, of force."""
     sparing = {"acceleration": {}, "jerk": {"jerk": 1.0}, "force": {"force": 1.0}}
-    wanted: list[tuple[Any, str]] = [("swing", name) for name in sparing] + [("cycle", name) for name in ("acceleration", "jerk")]
+    wanted: list[tuple[Any, str]] = [("swing", name) for name in sparing]
+    wanted += [("cycle", "acceleration"), ("cycle", "jerk")]
     return {
         (phase, name): planner.solve(human_step(phase=phase, **sparing[name]), max_iterations=LIMIT)
         for phase, name in wanted
