@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from planner.contact_forces import ContactForces, body_contact_forces, contact_forces
     from planner.control_spline import SplineControls, solve_by_splines
     from planner.cost import Cost, Quadratic, SumCost, TrackingCost
+    from planner.drive_cost import DriveCost
     from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
     from planner.energy_cost import EnergyCost
     from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from planner.free_time import retimed, solve_for
     from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
     from planner.hold import hold_gain
-    from planner.jerk import JerkCost
+    from planner.jerk import JerkCost, driven_by_jerk
     from planner.joint_curves import ExponentialTorque
     from planner.limits import Limits
     from planner.mechanism import Mechanism
@@ -86,6 +87,7 @@ _MODULES = {
     "contact_forces": "ContactForces body_contact_forces contact_forces",
     "control_spline": "SplineControls solve_by_splines",
     "cost": "Cost Quadratic SumCost TrackingCost",
+    "drive_cost": "DriveCost",
     "dynamics": "Dynamics FunctionDynamics HopperDynamics RigidBodyDynamics",
     "energy_cost": "EnergyCost",
     "errors": "FileError ModelError PlannerError RenderingUnavailable",
@@ -93,7 +95,7 @@ _MODULES = {
     "free_time": "retimed solve_for",
     "gradient_methods": "Descended cost_and_gradient minimize_by_gradient",
     "hold": "hold_gain",
-    "jerk": "JerkCost",
+    "jerk": "JerkCost driven_by_jerk",
     "joint_curves": "ExponentialTorque",
     "limits": "Limits",
     "mechanism": "Mechanism",
@@ -169,6 +171,7 @@ __all__ = [
     "Cost",
     "Descended",
     "Distance",
+    "DriveCost",
     "DrivenMotion",
     "Dynamics",
     "EnergyCost",
@@ -225,6 +228,7 @@ __all__ = [
     "contact_attributes",
     "contact_forces",
     "cost_and_gradient",
+    "driven_by_jerk",
     "forward_dynamics",
     "forward_dynamics_derivatives",
     "forward_kinematics",

@@ -12,19 +12,29 @@ r_n belongs to two stages. So SLQ solves the same problem with an added state, w
 `with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the plan that comes
 of it. Its gradient is exact. A Quadratic has no place for a Hessian that couples two stages: in its place stands the
 problem's own effort, so the gains of such a plan are those of a plan of least effort, along the motion of least jerk.
+
+Of joints whose acceleration is an input, that acceleration itself can be the added state, and its rate the control:
+
+    y = (x, a),     da/dt = u,     a continuous, linear over a stage.
+
+`driven_by_jerk` makes that machine. It is a mechanism like any other, with activations, in kernels and in MuJoCo.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.arguments import array, number, shown
 from planner.cost import Cost, Quadratic, SumCost, Term, TrackingCost
+from planner.driven_twin import twin_of
 from planner.dynamics import RigidBodyDynamics
 from planner.errors import PlannerError
+from planner.mechanism import Mechanism
 from planner.problem import Problem
 from planner.space import StateSpace
 
@@ -238,3 +248,39 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
         problem, dynamics=dynamics, cost=remembering(problem.cost, dynamics), x0=x0, twin=None, requirements=None,
         case=None, parameters={}, **changes,
     )  # fmt: skip
+
+
+def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
+    """A machine whose actuators change the accelerations of some of its joints: (joints' jerk) as a control.
+
+    It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see planner.driven_twin),
+    with motors that integrate. What the rest of the machine does to such a joint is felt as that force over HEAVY.
+
+    Args:
+        mechanism: Read from an MJCF.
+        joints: Names, of those that are driven.
+
+    Returns:
+        The machine with one more activation for each degree of freedom of the joints, its acceleration, in the order
+        of qvel, and after its own actuators one control for each, m/s^3 or rad/s^3.
+
+    Raises:
+        PlannerError: No joint, or one that the machine does not have.
+        ModelError: As planner.driven_twin.twin_of.
+    """
+    if not isinstance(mechanism, Mechanism) or not mechanism.mjcf:
+        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism that was read from an MJCF.")
+    if isinstance(joints, str) or not isinstance(joints, Collection) or not joints:
+        raise PlannerError(f"joints is {shown(joints)}, expected names of at least one joint.")
+    from planner.mechanism_reader import read  # the one module that needs MuJoCo's compiler
+
+    twin = twin_of(mechanism, joints)
+    root = ElementTree.fromstring(twin.mjcf)
+    motors = root.findall("actuator")[-1]  # the section that twin_of added
+    for motor in motors:
+        motor.tag = "general"
+        motor.attrib.update(dyntype="integrator", gainprm="1", biastype="none", actlimited="false")
+    for key in root.iterfind("keyframe/key"):
+        if "act" in key.attrib:
+            key.set("act", " ".join([key.attrib["act"], *["0"] * len(motors)]))
+    return read(ElementTree.tostring(root, encoding="unicode"), assets=twin.assets).with_curves(twin.curves)

@@ -19,6 +19,7 @@ import numpy as np
 
 from planner.arguments import choice, number, shown
 from planner.cost import Cost, Quadratic, SumCost, Term, TrackingCost, tracking_of
+from planner.drive_cost import DriveCost
 from planner.energy_cost import EnergyCost
 from planner.errors import PlannerError
 from planner.frame_cost import FrameCost
@@ -113,8 +114,8 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
     """The same task with another criterion, at its own duration.
 
     Args:
-        problem: With a TrackingCost, alone or in a sum with FrameCosts and PenaltyCosts; an objective that it has is
-            replaced.
+        problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
+            it has is replaced.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}.
 
     Raises:
@@ -136,14 +137,14 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
 
 def _with_effort(cost: Cost, weight: float) -> Cost:
     """A cost with its control weights multiplied."""
-    if weight == 1.0 or isinstance(cost, (FrameCost, PenaltyCost)):
+    if weight == 1.0 or isinstance(cost, (DriveCost, FrameCost, PenaltyCost)):
         return cost
     if isinstance(cost, SumCost):
         return SumCost(*(_with_effort(term, weight) for term in cost.costs))
     if type(cost) is not TrackingCost:
         raise PlannerError(
             f"the cost is of the type {type(cost).__name__}, expected a TrackingCost or a sum of TrackingCost, "
-            "FrameCost and PenaltyCost: the effort in nothing else can be weighed."
+            "DriveCost, FrameCost and PenaltyCost: the effort in nothing else can be weighed."
         )
     return TrackingCost(cost.Q, weight * cost.R, cost.x_ref, cost.u_ref, cost.space)
 

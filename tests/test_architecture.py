@@ -53,6 +53,7 @@ ORDER = [
     ["energy_cost"],
     ["problem"],
     ["jerk"],
+    ["drive_cost"],
     ["objective"],
     ["stored_problem"],
     ["plan"],

@@ -19,7 +19,7 @@ It finds what the paper found: the swinging hip is lifted, which clears the foot
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -30,10 +30,11 @@ from planner.cases.gait import NORMAL_GAIT, Gait
 from planner.cases.gait_file import read_gait
 from planner.cases.step import SWING, Step
 from planner.cases.step_cost import step_cost, wishes
-from planner.cases.step_measures import PATIENT, closing, follows, judge_step, judge_tracking, robot_wrench
+from planner.cases.step_drive import Pelvis, Sparing, drive
+from planner.cases.step_measures import PATIENT, closing, follows, judge_step, judge_tracking
 from planner.cases.step_pictures import step_pictures
-from planner.cases.walker import FILE_MASS, PELVIS, SIDES, Walker
-from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner.cases.walker import PELVIS, SIDES, Walker
+from planner.dynamics import INTEGRATORS
 from planner.errors import PlannerError
 from planner.problem import Problem, Requirements
 from planner.stage import Ghost, Panel, Readout, Stage, View
@@ -42,7 +43,6 @@ Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
 Angles = dict[str, tuple[float, ...]]
 Cost = Literal["default", "study"]
-Pelvis = Literal["motion", "force"]
 Brace = Literal["ankle"]
 Passive = Literal["table", "riener-edrich"]
 
@@ -50,8 +50,6 @@ SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, over which contact is still resolved
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
 MOST_CYCLES, MOST_STAGES = 20, 100_000
-FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
-LEAST_EFFORT = 1e-3  # times the usual
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m: who asks for less clearance is not held to any
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
@@ -65,8 +63,9 @@ def human_step(
     phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
     leg_mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None,
     passive: Passive = "table", cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0,
-    clearance: float | None = None, apart: float | None = None, reference: str | None = None, integrator: str = "rk4",
-    horizon: int | None = None, ends: States | None = None, angles: Angles | None = None,
+    jerk: float = 0.0, force: float = 0.0, clearance: float | None = None, apart: float | None = None,
+    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
+    angles: Angles | None = None,
 ) -> Problem:  # fmt: skip
     """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
 
@@ -86,6 +85,9 @@ def human_step(
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
         effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
+        jerk: Weight of the rates of the pelvis' accelerations, 0 for none: with it these rates are the controls, and
+            the robot is a smoother one.
+        force: Weight of the robot's forces and moments beside its accelerations, 0 for none; it takes seconds.
         clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
@@ -99,10 +101,11 @@ def human_step(
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
     """
     gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
+    sparing = Sparing(pelvis, effort, jerk, force)
     step = _step(phase, cycles, cadence, gait, horizon, {
         "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
         "brace": brace, "passive": passive,
-        "motors": choice("pelvis", pelvis, get_args(Pelvis)) == "force",
+        "motors": pelvis == "force", "jerked": sparing.jerk > 0.0,
     })  # fmt: skip
     choice("cost", cost, get_args(Cost))
     if clearance is not None:
@@ -111,29 +114,21 @@ def human_step(
         apart = number("apart", apart, least=0.0, most=1.0)
     wish = wishes(step, cost, clearance, apart)
     promised = cost == "default" and wish.clearance >= PROMISED
-    mechanism = step.walker.mechanism
-    prescribed = () if step.walker.motors else PELVIS
-    dynamics = RigidBodyDynamics(
-        mechanism, step.dt, choice("integrator", integrator, INTEGRATORS), prescribed=prescribed
-    )  # fmt: skip
+    robot = drive(step, wish, sparing, choice("integrator", integrator, INTEGRATORS))
     start, goal = _ends(step, phase, ends)
-    effort = number("effort", effort, least=LEAST_EFFORT, most=1.0 / LEAST_EFFORT)
-    us, control = step.motion.qdd[: step.N, : len(PELVIS)], np.zeros(len(PELVIS))
-    tolerances = np.repeat([wish.acceleration, wish.turning], 3)
-    if step.walker.motors:
-        us, control = forces(step, us), np.array([0.0, 0.0, weight(step.walker), 0.0, 0.0, 0.0])
-        share = step.walker.mass / FILE_MASS
-        tolerances = np.repeat([share * FORCE, share * step.walker.scale * MOMENT], 3)
+    whole = step_cost(robot.dynamics, step, wish, robot.tolerances, robot.control, goal, robot.acceleration)
+    if robot.forces is not None:
+        whole = whole + robot.forces
     parameters: dict[str, Any] = {
         "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
         "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
-        "brace": brace, "passive": passive, "cost": cost, "pelvis": pelvis, "effort": effort,
+        "brace": brace, "passive": passive, "cost": cost, **asdict(sparing),
         "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
         "ends": None if ends is None else [start.tolist(), goal.tolist()],
         "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
     }  # fmt: skip
     return Problem(
-        dynamics, step_cost(dynamics, step, wish, tolerances / np.sqrt(effort), control, goal), x0=start, us=us,
+        robot.dynamics, whole, x0=start, us=robot.us,
         case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
         gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
@@ -175,23 +170,6 @@ def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
     return start, goal
 
 
-def weight(walker: Walker) -> float:
-    """Of all that the pelvis carries, N."""
-    mechanism = walker.mechanism
-    carried = mechanism.mass.sum() - (mechanism.mass[0] if walker.belt else 0.0)
-    return float(carried * np.linalg.norm(mechanism.gravity))
-
-
-def forces(step: Step, accelerations: np.ndarray) -> np.ndarray:
-    """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
-    carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
-    xs = np.empty((step.N + 1, carried.nx))
-    xs[0] = step.states[0]
-    for n in range(step.N):
-        xs[n + 1] = carried.step(xs[n : n + 1], accelerations[n : n + 1])[0]
-    return robot_wrench(carried, xs, accelerations)
-
-
 def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
     """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
     names = step.walker.mechanism.joint_names
@@ -205,8 +183,11 @@ def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
 
     axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
     low = (0.0, 0.0, 0.74 * step.walker.scale)  # so that no label hides the feet
-    unit = "force, N" if step.walker.motors else "acceleration, m/s^2"
-    moment = "moment, N m" if step.walker.motors else "acceleration, rad/s^2"
+    unit, moment = "acceleration, m/s^2", "acceleration, rad/s^2"
+    if step.walker.motors:
+        unit, moment = "force, N", "moment, N m"
+    elif step.walker.jerked:
+        unit, moment = "jerk, m/s^3", "jerk, rad/s^3"
     return Stage(
         title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
         readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),

@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from planner.cases.gait import COLUMNS, SINK, SWAY, Gait, Motion, Reference, reference
-from planner.cases.walker import SIDES, Walker
+from planner.cases.walker import PELVIS, SIDES, Walker
 from planner.mechanism import Mechanism
 from planner.rigid_body import frame_pose
 
@@ -72,11 +72,17 @@ class Step:
     def states(self) -> np.ndarray:
         """(N+1, nx) the normal gait in the plan's coordinates."""
         q, qd = self.motion.q[:, self.columns], self.motion.qd[:, self.columns]
+        accelerations = self.accelerations if self.walker.jerked else q[:, :0]
         if not self.walker.belt:
-            return np.hstack([q, qd])
+            return np.hstack([q, qd, accelerations])
         ran = -self.normal.belt_speed * self.dt * np.arange(self.N + 1)
         speed = np.full((self.N + 1, 1), -self.normal.belt_speed)
-        return np.hstack([ran[:, None], q, speed, qd])
+        return np.hstack([ran[:, None], q, speed, qd, accelerations])
+
+    @property
+    def accelerations(self) -> np.ndarray:
+        """(N+1, 6) of the pelvis in the normal gait, m/s^2 and rad/s^2."""
+        return self.motion.qdd[:, : len(PELVIS)]
 
     @property
     def columns(self) -> list[int]:

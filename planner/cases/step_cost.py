@@ -149,7 +149,7 @@ def wishes(step: Step, cost: str, clearance: float | None, apart: float | None) 
 
 def step_cost(
     dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: Any, control: Any = 0.0,
-    goal: np.ndarray | None = None,
+    goal: np.ndarray | None = None, acceleration: Any = np.inf,
 ) -> SumCost:  # fmt: skip
     """The cost of a plan of a step.
 
@@ -160,19 +160,22 @@ def step_cost(
         effort: (6,) tolerances of the controls.
         control: (6,) or (N, 6) what they are tolerances from.
         goal: (nx,) what the end is drawn to; the normal gait's by default.
+        acceleration: (6,) tolerances of the pelvis' accelerations, where these are states.
     """
     terms = _clearance(step, wish) + (
         _standing(step, wish) + _sticking(step, wish) if step.walker.belt else _reach(step, wish)
     )
-    return _tracking(dynamics, step, wish, effort, control, goal) + PenaltyCost(
+    return _tracking(dynamics, step, wish, effort, control, goal, acceleration) + PenaltyCost(
         dynamics, step.N, terms + _apart(step, wish)
     )  # fmt: skip
 
 
 def _tracking(
-    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any, goal: np.ndarray | None
+    dynamics: RigidBodyDynamics, step: Step, wish: Wishes, effort: np.ndarray, control: Any, goal: np.ndarray | None,
+    acceleration: Any,
 ) -> TrackingCost:  # fmt: skip
-    states = step.states if goal is None else np.vstack([step.states[:-1], goal])
+    states = np.vstack([step.states[:-1], step.states[-1] if goal is None else goal])
+    states[:-1, 2 * dynamics.mechanism.nv :] = 0.0  # accelerations are spared like any control
     on_the_way = _by_joint(step, wish.place, wish.turn, wish.joints)
     final = _by_joint(step, wish.final_place, wish.final_turn, wish.final_joints)
     rates = _by_joint(step, wish.final_speed, wish.final_turn_rate, dict.fromkeys(wish.joints, wish.final_joint_rate))
@@ -181,6 +184,7 @@ def _tracking(
         position={joint: 1.0 / (wish.period * tolerance**2) for joint, tolerance in on_the_way.items()},
         final_position={joint: 1.0 / tolerance**2 for joint, tolerance in final.items()},
         final_velocity={joint: 1.0 / tolerance**2 for joint, tolerance in rates.items()},
+        activation=1.0 / (wish.period * acceleration**2), final_activation=1.0 / acceleration**2,
     )  # fmt: skip
 
 

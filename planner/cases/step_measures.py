@@ -31,7 +31,9 @@ TOUCHES = 0.5  # N
 STANDS = (0.95, 0.66)  # fractions of a cycle, from which to which a foot may be on the belt
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, from the start of a gait to its end
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
+CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
 PASSES, SETTLED = 6, 0.01  # of a gait: the last percent is noise, of touch-downs that come and go
+_PLACE_AND_TURN = (slice(0, 3), slice(3, 6))  # of PELVIS
 FOLLOWS = 2.5  # deg, RMS over joints and time: by as much a planned cycle differs from the next (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
 """What step 5 varies beside the usual: a person's mass, and the stiffness of joints that nobody has measured."""
@@ -71,7 +73,7 @@ class Measures:
 def measures(step: Step, xs: np.ndarray) -> Measures:
     """Of states (N+1, nx) at the knots."""
     m = step.walker.mechanism
-    q, qd, sides = xs[:, : m.nq], xs[:, m.nq :], step.walker.legs
+    q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
     away = q - step.states[:, : m.nq]
     joints = {f"{side}_{joint}": m.joint(f"{side}_{joint}").start for side in sides for joint in LEG}
     swinging, standing = ({side: when(step, side) for side in sides} for when in (_swings, _stands))
@@ -137,10 +139,43 @@ def slip(step: Step, q: np.ndarray, qd: np.ndarray) -> float:
 def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """(N, 6) N and N m that the pelvis is driven with along xs (N+1, nx), us (N, nu), trunk and pelvis being rigid."""
     m, N = dynamics.mechanism, len(us)
-    q, qd = xs[:N, : m.nq], xs[:N, m.nq :]
-    tau = rnea(m, q, qd, dynamics.rates(xs[:N], us)[:, m.nv :]) - generalized_forces(m, q, qd)
+    q, qd = xs[:N, : m.nq], xs[:N, m.nq : m.nq + m.nv]
+    qdd = dynamics.rates(xs[:N], us)[:, m.nv : 2 * m.nv]
+    # a pelvis that is driven by jerk is heavy for its motors' sake
+    tau = rnea(m, q, qd, qdd) - m.armature * qdd - generalized_forces(m, q, qd)
     first = m.joint(PELVIS[0]).start
     return tau[:, first : first + len(PELVIS)]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """How hard a robot drives the pelvis: RMS and largest of the lengths of what it does, over the stages.
+
+    Attributes:
+        force: N, weight included.
+        moment: N m.
+        acceleration: m/s^2.
+        turning: rad/s^2.
+        jerk: m/s^3, from stage to stage.
+        twitch: rad/s^3, the same of its turning.
+    """
+
+    force: tuple[float, float]
+    moment: tuple[float, float]
+    acceleration: tuple[float, float]
+    turning: tuple[float, float]
+    jerk: tuple[float, float]
+    twitch: tuple[float, float]
+
+
+def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> Robot:
+    """Of a motion xs (N+1, nx), us (N, nu)."""
+    m, wrench = dynamics.mechanism, robot_wrench(dynamics, xs, us)
+    first = m.nv + m.joint(PELVIS[0]).start
+    driven = dynamics.rates(xs[: len(us)], us)[:, first : first + len(PELVIS)]
+    jerks = np.diff(driven, axis=0) / dynamics.dt
+    lengths = [np.linalg.norm(of[:, part], axis=1) for of in (wrench, driven, jerks) for part in _PLACE_AND_TURN]
+    return Robot(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
 
 
 def judge_tracking(step: Step, run: Replay) -> Section:
@@ -169,7 +204,8 @@ def closing(step: Step) -> Periodic:
         [np.inf if name == "belt" else place if name in PELVIS[:3] else turn for name in names]
         for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
     ]
-    return Periodic(np.concatenate(sides), passes=PASSES, settled=SETTLED)
+    accelerations = [CLOSED_ACCELERATION] * 3 + [CLOSED_TURNING] * 3 if step.walker.jerked else []
+    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, settled=SETTLED)
 
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
@@ -193,6 +229,10 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
             ]  # fmt: skip
         if closes:
             figures += _gaps(step, xs, who)
+    assert run.plan.problem is not None  # whose requirements these are
+    drive = robot(run.plan.problem.dynamics, run.plan.xs, run.plan.us)  # pyright: ignore[reportArgumentType]
+    for name, (rms, most), unit in (("force", drive.force, "N"), ("moment", drive.moment, "N m")):
+        figures.append(Figure(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
     return Section("goal", tuple(figures))
 
 

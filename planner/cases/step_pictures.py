@@ -145,7 +145,7 @@ def _foot_force(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -
     curves = []
     for label, t, xs in motions:
         for side in step.walker.legs:
-            upward = vertical_force(step, xs[:, : m.nq], xs[:, m.nq :], side)
+            upward = vertical_force(step, xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], side)
             curves.append(_of_leg(side, label, t, upward))
     return Chart("Belt on a foot, upwards", "force, N", curves, None, _swing(step))
 

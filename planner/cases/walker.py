@@ -29,6 +29,7 @@ from planner.cases.anthropometry import Segment
 from planner.cases.riener_edrich import CURVED, curves
 from planner.contact import Law, Touch
 from planner.errors import PlannerError
+from planner.jerk import driven_by_jerk
 from planner.mechanism import Frame, Mechanism
 from planner.mechanism_contacts import contact_attributes, stop_attributes
 from planner.mjcf import edited, model_path, model_text, written
@@ -84,8 +85,9 @@ class Walker:
         passive: What the passive joints resist with, of RESISTANCES.
         legs: Some of SIDES.
         belt: Whether there is a belt and contact with it.
-        motors: Whether the pelvis has six motors.
+        motors: Whether the pelvis has six motors, of forces.
         leg_mass: Of the legs, times Winter's share of the mass: less where muscles have wasted.
+        jerked: Whether the accelerations of the pelvis are states, which its motors change.
     """
 
     mass: float = FILE_MASS
@@ -98,6 +100,7 @@ class Walker:
     belt: bool = True
     motors: bool = False
     leg_mass: float = 1.0
+    jerked: bool = False
 
     def __post_init__(self) -> None:
         ranges = {
@@ -153,7 +156,8 @@ class Walker:
         """The model, read from the very text that a replay uses; exponentials, which no text holds, beside it."""
         machine = Mechanism.from_mjcf(self.text)
         legs = [{joint: machine.joint(f"{side}_{joint}").start for joint in CURVED} for side in self.legs]
-        return machine.with_curves(curve for leg in legs for curve in curves(leg, self.curved, self.stiffness))
+        machine = machine.with_curves(curve for leg in legs for curve in curves(leg, self.curved, self.stiffness))
+        return driven_by_jerk(machine, PELVIS) if self.jerked else machine
 
     @cached_property
     def text(self) -> str:

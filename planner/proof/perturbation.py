@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.arguments import number
-from planner.driven_twin import driven_dofs
+from planner.driven_twin import HEAVY, driven_dofs
 from planner.errors import PlannerError
 from planner.gl import load_mujoco
 from planner.plan import Plan
@@ -193,6 +193,7 @@ class Nominal:
         free = load_mujoco().mjtJoint.mjJNT_FREE
         bearings = self.model.jnt_type[self.model.dof_jntid] != free
         bearings[self.driven] = False
+        bearings[self.model.dof_armature == HEAVY] = False  # driven by jerk: as prescribed
         return bearings.astype(float)
 
     @property
