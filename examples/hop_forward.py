@@ -1,13 +1,16 @@
-"""Hop forward with a machine of someone else's making, gymnasium's Hopper as it is, and prove it.
+"""Hop forward with a machine of someone else's making, as it is, and prove it.
 
-python hop_forward.py [--no-video]        (pip install --no-deps gymnasium==1.4.0)
+python hop_forward.py [gymnasium|dm-hopper|dm-walker] [--no-video]
+                                        (pip install --no-deps gymnasium==1.4.0 dm-control==1.0.50)
 
-A plan that leaves the ground has to be shown where: a reference moves the centre of mass along a parabola and the foot
-to where it lands, and poses of all joints follow by inverse kinematics. It is a drawing, not a motion: no force was
-asked for. The solver makes a motion of it, first on a ground that gives much, then on that of the proof.
+A plan that leaves the ground has to be shown where: a reference moves the centre of mass along a parabola and the feet
+to where they land, and poses of all joints follow by inverse kinematics. It is a drawing, not a motion: no force was
+asked for. The solver makes a motion of it with the help of a hand that holds the machine at its root, and whose effort
+costs ten times more each time; what it does for 1e5 the machine can do alone.
 """
 
 import sys
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,135 +20,253 @@ from scipy.interpolate import BPoly
 import planner
 from planner.guess import hold
 
-DT = 5e-3  # s
-PUSH, FLIGHT, LAND, REST = 0.4, 0.24, 0.4, 0.8  # s: the centre of mass moves in the last and first half of PUSH, LAND
-LENGTH, CLEARANCE, RISE = 0.25, 0.08, 0.02  # m: of the hop; of the foot in mid-flight; of the centre of mass before it
-CROUCH = [0.0, 1.25, -0.65, -0.45, -0.75, 0.55]  # x, z, pitch, hip, knee, ankle; where the ground is, is found
-SOFT, FIRM, FRICTION = (
-    0.05,
-    0.02,
-    1.5,
-)  # m that the machine at rest sinks in: a first, easier ground and that of the proof
+G = 9.81
+STAND, REST = 0.2, 1.0  # s: before the centre of mass moves, and after
+HAND = ("hand x", "hand z", "hand pitch")
+FADE = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5)  # of its effort; that of the motors is 3
+EARLY, LATE = 1e-3, 1e-6  # of the cost: what three iterations in a row have to gain, with the hand and without
 
 
-def hopper(sink: float) -> planner.Mechanism:
-    spec = find_spec("gymnasium")
-    if spec is None or spec.origin is None:
-        sys.exit("no gymnasium: pip install --no-deps gymnasium==1.4.0")
-    file = Path(spec.origin).parent / "envs/mujoco/assets/hopper.xml"
-    mass = planner.Mechanism.from_mjcf(file, contacts="off").mass.sum()
-    ground = planner.Touch.resting(mass, sink=sink, ramp=0.4 * sink, damping_ratio=0.4, slip=0.2, friction=FRICTION)
+@dataclass(frozen=True)
+class Hopper:
+    """A machine, and the hop that is drawn for it. It has slides rootx and rootz and a hinge rooty.
+
+    Attributes:
+        package, file: The MJCF.
+        crouch: rad by joint, where it begins and ends, at rest; where the ground is, is found.
+        feet: Bodies that stand on the ground.
+        kept: Joints that the drawing leaves where they are; with the places of the feet and of the centre of mass
+            they say where all joints are.
+        dt: s.
+        push, flight, land: s that the centre of mass moves: on the ground, in the air, on the ground.
+        length, clearance, rise: m, of the hop; of the feet in mid-flight; of the centre of mass before it.
+        sink, ramp, friction, slip: Of the ground (Touch.resting); ramp as a share of the sink.
+        pitch, joints: Weights of the trunk's pitch and of the other joints, per rad^2 and second; of the root's place
+            1000 per m^2.
+    """
+
+    package: str
+    file: str
+    crouch: dict[str, float]
+    feet: tuple[str, ...]
+    kept: tuple[str, ...] = ("rooty",)
+    dt: float = 5e-3
+    push: float = 0.35
+    flight: float = 0.25
+    land: float = 0.35
+    length: float = 0.2
+    clearance: float = 0.08
+    rise: float = 0.06
+    sink: float = 0.02
+    ramp: float = 0.2
+    friction: float = 1.0
+    slip: float = 0.5
+    pitch: float = 10.0
+    joints: float = 100.0
+
+
+LEG = {"hip": 0.5, "knee": -1.0, "ankle": 0.5}
+HOPPERS = {
+    "gymnasium": Hopper(
+        "gymnasium", "envs/mujoco/assets/hopper.xml",
+        {"rooty": -0.65, "thigh_joint": -0.45, "leg_joint": -0.75, "foot_joint": 0.55}, ("foot",),
+        push=0.2, flight=0.24, land=0.2, length=0.22, rise=0.02, friction=1.5, slip=0.2,
+    ),
+    "dm-hopper": Hopper(
+        "dm_control", "suite/hopper.xml",
+        {"waist": 0.2, "hip": -0.9, "knee": 1.2, "ankle": -0.5}, ("foot",), ("rooty", "waist"), sink=0.01,
+    ),
+    "dm-walker": Hopper(
+        "dm_control", "suite/walker.xml",
+        {f"{side}_{joint}": angle for side in ("right", "left") for joint, angle in LEG.items()},
+        ("right_foot", "left_foot"), dt=2.5e-3, flight=0.2, length=0.15, clearance=0.06, rise=0.05,
+        ramp=0.4, pitch=300.0, joints=300.0,
+    ),
+}  # fmt: skip
+
+
+def machine_of(hopper: Hopper) -> planner.Mechanism:
+    """The machine on its ground."""
+    spec = find_spec(hopper.package)
+    if spec is None or not spec.submodule_search_locations:
+        sys.exit(f"no {hopper.package}: pip install --no-deps gymnasium==1.4.0 dm-control==1.0.50")
+    file = Path(spec.submodule_search_locations[0]) / hopper.file
+    ground = planner.Touch.resting(
+        planner.Mechanism.from_mjcf(file, contacts="off").mass.sum(), sink=hopper.sink, ramp=hopper.ramp * hopper.sink,
+        damping_ratio=0.4, slip=hopper.slip, friction=hopper.friction,
+    )  # fmt: skip
     return planner.Mechanism.from_mjcf(file, contacts=ground)
 
 
-def parabola(t: np.ndarray) -> np.ndarray:
+def crouched(hopper: Hopper, machine: planner.Mechanism) -> np.ndarray:
+    """The state (nx,) at rest on the ground."""
+    q = machine.home[: machine.nq].copy()
+    for joint, angle in hopper.crouch.items():
+        q[machine.joint_names.index(joint)] = angle
+    return planner.settled(machine, q)
+
+
+def parabola(hopper: Hopper, t: np.ndarray) -> np.ndarray:
     """Where the centre of mass is from where it began, (N+1, 2) m: at rest, thrown, caught, at rest."""
-    up, down = PUSH, PUSH + FLIGHT
-    g = np.array([0.0, 9.81])
-    v = np.array([LENGTH / (FLIGHT + 0.5 * PUSH), 0.5 * g[1] * FLIGHT])  # thrown: back at the same height after FLIGHT
-    left = np.array([0.5 * (LENGTH - v[0] * FLIGHT), RISE])
+    up, g = STAND + hopper.push, np.array([0.0, G])
+    down = up + hopper.flight
+    # Thrown so that it is back at the same height after the flight.
+    v = np.array([hopper.length / (hopper.flight + 0.5 * (hopper.push + hopper.land)), 0.5 * g[1] * hopper.flight])
+    left = np.array([0.5 * hopper.push * v[0], hopper.rise])
     thrown = left + v * (t[:, None] - up) - 0.5 * g * (t[:, None] - up) ** 2
-    landed, end = left + np.array([v[0] * FLIGHT, 0.0]), [LENGTH, 0.0]
+    landed, end = left + np.array([v[0] * hopper.flight, 0.0]), [hopper.length, 0.0]
     path = np.empty((len(t), 2))
     for i in range(2):  # quintics meet the parabola in place, speed and acceleration
-        before = BPoly.from_derivatives([0.5 * PUSH, up], [[0.0, 0.0, 0.0], [left[i], v[i], -g[i]]])
-        fall = v[i] - g[i] * FLIGHT
-        after = BPoly.from_derivatives([down, down + 0.5 * LAND], [[landed[i], fall, -g[i]], [end[i], 0.0, 0.0]])
-        path[:, i] = np.where(t < up, before(np.clip(t, 0.5 * PUSH, up)), after(np.clip(t, down, down + 0.5 * LAND)))
+        before = BPoly.from_derivatives([STAND, up], [[0.0, 0.0, 0.0], [left[i], v[i], -g[i]]])
+        fall = v[i] - g[i] * hopper.flight
+        after = BPoly.from_derivatives([down, down + hopper.land], [[landed[i], fall, -g[i]], [end[i], 0.0, 0.0]])
+        path[:, i] = np.where(t < up, before(np.clip(t, STAND, up)), after(np.clip(t, down, down + hopper.land)))
     return np.where(((t >= up) & (t < down))[:, None], thrown, path)
 
 
-def foot_of(machine: planner.Mechanism, q: np.ndarray) -> np.ndarray:
-    """Where the ankle is and how the foot tilts, (..., 3)."""
-    T = planner.frame_pose(machine, q, "foot")
+def foot_of(machine: planner.Mechanism, q: np.ndarray, foot: str) -> np.ndarray:
+    """Where the foot's frame is and how it tilts, (..., 3)."""
+    T = planner.frame_pose(machine, q, foot)
     return np.stack([T[..., 0, 3], T[..., 2, 3], np.arctan2(T[..., 0, 2], T[..., 0, 0])], axis=-1)
 
 
-def posed(machine: planner.Mechanism, q: np.ndarray, com: np.ndarray, foot: np.ndarray) -> np.ndarray:
-    """Poses (N+1, 6) with the centre of mass at com (N+1, 2), the foot at foot (N+1, 3), the trunk's pitch that of q.
+def posed(
+    hopper: Hopper, machine: planner.Mechanism, q: np.ndarray, com: np.ndarray, feet: list[np.ndarray]
+) -> np.ndarray:
+    """Poses (N+1, nq) with the centre of mass at com (N+1, 2), each foot at its place (N+1, 3), kept joints those of q.
 
-    Six equations in six joints, by Newton's method.
+    As many equations as joints, by Newton's method.
     """
-    pitch = q[:, 2]
+    kept = [machine.joint_names.index(joint) for joint in hopper.kept]
+    root = [machine.joint_names.index(joint) for joint in ("rootx", "rootz")]
+    there = q[:, kept]
+    # What moves the slides of the root moves the whole mass: their rows of M are the momentum.
     for _ in range(12):
         centre = planner.center_of_mass(machine, q)[:, [0, 2]]
-        missed = np.hstack([centre - com, foot_of(machine, q) - foot, q[:, 2:3] - pitch[:, None]])
-        # What moves the slides of the root moves the whole mass: their rows of M are the momentum.
-        of_centre = planner.mass_matrix(machine, q)[:, :2] / machine.mass.sum()
-        of_foot = planner.jacobian(machine, q, "foot")[:, [0, 2, 4]]
-        of_pitch = np.broadcast_to(np.eye(6)[2], (len(q), 1, 6))
-        J = np.concatenate([of_centre, of_foot, of_pitch], axis=1)
-        q = q - np.einsum("kij,kj->ki", np.linalg.pinv(J, rcond=1e-2), missed)  # what a straight leg cannot is left
+        missed = [centre - com, q[:, kept] - there]
+        missed += [foot_of(machine, q, foot) - place for foot, place in zip(hopper.feet, feet, strict=True)]
+        J = [planner.mass_matrix(machine, q)[:, root] / machine.mass.sum()]
+        J += [np.broadcast_to(np.eye(machine.nv)[kept], (len(q), len(kept), machine.nv))]
+        J += [planner.jacobian(machine, q, foot)[:, [0, 2, 4]] for foot in hopper.feet]
+        inverse = np.linalg.pinv(np.concatenate(J, axis=1), rcond=1e-2)  # what a straight leg cannot is left
+        q = q - np.einsum("kij,kj->ki", inverse, np.hstack(missed))
     return q
 
 
-def reference(machine: planner.Mechanism, x0: np.ndarray) -> np.ndarray:
-    """The hop as drawn, (N+1, 12)."""
-    t = np.arange(round((PUSH + FLIGHT + LAND + REST) / DT) + 1) * DT
+def reference(hopper: Hopper, machine: planner.Mechanism, x0: np.ndarray) -> np.ndarray:
+    """The hop as drawn, (N+1, nx)."""
+    t = np.arange(round((STAND + hopper.push + hopper.flight + hopper.land + REST) / hopper.dt) + 1) * hopper.dt
     q0 = x0[: machine.nq]
-    drawn = parabola(t)
-    s = np.clip((t - PUSH) / FLIGHT, 0.0, 1.0)
-    foot = np.tile(foot_of(machine, q0), (len(t), 1))
-    foot[:, 0] += LENGTH * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    foot[:, 1] += CLEARANCE * 4.0 * s * (1.0 - s)
+    drawn = parabola(hopper, t)
+    s = np.clip((t - STAND - hopper.push) / hopper.flight, 0.0, 1.0)
+    way = np.zeros((len(t), 3))
+    way[:, 0] = hopper.length * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    way[:, 1] = hopper.clearance * 4.0 * s * (1.0 - s)
     first = np.tile(q0, (len(t), 1))
-    first[:, :2] += drawn
-    q = posed(machine, first, planner.center_of_mass(machine, q0)[[0, 2]] + drawn, foot)
-    xs = np.hstack([q, np.gradient(q, DT, axis=0)])
+    first[:, [machine.joint_names.index(joint) for joint in ("rootx", "rootz")]] += drawn
+    feet = [foot_of(machine, q0, foot) + way for foot in hopper.feet]
+    q = posed(hopper, machine, first, planner.center_of_mass(machine, q0)[[0, 2]] + drawn, feet)
+    xs = np.hstack([q, np.gradient(q, hopper.dt, axis=0)])
     xs[-1, machine.nq :] = 0.0
     return xs
 
 
-def problem(machine: planner.Mechanism, drawn: np.ndarray, x0: np.ndarray, us: np.ndarray) -> planner.Problem:
-    dynamics = planner.RigidBodyDynamics(machine, DT)
-    root, pitch = ("rootx", "rootz"), "rooty"
-    cost = planner.TrackingCost.joints(
-        dynamics, None, len(drawn) - 1, reference=drawn, effort=3.0, final_position=300.0, final_velocity=30.0,
-        position={j: 1000.0 if j in root else 10.0 if j == pitch else 100.0 for j in machine.joint_names},
-        velocity={j: 10.0 if j in root else 2.0 for j in machine.joint_names},
+def held(machine: planner.Mechanism) -> planner.Mechanism:
+    """The machine with a hand at its root: three actuators more, their controls in weights and weights times metres."""
+    root = [machine.joint_names.index(joint) for joint in ("rootx", "rootz", "rooty")]
+    own = machine.actuators
+
+    def more(values: np.ndarray, one: float | list[float]) -> np.ndarray:
+        return np.concatenate([values, np.broadcast_to(one, (3, *values.shape[1:])).astype(values.dtype)])
+
+    rows, unbounded = G * machine.mass.sum() * np.eye(machine.nv)[root], [-np.inf, np.inf]
+    actuators = replace(
+        own, names=(*own.names, *HAND), moment=np.vstack([own.moment, rows]),
+        gain=more(own.gain, 1.0), bias=more(own.bias, 0.0), dynamics=more(own.dynamics, 0),
+        activation=more(own.activation, -1), time_constant=more(own.time_constant, 1.0),
+        control_range=more(own.control_range, unbounded), force_range=more(own.force_range, unbounded),
+        activation_range=more(own.activation_range, unbounded),
     )  # fmt: skip
-    limits = planner.Limits(control="model")
-    return planner.Problem(dynamics, cost, x0, us=us, twin=planner.Twin.of(machine), limits=limits)
+    return replace(machine, actuators=actuators)
+
+
+def problem(
+    hopper: Hopper, machine: planner.Mechanism, drawn: np.ndarray, us: np.ndarray, hand: float | None = None
+) -> planner.Problem:
+    """Follow the drawing; hand is what its effort weighs, None where there is none."""
+    dynamics = planner.RigidBodyDynamics(machine, hopper.dt)
+    effort = np.full(machine.nu, 3.0)
+    if hand is not None:
+        effort[-len(HAND) :] = hand
+    position = {"rootx": 1000.0, "rootz": 1000.0, "rooty": hopper.pitch}
+    cost = planner.TrackingCost.joints(
+        dynamics, None, len(drawn) - 1, reference=drawn, effort=effort,
+        # Rest costs nothing, and the end asks for no place that feet on the ground cannot reach: a plan that is pulled
+        # to one throws itself there in its last moments, where no gain is left to repeat that in the simulator.
+        control=hold(machine, drawn[0]),
+        final_position={j: 100.0 for j in machine.joint_names if j != "rootx"}, final_velocity=30.0,
+        position={j: position.get(j, hopper.joints) for j in machine.joint_names},
+        velocity={j: 10.0 if j in ("rootx", "rootz") else 2.0 for j in machine.joint_names},
+    )  # fmt: skip
+    return planner.Problem(
+        dynamics, cost, drawn[0], us=us, twin=planner.Twin.of(machine), limits=planner.Limits(control="model"),
+        gain_tolerance=LATE if hand is None else EARLY,
+    )  # fmt: skip
 
 
 def followed(plan: planner.Plan, machine: planner.Mechanism) -> np.ndarray:
-    """Controls (N, nu) of a plan that is followed on another ground with its gains."""
-    dynamics, x, us = planner.RigidBodyDynamics(machine, DT), plan.xs[0], plan.us.copy()
+    """Controls (N, nu) of a machine without a hand that follows a plan of the one with it, with the plan's gains."""
+    dynamics, x, us = planner.RigidBodyDynamics(machine, plan.t[1]), plan.xs[0], plan.us[:, : machine.nu].copy()
+    lower, upper = machine.actuators.control_range.T
     for n in range(len(us)):
-        us[n] = np.clip(plan.us[n] + plan.K[n] @ (x - plan.xs[n]), -1.0, 1.0)
+        us[n] = np.clip(us[n] + plan.K[n, : machine.nu] @ (x - plan.xs[n]), lower, upper)
         x = dynamics.step(x[None], us[n : n + 1])[0]
     return us
 
 
-def hop(report: bool = False) -> tuple[planner.Plan, dict[str, float]]:
-    """The plan, and what it does: metres forward, seconds without any force of the ground, metres of clearance."""
-    soft, firm = hopper(SOFT), hopper(FIRM)
-    x0 = planner.settled(firm, CROUCH)
-    drawn = reference(firm, x0)
+def hop(hopper: Hopper, report: bool = False) -> tuple[planner.Plan, dict[str, float]]:
+    """The plan, and what it does (see measured)."""
+    machine = machine_of(hopper)
+    x0 = crouched(hopper, machine)
+    drawn = reference(hopper, machine, x0)
     callback = print if report else None
-    easier = planner.solve(
-        problem(soft, drawn, x0, np.tile(hold(firm, x0), (len(drawn) - 1, 1))), max_iterations=400, callback=callback
-    )
-    plan = planner.solve(problem(firm, drawn, x0, followed(easier, firm)), max_iterations=400, callback=callback)
-    touch = planner.contact_forces(firm, plan.xs[:, : firm.nq], plan.xs[:, firm.nq :])
-    lowest = -touch.depths.max(axis=1)
+    helped = held(machine)
+    us, helped_ones = np.tile(hold(helped, x0), (len(drawn) - 1, 1)), []
+    for hand in FADE:
+        eased = planner.solve(problem(hopper, helped, drawn, us, hand), max_iterations=200, callback=callback)
+        helped_ones.append(eased)
+        us = eased.us
+    alone = problem(hopper, machine, drawn, followed(helped_ones[-1], machine))
+    plan = planner.solve(alone, max_iterations=400, callback=callback)
+    return plan, {"iterations": sum(each.nit for each in (*helped_ones, plan))} | measured(plan, machine)
+
+
+def measured(plan: planner.Plan, machine: planner.Mechanism) -> dict[str, float]:
+    """Metres forward, seconds without any force of the ground, metres of clearance, the largest rate at the end."""
+    q, qd = np.split(plan.xs, [machine.nq], axis=1)
+    lowest = -planner.contact_forces(machine, q, qd).depths.max(axis=1)
     aloft = np.flatnonzero(lowest > 0.0)
     runs = np.split(aloft, np.flatnonzero(np.diff(aloft) > 1) + 1)
-    return plan, {
-        "iterations": easier.nit + plan.nit,
-        "forward_m": plan.xs[-1, 0] - plan.xs[0, 0],
-        "flight_s": DT * (max(len(run) for run in runs) - 1),  # between knots, both of them in the air
+    x = machine.joint_names.index("rootx")
+    return {
+        "forward_m": q[-1, x] - q[0, x],
+        "flight_s": plan.t[1] * (max(len(run) for run in runs) - 1),  # from knot to knot, both of them in the air
         "clearance_m": lowest.max(),
+        "end_rate": np.abs(qd[-1]).max(),
     }
 
 
 def main() -> int:
-    plan, figures = hop(report=True)
+    """Plan, prove, film."""
+    name = next((word for word in sys.argv[1:] if not word.startswith("--")), "gymnasium")
+    if name not in HOPPERS:
+        sys.exit(f"the machine is {name!r}, expected one of: {', '.join(HOPPERS)}")
+    plan, figures = hop(HOPPERS[name], report=True)
     proof = planner.prove(plan, rollouts=16)
-    print(plan, proof, ", ".join(f"{name} {value:.3g}" for name, value in figures.items()), sep="\n")
-    plan.save("hop_forward.npz")
+    print(plan, proof, ", ".join(f"{key} {value:.3g}" for key, value in figures.items()), sep="\n")
+    plan.save(f"hop_forward_{name}.npz")
     if "--no-video" not in sys.argv:
-        planner.render_video(proof.replay, "hop_forward.mp4")
+        planner.render_video(proof.replay, f"hop_forward_{name}.mp4")
     return 0 if plan.success and proof.passed else 1
 
 
