@@ -28,7 +28,7 @@ import numpy as np
 
 from planner.arguments import choice, count, number, shown
 from planner.augmented import within_ranges
-from planner.engine import Engine, borrow, give_back
+from planner.engine import Engine, Outcome, borrow, give_back
 from planner.errors import PlannerError
 from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.multistart import MOST_STARTS, best_of
@@ -219,8 +219,9 @@ def _minimise(
     gradient_norm = history[-1].gradient_norm if history else math.nan
     if status is not Status.CONVERGED or slow == _SLOW:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
-        gradient_norm = _sweep(engine, largest)
-        history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, 0.0, 0.0, 0.0))
+        last = _sweep(engine, largest)
+        gradient_norm = last.gradient_norm
+        history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
     elif exact or mu > 0.0:  # the gains of a plan are those of the plain model of Eq. 31
         _sweep(engine, largest)
     if hinges is not None:  # the cost of a plan is that of its problem
@@ -230,14 +231,14 @@ def _minimise(
     return plan
 
 
-def _sweep(engine: Engine, largest: float) -> float:
-    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes; gradient norm."""
+def _sweep(engine: Engine, largest: float) -> Outcome:
+    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes."""
     engine.use_second_order(False)  # whose gains need no minimum to be those of a stable loop
     mu, fresh = 0.0, True
     while True:
         done = engine.sweep(mu * largest, fresh)
         if done.kind == CONVERGED or mu > _MU_MOST:
-            return done.gradient_norm
+            return done
         mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
 
 
