@@ -34,7 +34,7 @@ from planner.errors import PlannerError
 
 ALONG = 1e-9  # of a direction along a plane, its part across
 FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
-BEND = 0.5  # of the cone either way: the replays of the human step are nearest, and solves no longer
+BEND = 0.5  # of the cone either way: less is hardly nearer to MuJoCo; the human step has its own
 RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
 
 
@@ -76,7 +76,8 @@ class Touch(Law):
         slip_damping: c_t, N s/m, of friction before it slips.
         friction: mu.
         impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
-        bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1.
+        bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
+            ramp: without one friction is cut off at once.
     """
 
     slip_damping: float = 0.0

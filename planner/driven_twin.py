@@ -93,6 +93,12 @@ def in_order(mechanism: Mechanism, prescribed: Collection[str]) -> tuple[str, ..
     return tuple(sorted(dict.fromkeys(prescribed), key=lambda name: mechanism.joint(name).start))
 
 
+def heavy_joints(mechanism: Mechanism) -> list[str]:
+    """Names of the joints that are made heavy already, their motion given by motors (planner.driven_by_jerk)."""
+    pairs = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+    return [name for name, dofs in pairs if np.any(mechanism.armature[dofs] >= HEAVY)]
+
+
 def prescribed_dofs(mechanism: Mechanism, prescribed: Collection[str]) -> np.ndarray:
     """(n,) the degrees of freedom of these joints, in order."""
     every = np.arange(mechanism.nv)

@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.arguments import number, shown
 from planner.cost import Quadratic, Term
+from planner.driven_twin import heavy_joints
 from planner.dynamics import RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.mechanism import DIRECT, SCREW, Mechanism
@@ -53,9 +54,10 @@ class EnergyCost(Term):
             raise PlannerError(
                 f"the machine is {shown(dynamics)}, expected RigidBodyDynamics: energy is the work of actuators."
             )
-        if dynamics.prescribed:
+        given = dynamics.prescribed or heavy_joints(dynamics.mechanism)
+        if given:
             raise PlannerError(
-                f"the acceleration of {', '.join(dynamics.prescribed)} is prescribed, expected a machine that its "
+                f"the acceleration of {', '.join(given)} is prescribed, expected a machine that its "
                 "actuators alone move: energy is their work."
             )
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt

@@ -31,7 +31,7 @@ import numpy as np
 
 from planner.arguments import array, number, shown
 from planner.cost import Cost, Quadratic, SumCost, Term, TrackingCost
-from planner.driven_twin import twin_of
+from planner.driven_twin import heavy_joints, twin_of
 from planner.dynamics import RigidBodyDynamics
 from planner.errors import PlannerError
 from planner.mechanism import Mechanism
@@ -109,7 +109,7 @@ class JerkCost(Term):
         to_rest: Whether it is held after the end.
 
     Raises:
-        PlannerError: Other dynamics, or a negative weight.
+        PlannerError: Other dynamics, a negative weight, or joints that are driven by their jerk.
     """
 
     def __init__(
@@ -117,6 +117,11 @@ class JerkCost(Term):
         from_rest: bool = True, to_rest: bool = True,
     ) -> None:  # fmt: skip
         self.accelerations = Accelerations(dynamics)
+        if driven := heavy_joints(dynamics.mechanism):
+            raise PlannerError(
+                f"the jerk of {', '.join(driven)} is the control already, expected it to be weighed as such, not as an "
+                "objective."
+            )
         self.weight, self.dt, self.N = number("the jerk's weight", weight, least=0.0), dynamics.dt, horizon
         self.space, self.nu = dynamics.space, dynamics.nu
         self.nx, self.ndx = dynamics.nx, dynamics.ndx

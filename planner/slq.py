@@ -82,8 +82,8 @@ def solve(
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
             own, where it has none 1e-10.
         gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J): at the
-            kinks of contact the model goes on to promise what no step along it brings. By default the problem's own,
-            where it has none 0, which is never.
+            kinks of contact the model goes on to promise what no step along it brings. Beside any decrease_tolerance;
+            iterations with regularisation do not count. By default the problem's own, where it has none 0: never.
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all

@@ -222,3 +222,16 @@ def test_on_the_command_line(tmp_path, capsys):
     assert planner.Plan.load(out).parameters["jerk"] == 1.0
     assert main(["solve", "human-step", "--jerk", "1", "--force", "1", "--out", str(out)]) == 2
     assert "expected one of the two to be 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("objective", "said"),
+    [
+        ("energy", "the acceleration of pelvis_x, .* is prescribed, expected a machine that its actuators alone move"),
+        ("jerk", "the jerk of pelvis_x, .* is the control already, expected it to be weighed as such"),
+    ],
+)
+def test_objectives_of_all_joints_are_refused_where_jerk_drives(objective, said):
+    """Motors that move 1e8 kg do no work that is anybody's, and touch-downs are not the robot's jerk."""
+    with pytest.raises(planner.PlannerError, match=said):
+        planner.with_objective(human_step(phase="swing", jerk=1.0), objective)

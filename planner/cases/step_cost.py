@@ -120,11 +120,11 @@ STUDY_CYCLE = Wishes(
     final_place=0.02, final_turn=np.radians(5.0), final_speed=0.5, final_turn_rate=2.0, final_joint_rate=1.0,
     clear=(0.20, 0.15, 0.66, 0.95),
 )  # fmt: skip
-CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing,
-CLEARANCE_TOLERANCE = 0.002  # m, and so much that feet which stick to the belt until they leave it are clear, too:
+CLEARANCE = 0.025  # m, wanted by the default cost of the person in the file, over the whole swing
+CLEARANCE_TOLERANCE = 0.002  # m, of a cycle: feet that stick to the belt leave it later and lower
 CLEAR = (0.20, 0.20, *SWING)
 DEEPEST = 0.010  # m, wanted by the default cost: 50 N on one point of a foot
-SLIP = 0.1  # m/s, in either direction, wanted by the default cost: of a light stance, what viscous friction leaves
+SLIP = 0.1  # m/s, of a standing foot along the belt, either way; under 20 to 30 N viscous friction creeps at about that
 STANCE = {"heel": (0.04, 0.36), "toe": (0.10, 0.58)}  # of a cycle, when they are wanted on the belt
 STICKS = {"heel": (0.0, 0.36), "toe": (0.04, 0.60)}  # and when they are wanted to move with it, from before they touch
 

@@ -191,8 +191,8 @@ def _velocity_row(m, p, ws, t, d):
                 sw, sv = load3(ws, b), load3(ws, b + 3)
                 by_q = dot(sw, turned)
                 if load(base, j) >= 0:
-                    o = load(base, j) * RECORD + TWIST
-                    bw, bv = load3(ws, o), load3(ws, o + 3)
+                    twist = load(base, j) * RECORD + TWIST
+                    bw, bv = load3(ws, twist), load3(ws, twist + 3)
                     by_q += dot(cross(bw, sw), moment) + dot(add(cross(bw, sv), cross(bv, sw)), g)
                 store(row, j, load(row, j) + by_q)
                 store(row, nv + j, load(row, nv + j) + dot(sw, moment) + dot(sv, g))

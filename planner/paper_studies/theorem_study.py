@@ -159,7 +159,13 @@ def _from_many(problem: Problem, size: float, starts: int, limit: int, update: s
 
     def run(number: int) -> tuple[str, int, float, float]:  # the last is the median of the last steps
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
-        plan = solve(replace(problem, us=us), update=update, max_iterations=limit, decrease_tolerance=TOLERANCE)
+        plan = solve(
+            replace(problem, us=us),
+            update=update,
+            max_iterations=limit,
+            decrease_tolerance=TOLERANCE,
+            gain_tolerance=0.0,
+        )
         steps = [line.step for line in plan.history[-LAST - 1 : -1] if line.step > 0.0]
         return plan.status.name, plan.nit, plan.cost, float(np.median(steps)) if steps else 0.0
 
