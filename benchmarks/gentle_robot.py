@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 import planner
-from planner.cases.gait import NORMAL_GAIT
-from planner.cases.human_step import Phase, human_step
-from planner.cases.step import SWING, Step
-from planner.cases.step_measures import judge_tracking, measures, robot
-from planner.cases.walker import SIDES, Walker
+from planner.cases.human_step.case import Phase, human_step
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.measures import judge_tracking, measures, robot
+from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.walker import SIDES, Walker
 
 WAYS: dict[str, dict[str, Any]] = {
     "`--effort 1`, the default": {},

@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import planner
+from planner.base.gl import load_mujoco
 from planner.cases import human_step
-from planner.cases.step_measures import Measures, measures
-from planner.cases.walker import LEG, PELVIS, TOUCH, Walker
+from planner.cases.human_step.measures import Measures, measures
+from planner.cases.human_step.walker import LEG, PELVIS, TOUCH, Walker
 from planner.dynamics import RigidBodyDynamics
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
-from planner.mjcf import edited
-from planner.paper_studies.step_study import LIMITS, carried, feedforward_alone, first_within, step_of
-from planner.rigid_body import rnea
+from planner.dynamics.algorithms import rnea
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited
+from planner.paper.studies.step import LIMITS, carried, feedforward_alone, first_within, step_of
 
 REPEATS = 5
 SUBSTEPS = 20

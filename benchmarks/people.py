@@ -1,7 +1,7 @@
 """Random people of the box that the human step is made for: `python benchmarks/people.py --phase cycle`.
 
 One JSON line each, then a summary. A person succeeds when the solve has converged within MOST iterations and heel and
-toe of every swinging foot clear the belt in the middle of the swing (planner.cases.step_measures.CLEAR); MuJoCo's
+toe of every swinging foot clear the belt in the middle of the swing (planner.cases.human_step.measures.CLEAR); MuJoCo's
 distance from the plan is reported beside it. SEED is not the one that the default cost was tuned on.
 """
 
@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 import planner
-from planner.cases.gait import NORMAL_GAIT
-from planner.cases.human_step import human_step
-from planner.cases.step import SWING, Step
-from planner.cases.step_measures import CLEAR, judge_tracking, measures
-from planner.cases.walker import SIDES, Walker
-from planner.replay import replay
+from planner.cases.human_step.case import human_step
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.measures import CLEAR, judge_tracking, measures
+from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.walker import SIDES, Walker
+from planner.proof.replaying import replay
 
 BOX = {"mass": (45.0, 110.0), "height": (1.50, 1.95), "cycle_time": (1.0, 1.8)}  # kg, m, s
 SEED, MOST = 2026, 60

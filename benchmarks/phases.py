@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 
 import planner
-from planner.engine import CompiledEngine, borrow
-from planner.kernels.quadratic import gradients
-from planner.kernels.riccati import riccati_dense, riccati_structured
+from planner.kernels.lq.quadratic import gradients
+from planner.kernels.lq.riccati import riccati_dense, riccati_structured
+from planner.solvers.engine import CompiledEngine, borrow
 
 REPEATS = 200
 

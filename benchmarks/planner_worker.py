@@ -45,7 +45,7 @@ class Case:
     """One problem as this package has it."""
 
     def __init__(self, problem: dict[str, Any]) -> None:
-        from planner.engine import borrow
+        from planner.solvers.engine import borrow
 
         self.problem = posed(problem)
         # The same stop for all: solve() multiplies its tolerance by the cost where that is above 1.
@@ -133,8 +133,8 @@ def registers() -> Answer:
     fused, seen = 0, set()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "inspection disabled for cached code"
-        for item in pkgutil.iter_modules(planner.kernels.__path__):
-            for value in vars(importlib.import_module(f"planner.kernels.{item.name}")).values():
+        for item in pkgutil.walk_packages(planner.kernels.__path__, "planner.kernels."):
+            for value in vars(importlib.import_module(item.name)).values():
                 for text in value.inspect_asm().values() if hasattr(value, "inspect_asm") else ():
                     if "xmm" not in text or text in seen:
                         continue

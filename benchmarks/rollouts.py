@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import planner
-from planner.gl import load_mujoco, load_rollout
+from planner.base.gl import load_mujoco, load_rollout
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Batch, Rollouts
 

@@ -23,9 +23,9 @@ from planner_worker import posed
 from rigid_body_problems import EULER, INTEGRATORS, SHORT, scaling_problem
 
 import planner
-from planner.engine import borrow
-from planner.kernels.lanes import WIDTH
-from planner.kernels.workspace import ACCEPTED
+from planner.kernels.lq.workspace import ACCEPTED
+from planner.kernels.numba.lanes import WIDTH
+from planner.solvers.engine import borrow
 
 KINDS: dict[str, Callable[[int], Chain]] = {"serial chain": mechanisms.serial, "random tree": mechanisms.random_tree}
 PHASES = {"linearise": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n each may grow with

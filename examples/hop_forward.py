@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 import planner
-from planner.guess import hold
+from planner.problem.guess import hold
 
 G = 9.81
 STAND, REST = 0.2, 1.0  # s: before the centre of mass moves, and after

@@ -15,42 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from planner import cases
-    from planner.body_contact import BodyContact, Capsule
-    from planner.check import Checked, check
-    from planner.closing import Periodic
-    from planner.contact import Contact, Law, Plane, Stop, Touch
-    from planner.contact_forces import ContactForces, body_contact_forces, contact_forces
-    from planner.control_spline import SplineControls, solve_by_splines
-    from planner.cost import Cost, Quadratic, SumCost, TrackingCost
-    from planner.drive_cost import DriveCost
+    from planner.base.errors import FileError, ModelError, PlannerError, RenderingUnavailable
     from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
-    from planner.energy_cost import EnergyCost
-    from planner.errors import FileError, ModelError, PlannerError, RenderingUnavailable
-    from planner.frame_cost import FrameCost
-    from planner.free_time import retimed, solve_for
-    from planner.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
-    from planner.hold import hold_gain
-    from planner.jerk import JerkCost, driven_by_jerk
-    from planner.joint_curves import ExponentialTorque
-    from planner.limits import Limits
-    from planner.mechanism import Mechanism
-    from planner.mechanism_contacts import contact_attributes, stop_attributes
-    from planner.momentum import angular_momentum, center_of_mass
-    from planner.objective import Objective, with_objective
-    from planner.payload import largest_payload, static_limit
-    from planner.penalty_cost import PenaltyCost
-    from planner.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
-    from planner.periodic import Pass, solve_periodic
-    from planner.plan import Iteration, Plan, Start, Status
-    from planner.problem import Problem
-    from planner.proof import Proof, prove
-    from planner.proof.cost import proven_cost
-    from planner.proof.parity import parity
-    from planner.proof.perturbation import Perturbation
-    from planner.refine import Refined, Refinement, refine
-    from planner.render import render_frame, render_strip, render_video
-    from planner.replay import Replay, replay
-    from planner.rigid_body import (
+    from planner.dynamics.algorithms import (
         bias,
         bias_derivatives,
         forward_dynamics,
@@ -67,66 +34,99 @@ if TYPE_CHECKING:
         rnea,
         rnea_derivatives,
     )
-    from planner.shooting import Extremal, shoot
-    from planner.slq import solve
-    from planner.space import StateSpace
-    from planner.spline import SplineMotion, minimize_effort
-    from planner.statics import settled
-    from planner.twin import Twin
-    from planner.underactuated import DrivenMotion, minimize_effort_underactuated
+    from planner.dynamics.contacts import ContactForces, body_contact_forces, contact_forces
+    from planner.dynamics.momentum import angular_momentum, center_of_mass
+    from planner.dynamics.statics import settled
+    from planner.model.contact.between_bodies import BodyContact, Capsule
+    from planner.model.contact.laws import Contact, Law, Plane, Stop, Touch
+    from planner.model.joint_curves import ExponentialTorque
+    from planner.model.mechanism import Mechanism
+    from planner.model.mjcf.contacts import contact_attributes, stop_attributes
+    from planner.model.space import StateSpace
+    from planner.model.twin import Twin
+    from planner.paper.methods.control_spline import SplineControls, solve_by_splines
+    from planner.paper.methods.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
+    from planner.paper.methods.shooting import Extremal, shoot
+    from planner.paper.methods.splines import SplineMotion, minimize_effort
+    from planner.paper.methods.underactuated import DrivenMotion, minimize_effort_underactuated
+    from planner.paper.payload import largest_payload, static_limit
+    from planner.problem.costs.drive import DriveCost
+    from planner.problem.costs.energy import EnergyCost
+    from planner.problem.costs.frame import FrameCost
+    from planner.problem.costs.jerk import JerkCost, driven_by_jerk
+    from planner.problem.costs.penalty import PenaltyCost
+    from planner.problem.costs.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
+    from planner.problem.costs.tracking import Cost, Quadratic, SumCost, TrackingCost
+    from planner.problem.limits import Limits
+    from planner.problem.objective import Objective, with_objective
+    from planner.problem.periodicity import Periodic
+    from planner.problem.plan import Iteration, Plan, Start, Status
+    from planner.problem.problem import Problem
+    from planner.proof import Proof, prove
+    from planner.proof.cost import proven_cost
+    from planner.proof.hold import hold_gain
+    from planner.proof.models_agree import parity
+    from planner.proof.perturbation import Perturbation
+    from planner.proof.refinement import Refined, Refinement, refine
+    from planner.proof.replaying import Replay, replay
+    from planner.solvers.free_time import retimed, solve_for
+    from planner.solvers.periodic import Pass, solve_periodic
+    from planner.solvers.slq import solve
+    from planner.sweeps.stored_plans import Checked, check
+    from planner.view.render.video import render_frame, render_strip, render_video
 
 __version__ = "0.1.0"
 
 # Where the names below are found when they are first asked for: a plan does not wait for the paper's other methods, and
 # `import planner` chooses no OpenGL. What type checkers are told above must be the same.
 _MODULES = {
-    "body_contact": "BodyContact Capsule",
-    "check": "Checked check",
-    "closing": "Periodic",
-    "contact": "Contact Law Plane Stop Touch",
-    "contact_forces": "ContactForces body_contact_forces contact_forces",
-    "control_spline": "SplineControls solve_by_splines",
-    "cost": "Cost Quadratic SumCost TrackingCost",
-    "drive_cost": "DriveCost",
+    "model.contact.between_bodies": "BodyContact Capsule",
+    "sweeps.stored_plans": "Checked check",
+    "problem.periodicity": "Periodic",
+    "model.contact.laws": "Contact Law Plane Stop Touch",
+    "dynamics.contacts": "ContactForces body_contact_forces contact_forces",
+    "paper.methods.control_spline": "SplineControls solve_by_splines",
+    "problem.costs.tracking": "Cost Quadratic SumCost TrackingCost",
+    "problem.costs.drive": "DriveCost",
     "dynamics": "Dynamics FunctionDynamics HopperDynamics RigidBodyDynamics",
-    "energy_cost": "EnergyCost",
-    "errors": "FileError ModelError PlannerError RenderingUnavailable",
-    "frame_cost": "FrameCost",
-    "free_time": "retimed solve_for",
-    "gradient_methods": "Descended cost_and_gradient minimize_by_gradient",
-    "hold": "hold_gain",
-    "jerk": "JerkCost driven_by_jerk",
-    "joint_curves": "ExponentialTorque",
-    "limits": "Limits",
-    "mechanism": "Mechanism",
-    "mechanism_contacts": "contact_attributes stop_attributes",
-    "momentum": "angular_momentum center_of_mass",
-    "objective": "Objective with_objective",
-    "payload": "largest_payload static_limit",
-    "penalty_cost": "PenaltyCost",
-    "penalty_terms": "Distance Gap Height Point Segment Velocity",
-    "periodic": "Pass solve_periodic",
-    "plan": "Iteration Plan Start Status",
-    "problem": "Problem",
+    "problem.costs.energy": "EnergyCost",
+    "base.errors": "FileError ModelError PlannerError RenderingUnavailable",
+    "problem.costs.frame": "FrameCost",
+    "solvers.free_time": "retimed solve_for",
+    "paper.methods.gradient_methods": "Descended cost_and_gradient minimize_by_gradient",
+    "proof.hold": "hold_gain",
+    "problem.costs.jerk": "JerkCost driven_by_jerk",
+    "model.joint_curves": "ExponentialTorque",
+    "problem.limits": "Limits",
+    "model.mechanism": "Mechanism",
+    "model.mjcf.contacts": "contact_attributes stop_attributes",
+    "dynamics.momentum": "angular_momentum center_of_mass",
+    "problem.objective": "Objective with_objective",
+    "paper.payload": "largest_payload static_limit",
+    "problem.costs.penalty": "PenaltyCost",
+    "problem.costs.penalty_terms": "Distance Gap Height Point Segment Velocity",
+    "solvers.periodic": "Pass solve_periodic",
+    "problem.plan": "Iteration Plan Start Status",
+    "problem.problem": "Problem",
     "proof": "Proof prove",
     "proof.cost": "proven_cost",
-    "proof.parity": "parity",
+    "proof.models_agree": "parity",
     "proof.perturbation": "Perturbation",
-    "refine": "Refined Refinement refine",
-    "render": "render_frame render_strip render_video",
-    "replay": "Replay replay",
-    "rigid_body": (
+    "proof.refinement": "Refined Refinement refine",
+    "view.render.video": "render_frame render_strip render_video",
+    "proof.replaying": "Replay replay",
+    "dynamics.algorithms": (
         "bias bias_derivatives forward_dynamics forward_dynamics_derivatives forward_kinematics "
         "forward_kinematics_derivatives frame_pose hybrid_dynamics hybrid_dynamics_derivatives jacobian "
         "jacobian_derivatives mass_matrix mass_matrix_derivatives rnea rnea_derivatives"
     ),
-    "shooting": "Extremal shoot",
-    "slq": "solve",
-    "space": "StateSpace",
-    "spline": "SplineMotion minimize_effort",
-    "statics": "settled",
-    "twin": "Twin",
-    "underactuated": "DrivenMotion minimize_effort_underactuated",
+    "paper.methods.shooting": "Extremal shoot",
+    "solvers.slq": "solve",
+    "model.space": "StateSpace",
+    "paper.methods.splines": "SplineMotion minimize_effort",
+    "dynamics.statics": "settled",
+    "model.twin": "Twin",
+    "paper.methods.underactuated": "DrivenMotion minimize_effort_underactuated",
 }
 _HOME = {name: f"planner.{module}" for module, names in _MODULES.items() for name in names.split()}
 

@@ -10,9 +10,10 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from planner.commands import about, check, paper, parser, plans, run
-from planner.console import Console
-from planner.errors import PlannerError
+from planner.base.errors import PlannerError
+from planner.cli import about, paper, parser, plans, run
+from planner.cli import stored_plans as check
+from planner.cli.console import Console
 
 _COMMANDS = {
     "list": about.list_cases, "warmup": about.warmup, "run": run.run, "solve": plans.solve_case,

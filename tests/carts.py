@@ -3,7 +3,7 @@
 import pytest
 
 import planner
-from planner.problem_file import load
+from planner.cases.problem_file import load
 
 CART = """
 <mujoco model="cart">

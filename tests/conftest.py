@@ -4,7 +4,7 @@ import inspect
 
 import pytest
 
-from planner import gl
+from planner.base import gl
 from planner.proof.verdict import prove
 
 

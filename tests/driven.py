@@ -4,8 +4,8 @@ from legs import attributes
 from trees import mujoco
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.contact_forces import contact_forces
-from planner.mechanism_contacts import contact_attributes, stop_attributes
+from planner.dynamics.contacts import contact_forces
+from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
 # A double pendulum hangs on a cart that is moved; its second joint has a motor. What acts on the cart does nothing.
 CART = """

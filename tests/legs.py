@@ -3,7 +3,7 @@
 import numpy as np
 from trees import mujoco
 
-from planner.mechanism_contacts import contact_attributes, stop_attributes
+from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
 STIFFNESS, DAMPING, SLIP, FRICTION, RADIUS = 2e4, 100.0, 1000.0, 0.7, 0.03
 

@@ -4,15 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from planner.figures import Figure, Section
-from planner.plan import Iteration, Plan, Status
+from planner.base.measured import Figure, Section
+from planner.model.twin import Twin
+from planner.problem.appearance import Panel, Stage
+from planner.problem.plan import Iteration, Plan, Status
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed
-from planner.replay import Replay
-from planner.stage import Panel, Stage
-from planner.twin import Twin
+from planner.proof.replaying import Replay
 
 MODES = ("open-loop", "feedback")
 STAGE = Stage(

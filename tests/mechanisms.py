@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.gl import load_mujoco
-from planner.mechanism import SCREW
-from planner.space import log_quaternion
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import SCREW
+from planner.model.space import log_quaternion
 
 mujoco = load_mujoco()
 

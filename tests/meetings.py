@@ -8,7 +8,7 @@ import numpy as np
 from legs import attributes
 from trees import mujoco
 
-from planner.mechanism_contacts import contact_attributes
+from planner.model.mjcf.contacts import contact_attributes
 
 STIFFNESS, DAMPING, SLIP, FRICTION = 2e4, 100.0, 1000.0, 0.7
 

@@ -5,10 +5,10 @@ from test_mechanism_parity import TREE
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.mechanism import Mechanism
-from planner.mjcf import model_path
-from planner.plan import Plan, Status
-from planner.problem import Problem
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import model_path
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
 
 LIMITED = """
 <mujoco model="limited">

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 import planner
-from planner import FunctionDynamics, HopperDynamics, Problem, TrackingCost, lq
+from planner import FunctionDynamics, HopperDynamics, Problem, TrackingCost
 from planner.cases.hopper import PAPER
-from planner.slq import LINE_SEARCHES, UPDATES
+from planner.solvers import lq
+from planner.solvers.slq import LINE_SEARCHES, UPDATES
 
 seeds = st.integers(0, 2**32 - 1)
 every_way = pytest.mark.parametrize(("update", "line_search"), list(itertools.product(UPDATES, LINE_SEARCHES)))

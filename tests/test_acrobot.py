@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import planner
-from planner.gl import load_mujoco
+from planner.base.gl import load_mujoco
 
 mujoco = load_mujoco()
 

@@ -6,9 +6,9 @@ from mechanisms import OBJ
 
 import planner
 from planner.__main__ import main
-from planner.mjcf import edited
-from planner.replay import compile_model, with_model
-from planner.twin import Twin
+from planner.model.mjcf.text import edited
+from planner.model.twin import Twin
+from planner.proof.replaying import compile_model, with_model
 
 CART = """
 <mujoco model="cart">
@@ -45,7 +45,7 @@ def height(twin):
 
 @pytest.fixture
 def plan(tmp_path):
-    problem = planner.problem_file.load(folder(tmp_path / "own", 1) / "problem.toml").problem
+    problem = planner.cases.problem_file.load(folder(tmp_path / "own", 1) / "problem.toml").problem
     return planner.solve(problem)
 
 

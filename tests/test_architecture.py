@@ -177,7 +177,7 @@ from planner import *
 from planner import refine as imported
 assert callable(planner.check) and callable(planner.replay)
 assert callable(planner.refine) and imported is refine is planner.refine
-assert planner.rigid_body.rnea is planner.rnea and planner.plots.plot_plan and planner.cases is cases
+assert planner.dynamics.algorithms.rnea is planner.rnea and planner.view.plots.plot_plan and planner.cases is cases
 assert not hasattr(planner, "nonsense") and not hasattr(planner, "_nonsense")
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner import PlannerError
-from planner.arguments import array, choice, count, number, numbers, shown
+from planner.base.arguments import array, choice, count, number, numbers, shown
 
 NO_NUMBERS = [
     True,

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from test_contact import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from trees import actuated, driven, machines, random_state, relative_error
 
-from planner import poe, rigid_body
-from planner.body_contact import BodyContact, Capsule
-from planner.body_contact_places import BodyPlace, closest_points
-from planner.contact import Touch
-from planner.contact_forces import body_contact_forces, generalized_force_derivatives, generalized_forces
-from planner.dynamics import RigidBodyDynamics
-from planner.errors import PlannerError
-from planner.mechanism import SCREW, Mechanism
-from planner.momentum import angular_momentum, center_of_mass
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics, poe
+from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.contact_places import BodyPlace, closest_points
+from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
+from planner.dynamics.momentum import angular_momentum, center_of_mass
+from planner.model.contact.between_bodies import BodyContact, Capsule
+from planner.model.contact.laws import Touch
+from planner.model.mechanism import SCREW, Mechanism
 
 HINGES = """<mujoco><worldbody>
   <body><joint name="one" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>
@@ -49,7 +49,7 @@ def test_closest_points_are_closer_than_all_others():
 
 
 def test_blunt_points_are_little_farther_apart():
-    """The bound of planner.body_contact: ramp^2 / 2|D|, at any angle, parallel ones among them."""
+    """The bound of planner.model.contact.between_bodies: ramp^2 / 2|D|, at any angle, parallel ones among them."""
     rng, K = np.random.default_rng(1), 400
     contact = BodyContact(Capsule(0, np.zeros(3), [0.3, 0, 0], 0.05), Capsule(1, np.zeros(3), [0, 0.2, 0], 0.0), SOFT)
     half, b = (contact.first.length, contact.second.length), contact.blunt

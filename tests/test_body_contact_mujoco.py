@@ -9,13 +9,13 @@ from meetings import DAMPING, FRICTION, PAIRS, SLIP, STIFFNESS, meeting
 from trees import mujoco
 
 import planner
-from planner.body_contact_places import BodyPlace
-from planner.contact import Touch
-from planner.contact_forces import body_contact_forces, contact_forces
+from planner.base.errors import ModelError
 from planner.dynamics import RigidBodyDynamics
-from planner.errors import ModelError
-from planner.mechanism import Mechanism
-from planner.mechanism_contacts import contact_attributes
+from planner.dynamics.contact_places import BodyPlace
+from planner.dynamics.contacts import body_contact_forces, contact_forces
+from planner.model.contact.laws import Touch
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contacts import contact_attributes
 
 # From where the bodies touch almost at once, so that they press, roll and slip for most of the time.
 HEIGHTS = {"spheres": 0.65, "sphere on capsule": 0.595, "capsules": 0.593}

@@ -6,7 +6,7 @@ import pytest
 
 import planner
 from planner.__main__ import main
-from planner.check import check, stored_proof
+from planner.sweeps.stored_plans import check, stored_proof
 
 
 @pytest.fixture

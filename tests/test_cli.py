@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.commands.results import OUTPUTS
+from planner.cli.results import OUTPUTS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PLANNER = [sys.executable, "-m", "planner"]

@@ -7,8 +7,9 @@ from numba.core.errors import NumbaError, TypingError
 from trees import chain
 
 from planner.dynamics import RigidBodyDynamics
-from planner.kernels import jit, precompile
-from planner.mechanism import Mechanism
+from planner.kernels import precompile
+from planner.kernels.numba import jit
+from planner.model.mechanism import Mechanism
 
 
 def stopped(x, touching):

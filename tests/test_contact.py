@@ -8,12 +8,12 @@ import pytest
 from hypothesis import strategies as st
 from trees import CHAINS, Body, actuated, driven, machines, random_state, relative_error, tree_xml
 
-from planner import poe, rigid_body
-from planner.contact import Contact, Law, Plane, Stop, Touch
-from planner.contact_forces import contact_forces, generalized_force_derivatives, generalized_forces, touch_force
-from planner.dynamics import RigidBodyDynamics
-from planner.errors import PlannerError
-from planner.mechanism import SCREW, Frame, Mechanism
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics, poe
+from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.contacts import contact_forces, generalized_force_derivatives, generalized_forces, touch_force
+from planner.model.contact.laws import Contact, Law, Plane, Stop, Touch
+from planner.model.mechanism import SCREW, Frame, Mechanism
 
 # The step study's recommended contact (its section 1), and the unsmoothed one with MuJoCo's projection.
 SOFT = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6)

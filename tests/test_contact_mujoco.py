@@ -10,11 +10,11 @@ import pytest
 from legs import DAMPING, FRICTION, RADIUS, SLIP, STIFFNESS, leg, standing, torques
 from trees import mujoco
 
-from planner.contact_forces import contact_forces
+from planner.base.errors import ModelError, PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.errors import ModelError, PlannerError
-from planner.mechanism import Mechanism
-from planner.mechanism_contacts import contact_attributes, stop_attributes
+from planner.dynamics.contacts import contact_forces
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
 
 def together(text, duration=0.6, dt=1e-4, substeps=1, speed=0.5):

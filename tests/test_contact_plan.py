@@ -9,11 +9,11 @@ from test_models_of_others import PLACES, path
 from trees import mujoco
 
 import planner
-from planner import rigid_body
-from planner.contact import Touch
-from planner.contact_forces import contact_forces
-from planner.errors import ModelError, PlannerError
-from planner.mechanism import Frame, Mechanism
+from planner.base.errors import ModelError, PlannerError
+from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.contacts import contact_forces
+from planner.model.contact.laws import Touch
+from planner.model.mechanism import Frame, Mechanism
 
 # A person's weight sinks in by some millimetres, and friction is steep enough for its feet not to creep.
 GROUND = Touch(stiffness=2e4, damping=200.0, ramp=5e-3, slip_damping=500.0, friction=0.8)

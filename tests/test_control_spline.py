@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import planner
-from planner.adjoint import AdjointCost
 from planner.cases import hopper
 from planner.cases.hopper import PAPER
-from planner.continuous import ContinuousProblem
-from planner.control_spline import SplineCost, solve_by_splines
 from planner.dynamics import FunctionDynamics
-from planner.paper_studies.hopper_splines_study import hessian
-from planner.spline_basis import SplineBasis
+from planner.paper.methods.adjoint import AdjointCost
+from planner.paper.methods.continuous import ContinuousProblem
+from planner.paper.methods.control_spline import SplineCost, solve_by_splines
+from planner.paper.methods.spline_basis import SplineBasis
+from planner.paper.studies.hopper_splines import hessian
 
 
 def jump(height=20.0):

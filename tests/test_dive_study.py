@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from planner.paper_studies.dive_study import PARTS, SHOWN, dive_markdown, dive_results, dive_rows, draw_dive
+from planner.paper.studies.dive import PARTS, SHOWN, dive_markdown, dive_results, dive_rows, draw_dive
 
 
 @pytest.fixture(scope="module")

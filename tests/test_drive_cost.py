@@ -10,16 +10,16 @@ from trees import mujoco
 
 import planner
 from planner import Mechanism, PlannerError, RigidBodyDynamics, TrackingCost
-from planner.contact_forces import generalized_forces
-from planner.cost import tracking_of
-from planner.drive_cost import DriveCost
-from planner.driven_twin import HEAVY, twin_of
-from planner.jerk import driven_by_jerk
-from planner.objective import with_objective
+from planner.dynamics.algorithms import rnea
+from planner.dynamics.contacts import generalized_forces
+from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.twin import Twin
+from planner.problem.costs.drive import DriveCost
+from planner.problem.costs.jerk import driven_by_jerk
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.objective import with_objective
 from planner.proof.perturbation import Nominal
-from planner.replay import compile_model
-from planner.rigid_body import rnea
-from planner.twin import Twin
+from planner.proof.replaying import compile_model
 
 
 def standing(K, spread=0.02):

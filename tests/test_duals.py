@@ -5,10 +5,10 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from planner.kernels.duals import duals
-from planner.kernels.jit import FASTMATH
-from planner.kernels.lane_math import sincos, sqrt
-from planner.kernels.lanes import WIDTH, at, lane_array, lanes, load, spread, store
+from planner.kernels.numba.duals import duals
+from planner.kernels.numba.jit import FASTMATH
+from planner.kernels.numba.lane_math import sincos, sqrt
+from planner.kernels.numba.lanes import WIDTH, at, lane_array, lanes, load, spread, store
 
 # As kernels.jit compiles, but not into its cache: these kernels are the test's own.
 jit = njit(fastmath=set(FASTMATH), error_model="numpy")

@@ -5,14 +5,14 @@ import pytest
 from test_models_of_others import PLACES, path
 
 import planner
-from planner.contact import Touch
-from planner.contact_forces import contact_forces, contact_jacobians
-from planner.errors import PlannerError
-from planner.guess import hold
-from planner.mechanism import Mechanism
-from planner.momentum import center_of_mass
-from planner.problem_file import load
-from planner.statics import settled
+from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.statics import settled
+from planner.model.contact.laws import Touch
+from planner.model.mechanism import Mechanism
+from planner.problem.guess import hold
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 

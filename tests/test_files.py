@@ -13,8 +13,8 @@ from contextlib import suppress
 
 import pytest
 
-from planner.errors import FileError, ModelError
-from planner.files import TEXT_LIMIT, file_error, printable, read_input, read_text, staged_folder, write_atomically
+from planner.base.errors import FileError, ModelError
+from planner.base.files import TEXT_LIMIT, file_error, printable, read_input, read_text, staged_folder, write_atomically
 
 OUTPUTS = ("plan.npz", "report.html", "video.mp4")
 

@@ -9,9 +9,9 @@ from carts import write
 from swings import PENDULUM, discrete, strange, swing
 
 import planner
-from planner.finer import finer, halved
-from planner.problem_file import load
-from planner.warm_start import roll_out, warm_start
+from planner.cases.problem_file import load
+from planner.problem.finer import finer, halved
+from planner.solvers.warm_start import roll_out, warm_start
 
 module = importlib.import_module("planner.refine")  # the name is the function's in planner
 

@@ -9,9 +9,9 @@ from test_cost import assert_gradients, hessian, spd
 
 import planner
 from planner import Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
-from planner.frame_cost import FrameCost, quaternion_of
-from planner.gl import load_mujoco
-from planner.space import exp_quaternion, product
+from planner.base.gl import load_mujoco
+from planner.model.space import exp_quaternion, product
+from planner.problem.costs.frame import FrameCost, quaternion_of
 
 mujoco = load_mujoco()
 seeds = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ from test_objectives import arm, cart
 
 import planner
 from planner import Limits, cases
-from planner.free_time import retimed
+from planner.solvers.free_time import retimed
 
 
 def test_a_cart_in_least_time_is_bang_bang():

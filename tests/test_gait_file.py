@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from planner import cases
-from planner.cases.gait import ANGLES, NORMAL_GAIT
-from planner.cases.gait_file import ALSO, read_gait
-from planner.errors import FileError
+from planner.base.errors import FileError
+from planner.cases.human_step.gait import ANGLES, NORMAL_GAIT
+from planner.cases.human_step.gait_file import ALSO, read_gait
 
 PERCENT = np.arange(0.0, 101.0, 2.0)
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from legs import leg
 
-from planner.errors import FileError, PlannerError
-from planner.mechanism import Mechanism
-from planner.pictures import Band, Chart, Curve, Motion, Stick, Trace
-from planner.plots.charts import draw_charts, plot_charts
-from planner.plots.paths import draw_paths, plot_paths
-from planner.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
-from planner.plots.stick_figures import draw_stick_figures, plot_stick_figures
-from planner.stage import View
+from planner.base.errors import FileError, PlannerError
+from planner.model.mechanism import Mechanism
+from planner.problem.appearance import View
+from planner.problem.pictures import Band, Chart, Curve, Motion, Stick, Trace
+from planner.view.plots.charts import draw_charts, plot_charts
+from planner.view.plots.paths import draw_paths, plot_paths
+from planner.view.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
+from planner.view.plots.stick_figures import draw_stick_figures, plot_stick_figures
 
 LEG = Stick((0, 1), "leg", hue=0)
 

@@ -10,9 +10,9 @@ from test_human_step import CYCLE, SWING
 import planner
 from planner.__main__ import main
 from planner.cases import human_step
-from planner.cases.step_drive import CHANGE, FORCE, MOMENT, weight
-from planner.cases.step_measures import CLEAR, measures, robot, robot_wrench
-from planner.cases.walker import PELVIS, Walker
+from planner.cases.human_step.drive import CHANGE, FORCE, MOMENT, weight
+from planner.cases.human_step.measures import CLEAR, measures, robot, robot_wrench
+from planner.cases.human_step.walker import PELVIS, Walker
 
 LIMIT = 100  # iterations
 

@@ -5,10 +5,10 @@ import pytest
 
 import planner
 from planner import FunctionDynamics, Problem, TrackingCost
-from planner.errors import PlannerError
-from planner.gradient_methods import METHODS, cost_and_gradient, minimize_by_gradient
-from planner.paper_studies.gradient_study import draw_gradients, gradient_markdown, gradient_results, gradient_rows
-from planner.plan import Status
+from planner.base.errors import PlannerError
+from planner.paper.methods.gradient_methods import METHODS, cost_and_gradient, minimize_by_gradient
+from planner.paper.studies.gradient import draw_gradients, gradient_markdown, gradient_results, gradient_rows
+from planner.problem.plan import Status
 from tests.solves import flight, hopper, linear, numpy_twin, rollout, swing
 
 methods = pytest.mark.parametrize("method", METHODS)

@@ -5,9 +5,10 @@ import pytest
 from solves import every_way
 
 import planner
-from planner import Plan, PlannerError, Problem, Status, TrackingCost, lq
-from planner.engine import NumpyEngine, borrow
-from planner.space import StateSpace, exp_quaternion, product
+from planner import Plan, PlannerError, Problem, Status, TrackingCost
+from planner.model.space import StateSpace, exp_quaternion, product
+from planner.solvers import lq
+from planner.solvers.engine import NumpyEngine, borrow
 
 INERTIA = np.diag([1.0, 2.0, 3.5])
 TURN = exp_quaternion(np.array([0.4, -1.1, 0.3]))

@@ -46,7 +46,7 @@ def test_the_replays_error_is_the_predicted_one(proofs, mode):
 def test_a_wrong_model_is_not_predicted():
     """What a step cannot explain: a forearm 0.1 % heavier in MuJoCo alone, held by the gains."""
     plan = planner.solve(cases.two_link())
-    from planner.mjcf import edited
+    from planner.model.mjcf.text import edited
 
     text = edited(plan.twin.mjcf, {".//body[@name='forearm']/inertial": {"mass": "0.5005"}})
     assert planner.prove(plan, mjcf=text, rollouts=0).errors.ratio("feedback") > FACTOR

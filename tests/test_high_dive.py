@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 import planner
-from planner.cases import anthropometry, dive
-from planner.cases.diver import Diver
-from planner.cases.high_dive import enters, misses, momentum_drift, rotated_up
-from planner.film import Film
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
-from planner.mjcf import model_path
-from planner.momentum import angular_momentum, center_of_mass
+from planner.base.gl import load_mujoco
+from planner.cases import anthropometry
+from planner.cases.high_dive import dive
+from planner.cases.high_dive.case import enters, misses, momentum_drift, rotated_up
+from planner.cases.high_dive.diver import Diver
+from planner.dynamics.momentum import angular_momentum, center_of_mass
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import model_path
+from planner.view.render.film import Film
 
 mujoco = load_mujoco()
 

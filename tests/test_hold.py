@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.hold import BOUND, Hold, hold_gain, hold_section, replay_hold
+from planner.proof.hold import BOUND, Hold, hold_gain, hold_section, replay_hold
 
 BALL = """
 <mujoco model="trunk">

@@ -11,7 +11,7 @@ import pytest
 
 import planner
 from planner.cases.hopper import PAPER, crossings, match_crossings
-from planner.mjcf import edited
+from planner.model.mjcf.text import edited
 
 LEG = "worldbody/body/body/joint[@name='leg']"
 FOOT = "worldbody/body/body/inertial"

@@ -9,15 +9,15 @@ import pytest
 from test_mjcf import MJCF
 
 import planner
+from planner.base.gl import load_mujoco
 from planner.cases import anthropometry, build, human_step
-from planner.cases.gait import NORMAL_GAIT
-from planner.cases.step import Step
-from planner.cases.step_measures import CLEAR, measures, normal_height, robot_wrench
-from planner.cases.walker import BRACES, PASSIVE, PELVIS, SIDES, STOP, TOUCH, Walker
-from planner.contact_forces import generalized_forces
-from planner.gl import load_mujoco
-from planner.mechanism import Frame, Mechanism
-from planner.rigid_body import rnea
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.measures import CLEAR, measures, normal_height, robot_wrench
+from planner.cases.human_step.step import Step
+from planner.cases.human_step.walker import BRACES, PASSIVE, PELVIS, SIDES, STOP, TOUCH, Walker
+from planner.dynamics.algorithms import rnea
+from planner.dynamics.contacts import generalized_forces
+from planner.model.mechanism import Frame, Mechanism
 
 mujoco = load_mujoco()
 DEGREE = np.pi / 180.0

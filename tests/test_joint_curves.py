@@ -13,13 +13,13 @@ from trees import mujoco
 
 import planner
 from planner import ExponentialTorque, Mechanism, RigidBodyDynamics, Twin
-from planner.contact_forces import generalized_force_derivatives, generalized_forces
-from planner.curve_callback import curves_acting
-from planner.errors import ModelError, PlannerError
+from planner.base.errors import ModelError, PlannerError
+from planner.dynamics.algorithms import forward_dynamics
+from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
+from planner.proof.curve_callback import curves_acting
 from planner.proof.perturbation import Perturbation, draw
+from planner.proof.replaying import compile_model
 from planner.proof.rollouts import Rollouts
-from planner.replay import compile_model
-from planner.rigid_body import forward_dynamics
 
 # Two arms on a cart that slides: curves couple all three, as muscles do that span several joints.
 ARMS = """

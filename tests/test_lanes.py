@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numba import njit
 
-from planner.kernels.hopper import EULER, RK4, SEMI_IMPLICIT_EULER, push, spring, step
-from planner.kernels.jit import FASTMATH
-from planner.kernels.lanes import (
+from planner.kernels.hopper.step import EULER, RK4, SEMI_IMPLICIT_EULER, push, spring, step
+from planner.kernels.numba.jit import FASTMATH
+from planner.kernels.numba.lanes import (
     WIDTH,
     any_less,
     lane_array,

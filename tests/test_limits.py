@@ -9,11 +9,12 @@ from carts import refuse, write
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 import planner
-from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, cases, lq
-from planner.box import box_minimum
-from planner.engine import CompiledEngine, NumpyEngine
-from planner.problem_file import load
+from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, cases
+from planner.cases.problem_file import load
 from planner.proof.consistency import consistency
+from planner.solvers import lq
+from planner.solvers.box import box_minimum
+from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 
 def two_link(limits=None, horizon=100, **parameters):
@@ -291,7 +292,7 @@ def test_limits_of_a_problem_file(tmp_path):
 
 def test_the_figure_shows_bounds(tmp_path, plan):
     """Two dotted bounds for each control, and a shade for each time that it is at one."""
-    from planner.plots.plan import draw_plan
+    from planner.view.plots.plan import draw_plan
 
     figure = draw_plan(plan, None)
     dotted = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == ":"]

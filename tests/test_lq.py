@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, solve_discrete_are
 
-from planner import FunctionDynamics, TrackingCost, lq
-from planner.cost import Quadratic
-from planner.kernels import riccati as kernels
-from planner.kernels.lanes import WIDTH
-from planner.kernels.quadratic import gradients
-from planner.kernels.workspace import Workspace
-from planner.space import euclidean
+from planner import FunctionDynamics, TrackingCost
+from planner.kernels.lq import riccati as kernels
+from planner.kernels.lq.quadratic import gradients
+from planner.kernels.lq.workspace import Workspace
+from planner.kernels.numba.lanes import WIDTH
+from planner.model.space import euclidean
+from planner.problem.costs.tracking import Quadratic
+from planner.solvers import lq
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,10 +6,10 @@ from mechanisms import MACHINE, passive, state
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from planner.errors import PlannerError
-from planner.gl import load_mujoco
-from planner.mechanism import BALL, BALL_NEXT, FILTER, INTEGRATOR, SCREW, Mechanism
-from planner.space import hat
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import BALL, BALL_NEXT, FILTER, INTEGRATOR, SCREW, Mechanism
+from planner.model.space import hat
 
 mujoco = load_mujoco()
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from mechanisms import MACHINE, OBJ, plain
 
-from planner.errors import PlannerError
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
-from planner.mechanism_reader import read
-from planner.mjcf import model_text
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.read import read
+from planner.model.mjcf.text import model_text
 
 mujoco = load_mujoco()
 

@@ -5,8 +5,8 @@ import pytest
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.mechanism import Mechanism
-from planner.mjcf import edited, model_path
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited, model_path
 
 TREE = """
 <mujoco>

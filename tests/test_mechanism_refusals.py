@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from mechanisms import passive, plain, state
 
-from planner.errors import PlannerError
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
-from planner.mechanism_refusals import KINDS, contact_pairs
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.refuse import KINDS, contact_pairs
 
 mujoco = load_mujoco()
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.gl import load_mujoco
+from planner.base.gl import load_mujoco
 
 MJCF = Path(__file__).parents[1] / "mjcf"
 SCENES = sorted(MJCF.glob("*/scene.xml"))

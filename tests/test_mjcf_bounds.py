@@ -5,10 +5,10 @@ import os
 import pytest
 from mechanisms import OBJ, plain
 
-from planner.errors import ModelError
-from planner.mechanism import Mechanism
-from planner.mjcf import model_text, model_tree
-from planner.mjcf_bounds import MOST_COPIES, MOST_ELEMENTS, MOST_FILES, MOST_LEVELS, check_stored
+from planner.base.errors import ModelError
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.bounds import MOST_COPIES, MOST_ELEMENTS, MOST_FILES, MOST_LEVELS, check_stored
+from planner.model.mjcf.text import model_text, model_tree
 
 WORLD = "<mujoco><worldbody>%s</worldbody></mujoco>"
 GEOM = '<geom size="0.1"/>'

@@ -19,10 +19,10 @@ from trees import (
     site_jacobian,
 )
 
-from planner import rigid_body as rb
+from planner.base.errors import ModelError, PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.errors import ModelError, PlannerError
-from planner.mechanism import DIRECT, Mechanism
+from planner.dynamics import algorithms as rb
+from planner.model.mechanism import DIRECT, Mechanism
 
 
 def folder(package, inside):

@@ -12,9 +12,10 @@ import pytest
 from solves import assert_consistent, each_engine, engines, hopper, same_bits, stop_at, swing
 
 import planner
-from planner import FunctionDynamics, PlannerError, Problem, Quadratic, Status, multistart
-from planner.multistart import best_of, smooth
-from planner.plan import Start
+from planner import FunctionDynamics, PlannerError, Problem, Quadratic, Status
+from planner.problem.plan import Start
+from planner.solvers import multistart
+from planner.solvers.multistart import best_of, smooth
 
 
 class Wells:

@@ -20,13 +20,13 @@ from planner import (
     RigidBodyDynamics,
     TrackingCost,
     cases,
-    lq,
 )
-from planner.jerk import JerkDynamics, RememberedJerkCost
-from planner.objective import EFFORT_SHARE, plain, weights_of, with_objective
-from planner.paper_studies.objective_study import CART
-from planner.problem_file import load
+from planner.cases.problem_file import load
+from planner.paper.studies.objective import CART
+from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
+from planner.problem.objective import EFFORT_SHARE, plain, weights_of, with_objective
 from planner.proof.consistency import consistency
+from planner.solvers import lq
 
 
 def cart(N=50, duration=4.0, **limits):
@@ -189,7 +189,7 @@ def test_files_hold_the_objective(tmp_path, objective):
 
 
 def test_finer_steps_keep_the_objective():
-    from planner.finer import finer
+    from planner.problem.finer import finer
 
     problem = with_objective(arm(20), {"effort": 1.0, "energy": 0.5})
     twice = finer(problem)
@@ -249,7 +249,7 @@ def test_refusals(message, call):
 
 def test_the_study_says_what_it_found(tmp_path):
     """Its page, rows and picture, of a result made up of three motions."""
-    from planner.paper_studies import objective_study as study
+    from planner.paper.studies import objective as study
 
     values = {"effort": 1.0, "energy": 2.0, "jerk": 3.0, "time": 4.0}
     motion = {"status": "CONVERGED", "iterations": 3, "values": values, "t_s": [0.0, 1.0, 2.0],

@@ -1,4 +1,4 @@
-"""`planner.paper_studies.hopper_study hopper`: what the paper reports, beside what is computed here."""
+"""`planner.paper.studies.hopper hopper`: what the paper reports, beside what is computed here."""
 
 import json
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.__main__ import main
-from planner.paper_studies.hopper_study import HEIGHTS, PAPER_ITERATIONS, hopper_results, paper_plan
+from planner.paper.studies.hopper import HEIGHTS, PAPER_ITERATIONS, hopper_results, paper_plan
 
 pytestmark = pytest.mark.paper
 

@@ -7,15 +7,15 @@ import signal
 import numpy as np
 import pytest
 
-from planner import cases, lq
+from planner import cases
 from planner.__main__ import main
+from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
-from planner.commands import paper as command
-from planner.errors import PlannerError
-from planner.paper_studies import catalogue
-from planner.paper_studies.page import NOT_BUILT, Study, complete, page, run_studies, table_rows
-from planner.paper_studies.table_study import random_lq, table_one, table_results
-from planner.paper_studies.theorem_study import (
+from planner.cli import paper as command
+from planner.paper.studies import catalogue
+from planner.paper.studies.page import NOT_BUILT, Study, complete, page, run_studies, table_rows
+from planner.paper.studies.table import random_lq, table_one, table_results
+from planner.paper.studies.theorem import (
     Family,
     draw_theorems,
     identity_errors,
@@ -25,7 +25,8 @@ from planner.paper_studies.theorem_study import (
     theorem_results,
     theorem_rows,
 )
-from planner.paper_studies.watched import watched
+from planner.paper.studies.watched import watched
+from planner.solvers import lq
 from tests.solves import hopper, swing
 
 ROW = {"where": "2.1", "paper": "9.9", "ours": "10 | 11", "why": "masses"}

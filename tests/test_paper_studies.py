@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from planner.cases import acrobot
-from planner.paper_studies import elbow_study, masses_study
-from planner.rigid_body import mass_matrix
+from planner.dynamics.algorithms import mass_matrix
+from planner.paper.studies import elbow as elbow_study
+from planner.paper.studies import masses as masses_study
 
 
 def test_points_at_the_tips_are_points_at_the_tips():

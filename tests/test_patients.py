@@ -9,14 +9,14 @@ from test_human_step import CYCLE, SWING
 import planner
 from planner.__main__ import main
 from planner.cases import human_step
-from planner.cases.gait import ANGLES, NORMAL_GAIT, basis
-from planner.cases.step_measures import CLEAR, FOLLOWS, PATIENT, follows, measures, robot_wrench
-from planner.cases.walker import Walker
-from planner.mjcf import edited, written
-from planner.proof.parity import parity
+from planner.cases.human_step.gait import ANGLES, NORMAL_GAIT, basis
+from planner.cases.human_step.measures import CLEAR, FOLLOWS, PATIENT, follows, measures, robot_wrench
+from planner.cases.human_step.walker import Walker
+from planner.model.mjcf.text import edited, written
+from planner.proof.models_agree import parity
 from planner.proof.perturbation import Perturbation, Sizes, draw
 from planner.proof.perturbed import perturbed
-from planner.replay import replay
+from planner.proof.replaying import replay
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 

@@ -23,8 +23,8 @@ from planner import (
     TrackingCost,
     Velocity,
 )
-from planner.contact_forces import contact_forces
-from planner.penalty_cost import nearest
+from planner.dynamics.contacts import contact_forces
+from planner.problem.costs.penalty import nearest
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -26,9 +26,9 @@ from planner import (
     Velocity,
 )
 from planner.dynamics.protocol import INTEGRATORS
-from planner.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
-from planner.finer import finer
-from planner.kernels import search
+from planner.kernels.lq import search
+from planner.problem.finer import finer
+from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
 
 
 def some_point(rng, m, N):

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.cases.gait import NORMAL_GAIT
-from planner.cases.step import Step
-from planner.cases.step_cost import FASTER, SLOWER, USUAL, wishes
-from planner.cases.walker import Walker
+from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, wishes
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.step import Step
+from planner.cases.human_step.walker import Walker
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import people

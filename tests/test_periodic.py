@@ -8,13 +8,13 @@ from swings import mechanism
 
 import planner
 from planner import cases
-from planner.closing import Periodic
-from planner.commands.parser import build, parse
-from planner.commands.problems import asked_problem
-from planner.ends import Ends, response, with_ends
-from planner.periodic import Pass, solve_periodic
-from planner.report.reproduce import command
-from planner.space import StateSpace, euclidean
+from planner.cli.parser import build, parse
+from planner.cli.problems import asked_problem
+from planner.model.space import StateSpace, euclidean
+from planner.problem.periodicity import Periodic
+from planner.solvers.ends import Ends, response, with_ends
+from planner.solvers.periodic import Pass, solve_periodic
+from planner.view.report.reproduce import command
 
 N, CYCLE = 60, 2.0
 DT = CYCLE / N
@@ -167,7 +167,7 @@ def test_following_comes_nearer_and_stays_dearer():
     """Its end is where the motion would go by itself, which is not the motion of least cost."""
     lines = []
     plan = solve_periodic(swinging(tolerance=1e-3), step="follow", passes=5, callback=lines.append)
-    assert plan.status is planner.plan.Status.NOT_PERIODIC
+    assert plan.status is planner.problem.plan.Status.NOT_PERIODIC
     misses = [line.miss for line in lines]
     assert misses == sorted(misses, reverse=True)
     newton = solve_periodic(swinging(tolerance=1e-3))
@@ -238,13 +238,13 @@ def test_interruption_keeps_the_best():
         raise StopIteration
 
     plan = solve_periodic(swinging(), callback=once)
-    assert plan.status is planner.plan.Status.INTERRUPTED
+    assert plan.status is planner.problem.plan.Status.INTERRUPTED
     assert len(plan.options["tried"]) == 1
 
 
 def test_a_guess_that_runs_away_says_so():
     problem = replace(swinging(), us=np.full((N, 1), 1e300))
-    assert solve_periodic(problem).status is planner.plan.Status.NOT_FINITE
+    assert solve_periodic(problem).status is planner.problem.plan.Status.NOT_FINITE
 
 
 def test_gaps_are_deviations():

@@ -7,18 +7,18 @@ import pytest
 from rolled import LIMITED, problem_of, rolled_out, tree_plan
 
 import planner
-from planner.errors import FileError, PlannerError
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
-from planner.problem import Requirements
+from planner.base.errors import FileError, PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import Mechanism
+from planner.problem.problem import Requirements
 from planner.proof import perturbed as step
 from planner.proof.case_replay import replay_case
 from planner.proof.partial import Partial
 from planner.proof.perturbation import Nominal, Perturbation, draw, draw_masses
 from planner.proof.perturbed import perturbed
+from planner.proof.replaying import compile_model, replay
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
 from planner.proof.statistics import Rate
-from planner.replay import compile_model, replay
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner.archive import FORMAT_VERSION
-from planner.errors import FileError
-from planner.plan import Iteration, Plan, Start, Status
-from planner.space import StateSpace, euclidean
+from planner.base.errors import FileError
+from planner.model.space import StateSpace, euclidean
+from planner.problem.archive import FORMAT_VERSION
+from planner.problem.plan import Iteration, Plan, Start, Status
 
 
 @pytest.fixture(scope="module")

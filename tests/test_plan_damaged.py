@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner.errors import FileError, ModelError
-from planner.plan import Plan
-from planner.replay import compile_model
+from planner.base.errors import FileError, ModelError
+from planner.problem.plan import Plan
+from planner.proof.replaying import compile_model
 
 CRANE = os.path.join(os.path.dirname(__file__), os.pardir, "examples", "crane.toml")
 
@@ -30,7 +30,7 @@ def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plans")
     problems = {
         "case": planner.cases.hopper(height=7.5, horizon=40, smoothing=0.2),
-        "file": planner.problem_file.load(CRANE).problem,
+        "file": planner.cases.problem_file.load(CRANE).problem,
     }
     result = {}
     for name, problem in problems.items():

@@ -9,8 +9,8 @@ import pytest
 
 import planner
 from planner import Plan, cases
-from planner.errors import PlannerError
-from planner.mjcf import edited
+from planner.base.errors import PlannerError
+from planner.model.mjcf.text import edited
 
 FOREARM = ".//body[@name='forearm']"
 

@@ -9,8 +9,8 @@ import pytest
 from made_up import MODES, STAGE, N, make_perturbed, make_plan, make_proof, make_replay
 from PIL import Image
 
-from planner.errors import FileError
-from planner.plots import draw_plan, draw_proof, plot_plan, plot_proof
+from planner.base.errors import FileError
+from planner.view.plots import draw_plan, draw_proof, plot_plan, plot_proof
 
 
 @pytest.fixture

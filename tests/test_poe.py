@@ -15,9 +15,9 @@ from trees import (
     site_jacobian,
 )
 
-from planner import poe, poe_sensitivities
-from planner.mechanism import SCREW, Mechanism
-from planner.space import conjugate, exp_quaternion, hat, log_quaternion, product
+from planner.dynamics import poe, poe_sensitivities
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import conjugate, exp_quaternion, hat, log_quaternion, product
 
 STEP = 1e-30j  # imaginary: nothing cancels, so derivatives are exact to rounding
 

@@ -10,19 +10,19 @@ from mechanisms import MACHINE
 from trees import mujoco
 
 import planner
-from planner import driven_twin
 from planner.__main__ import main
-from planner.contact_forces import contact_forces, generalized_forces
-from planner.driven_twin import HEAVY, twin_of
-from planner.errors import ModelError, PlannerError
-from planner.finer import finer
-from planner.mechanism import Mechanism
-from planner.mjcf import edited
-from planner.problem_file import load
+from planner.base.errors import ModelError, PlannerError
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces, generalized_forces
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf import driven as driven_twin
+from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.mjcf.text import edited
+from planner.model.twin import Twin
+from planner.problem.finer import finer
 from planner.proof.driven_parity import driven_parity
 from planner.proof.perturbation import Nominal, Perturbation, Sizes, draw
-from planner.replay import compile_model
-from planner.twin import Twin
+from planner.proof.replaying import compile_model
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import pytest
 from carts import refuse, write
 
 import planner
-from planner.guess import follow, hold
-from planner.problem_file import load
-from planner.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
+from planner.cases.problem_file import load
+from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
+from planner.problem.guess import follow, hold
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -4,8 +4,8 @@ import pytest
 from carts import CART, refuse, write
 
 from planner import PlannerError
-from planner.commands.parser import PROBLEM_FILE, parse
-from planner.problem_file import load
+from planner.cases.problem_file import load
+from planner.cli.parser import PROBLEM_FILE, parse
 
 
 @pytest.mark.parametrize(

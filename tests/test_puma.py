@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import planner
+from planner.base.gl import load_mujoco
 from planner.cases.puma import JOINTS, PEAK_560, RATED, ball_radius, first_lift, puma_mechanism, straight_lift
 from planner.cases.puma import torque_limits as limits_for
-from planner.gl import load_mujoco
-from planner.guess import follow, quintic
-from planner.mjcf import model_path
-from planner.paper_studies import puma_study
-from planner.payload import largest_payload, static_limit
+from planner.model.mjcf.text import model_path
+from planner.paper.payload import largest_payload, static_limit
+from planner.paper.studies import puma as puma_study
+from planner.problem.guess import follow, quintic
 
 mujoco = load_mujoco()
 

@@ -11,8 +11,9 @@ from solves import same_bits, swing
 from test_multistart import wells
 
 import planner
-from planner import PlannerError, Status, multistart
+from planner import PlannerError, Status
 from planner.proof.cost import proven_cost
+from planner.solvers import multistart
 
 GOOD, SLOW = Status.CONVERGED, Status.MAX_ITERATIONS
 

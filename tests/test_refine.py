@@ -9,9 +9,9 @@ import pytest
 from swings import mechanism, quick, solved, strange, swing
 
 import planner
-from planner.figures import Figure, Section
-from planner.plan import Status
-from planner.refine import Refinement, refine
+from planner.base.measured import Figure, Section
+from planner.problem.plan import Status
+from planner.proof.refinement import Refinement, refine
 
 module = importlib.import_module("planner.refine")  # the name is the function's in planner
 

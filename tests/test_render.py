@@ -11,17 +11,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planner import encode, gl, render
-from planner.errors import FileError, PlannerError, RenderingUnavailable
-from planner.film import Film
-from planner.mjcf import model_path, model_text
-from planner.overlay import decimals, number, speed_words
-from planner.plan import Plan, Status
-from planner.replay import Replay
-from planner.scene import Scene
-from planner.stage import Readout, Stage
-from planner.touches import Touches
-from planner.twin import Twin
+from planner.base import gl
+from planner.base.errors import FileError, PlannerError, RenderingUnavailable
+from planner.model.mjcf.text import model_path, model_text
+from planner.model.twin import Twin
+from planner.problem.appearance import Readout, Stage
+from planner.problem.plan import Plan, Status
+from planner.proof.replaying import Replay
+from planner.proof.touches import Touches
+from planner.view.render import encode
+from planner.view.render import video as render
+from planner.view.render.film import Film
+from planner.view.render.overlay import decimals, number, speed_words
+from planner.view.render.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"width": 320, "height": 180}

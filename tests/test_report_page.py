@@ -15,16 +15,16 @@ from made_up import make_plan, make_proof, proof_of
 from PIL import Image
 
 from planner import cases
-from planner.encode import Encoder
-from planner.errors import FileError
-from planner.figures import Figure, Section
-from planner.plan import Start, Status
-from planner.plots import plot_plan, plot_proof
-from planner.problem_file import load
-from planner.refine import Refinement
-from planner.report import write_report
-from planner.report.reproduce import command, problem_text
-from planner.stage import Stage
+from planner.base.errors import FileError
+from planner.base.measured import Figure, Section
+from planner.cases.problem_file import load
+from planner.problem.appearance import Stage
+from planner.problem.plan import Start, Status
+from planner.proof.refinement import Refinement
+from planner.view.plots import plot_plan, plot_proof
+from planner.view.render.encode import Encoder
+from planner.view.report import write_report
+from planner.view.report.reproduce import command, problem_text
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")
@@ -173,7 +173,7 @@ def test_the_command_names_what_differs_from_the_defaults(plan, case, parameters
 
 
 def test_the_command_makes_the_same_problem_again(plan):
-    from planner.commands.parser import parse
+    from planner.cli.parser import parse
 
     made = of_case(plan, "acrobot", start="hanging", horizon=123, position_weight=1 / 3)
     arguments = parse(command(made).split()[1:])

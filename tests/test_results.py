@@ -6,11 +6,11 @@ import pytest
 from made_up import make_plan, make_proof
 from PIL import Image
 
-from planner.commands import results
-from planner.commands.results import INTERRUPTED, OUTPUTS, draw_results, write_proof
-from planner.console import Console
-from planner.errors import FileError, RenderingUnavailable
-from planner.plots import CASE_PICTURES
+from planner.base.errors import FileError, RenderingUnavailable
+from planner.cli import results
+from planner.cli.console import Console
+from planner.cli.results import INTERRUPTED, OUTPUTS, draw_results, write_proof
+from planner.view.plots import CASE_PICTURES
 
 QUIET = Console(quiet=True)
 
@@ -36,7 +36,7 @@ def draw(plan, proof, folder, **options):
 @pytest.fixture
 def film(monkeypatch):
     """Stands for OpenGL: says what was filmed."""
-    from planner import render
+    from planner.view.render import video as render
 
     calls = []
 
@@ -93,7 +93,7 @@ def test_pictures_of_an_older_plan_do_not_stay(plan, proof, tmp_path):
 def test_an_interruption_keeps_what_was_finished_and_resumes(plan, proof, tmp_path, film, monkeypatch, after):
     """Ctrl-C while the picture number `after` is drawn: those before are whole, none is half, the page is there."""
     order = ["plots.png", "proof.png", "strip.png", "video.mp4"]
-    from planner import render
+    from planner.view.render import video as render
 
     modules = {
         "proof.png": (results, "plot_proof"),
@@ -117,7 +117,7 @@ def test_an_interruption_keeps_what_was_finished_and_resumes(plan, proof, tmp_pa
 
 
 def test_where_nothing_can_draw_the_plots_are_there(plan, proof, tmp_path, monkeypatch):
-    from planner import render
+    from planner.view.render import video as render
 
     def refuse(*arguments, **options):
         raise RenderingUnavailable("Rendering needs a library.")

@@ -7,14 +7,14 @@ import pytest
 
 import planner
 from planner.__main__ import main
+from planner.base.errors import PlannerError
 from planner.cases import human_step
-from planner.cases.gait import NORMAL_GAIT
-from planner.cases.riener_edrich import CURVED, SIGNS, TERMS
-from planner.cases.step import Step
-from planner.cases.step_measures import measures
-from planner.cases.walker import BRACES, PASSIVE, SIDES, Walker
-from planner.contact_forces import generalized_forces
-from planner.errors import PlannerError
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.measures import measures
+from planner.cases.human_step.riener_edrich import CURVED, SIGNS, TERMS
+from planner.cases.human_step.step import Step
+from planner.cases.human_step.walker import BRACES, PASSIVE, SIDES, Walker
+from planner.dynamics.contacts import generalized_forces
 
 WALKER = Walker(legs=("right",), belt=False, passive="riener-edrich")
 

@@ -14,10 +14,10 @@ from trees import (
     stepped,
 )
 
-from planner import poe
-from planner import rigid_body as rb
-from planner.errors import PlannerError
-from planner.mechanism import Mechanism
+from planner.base.errors import PlannerError
+from planner.dynamics import algorithms as rb
+from planner.dynamics import poe
+from planner.model.mechanism import Mechanism
 
 STEP = 1e-30j  # imaginary: nothing cancels, so derivatives are exact to rounding
 

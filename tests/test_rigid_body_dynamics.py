@@ -6,11 +6,10 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from trees import CHAINS, actuated, data_at, driven, machines, mujoco, random_state, relative_error
 
-from planner import poe
-from planner.dynamics import RigidBodyDynamics
+from planner.dynamics import RigidBodyDynamics, poe
 from planner.dynamics.protocol import INTEGRATORS
-from planner.mechanism import FILTER, SCREW, Mechanism
-from planner.space import conjugate, log_quaternion, product
+from planner.model.mechanism import FILTER, SCREW, Mechanism
+from planner.model.space import conjugate, log_quaternion, product
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 

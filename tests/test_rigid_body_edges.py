@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trees import CHAINS, actuated, driven, machines, random_state, relative_error
 
+from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import INTEGRATORS
-from planner.errors import PlannerError
-from planner.mechanism import Mechanism
+from planner.model.mechanism import Mechanism
 
 
 @machines(8, max_dofs=20)

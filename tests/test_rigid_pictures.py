@@ -8,13 +8,13 @@ from rolled import LIMITED, acrobot, problem_of, rolled_out
 from test_mechanism_parity import TREE
 
 import planner
-from planner.default_stage import default_stage
-from planner.film import Film
-from planner.mechanism import Mechanism
-from planner.mjcf import edited
-from planner.scene import Scene
-from planner.space import exp_quaternion
-from planner.stage import Stage
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited
+from planner.model.space import exp_quaternion
+from planner.problem.appearance import Stage
+from planner.problem.default_appearance import default_stage
+from planner.view.render.film import Film
+from planner.view.render.scene import Scene
 
 
 def changed(a, b):

@@ -9,15 +9,15 @@ from test_mechanism_parity import TREE
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.film import Film
-from planner.mechanism import Mechanism
-from planner.mjcf import edited
-from planner.plan import Plan
-from planner.problem import Problem, Requirements
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited
+from planner.model.space import exp_quaternion
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem, Requirements
+from planner.proof.replaying import compile_model
 from planner.proof.same_step import munthe_kaas, rounding_amplification, same_step
-from planner.replay import compile_model
-from planner.space import exp_quaternion
-from planner.touches import may_touch
+from planner.proof.touches import may_touch
+from planner.view.render.film import Film
 
 
 def values(section):
@@ -78,7 +78,7 @@ def test_a_case_can_give_a_goal_alone(acrobot_plan):
     """Requirements are optional one by one; the others stay the general rules."""
 
     def unreachable(run):
-        return planner.figures.Section("goal", (planner.figures.Figure("distance", 1.0, "m", 0.5),))
+        return planner.base.measured.Section("goal", (planner.base.measured.Figure("distance", 1.0, "m", 0.5),))
 
     problem = replace(acrobot_plan.problem, requirements=Requirements(goal=unreachable))
     proof = planner.prove(replace(acrobot_plan, problem=problem))

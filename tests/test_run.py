@@ -11,9 +11,9 @@ import pytest
 
 import planner
 from planner.__main__ import main
-from planner.commands import run as run_command
-from planner.plan import Plan
-from planner.run_folder import MARK, ROLLOUTS, run_folder
+from planner.cli import run as run_command
+from planner.cli.run_folder import MARK, ROLLOUTS, run_folder
+from planner.problem.plan import Plan
 
 EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]
 ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]
@@ -97,7 +97,7 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
         assert main(words) == 130
         assert "the same command goes on from there" in capsys.readouterr().err
     assert {"plan.npz", "proof.json", MARK} == {file.name for file in (tmp_path / "o").iterdir()}
-    monkeypatch.setattr("planner.commands.problems.solve", lambda *_, **__: pytest.fail("it solved again"))
+    monkeypatch.setattr("planner.cli.problems.solve", lambda *_, **__: pytest.fail("it solved again"))
     assert main(words) == 0
     assert document(capsys)["resumed"]
     assert (tmp_path / "o" / "report.html").is_file()
@@ -118,7 +118,7 @@ def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, cap
 def test_a_film_that_was_interrupted_is_made_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr("planner.commands.results.plot_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("planner.cli.results.plot_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
     assert (tmp_path / "o" / MARK).is_file()
     before = (tmp_path / "o" / "plots.png").stat().st_mtime_ns

@@ -6,9 +6,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from planner.kernels import search
-from planner.kernels.lanes import WIDTH
-from planner.kernels.search import ARMIJO, EXACT, GOLDSTEIN, WOLFE
+from planner.kernels.lq import search
+from planner.kernels.lq.search import ARMIJO, EXACT, GOLDSTEIN, WOLFE
+from planner.kernels.numba.lanes import WIDTH
 
 RULES = {"armijo": ARMIJO, "exact": EXACT, "wolfe": WOLFE, "goldstein": GOLDSTEIN}
 every_rule = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)

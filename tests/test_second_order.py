@@ -9,11 +9,12 @@ from solves import hopper, linear, pendulum, rollout, swing
 from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
-from planner import FunctionDynamics, HopperDynamics, PlannerError, Problem, TrackingCost, lq
+from planner import FunctionDynamics, HopperDynamics, PlannerError, Problem, TrackingCost
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
-from planner.engine import CompiledEngine, NumpyEngine
-from planner.kernels import search
-from planner.kernels.workspace import ACCEPTED, INDEFINITE
+from planner.kernels.lq import search
+from planner.kernels.lq.workspace import ACCEPTED, INDEFINITE
+from planner.solvers import lq
+from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 STEP = 1e-5  # differences of Jacobians: h^2 and 1e-16 / h are equal here

@@ -6,10 +6,10 @@ import pytest
 import planner
 from planner.cases import hopper, two_link
 from planner.dynamics import FunctionDynamics
-from planner.lq import costates
-from planner.paper_studies.shooting_study import shooting_jacobian
-from planner.rates import Rates
-from planner.shooting import HamiltonianFlow, shoot
+from planner.paper.methods.rates import Rates
+from planner.paper.methods.shooting import HamiltonianFlow, shoot
+from planner.paper.studies.shooting import shooting_jacobian
+from planner.solvers.lq import costates
 
 SHORT = 0.1  # s, on which shooting still works from zero
 

@@ -7,14 +7,15 @@ import pytest
 from PIL import Image
 from test_render import SMALL, STAGE, changed, decode, make_replay
 
-from planner import gl, overlay
-from planner.camera import Box
-from planner.drawing import Job, carry_out
-from planner.figures import Figure, Section
-from planner.film import Caption, Film
-from planner.overlay import Overlay
-from planner.render import _captioned, render_frame, render_strip, render_video
-from planner.scene import Scene
+from planner.base import gl
+from planner.base.measured import Figure, Section
+from planner.view.render import overlay
+from planner.view.render.camera import Box
+from planner.view.render.drawing import Job, carry_out
+from planner.view.render.film import Caption, Film
+from planner.view.render.overlay import Overlay
+from planner.view.render.scene import Scene
+from planner.view.render.video import _captioned, render_frame, render_strip, render_video
 
 
 def make_proof(open_loop, gains, mode="feedback"):

@@ -21,8 +21,9 @@ from solves import (
 )
 
 import planner
-from planner import FunctionDynamics, Problem, Status, lq
-from planner.engine import CompiledEngine, NumpyEngine, borrow
+from planner import FunctionDynamics, Problem, Status
+from planner.solvers import lq
+from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
 
 # What the paper proves
 

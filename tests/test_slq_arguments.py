@@ -6,9 +6,9 @@ from solves import each_engine, engines, flight, hopper, linear, same_bits, swin
 
 import planner
 from planner import PlannerError, Problem
-from planner.kernels import search
-from planner.plan import Iteration
-from planner.slq import LINE_SEARCHES
+from planner.kernels.lq import search
+from planner.problem.plan import Iteration
+from planner.solvers.slq import LINE_SEARCHES
 
 # What is asked and told
 

@@ -17,9 +17,9 @@ from solves import (
 )
 
 import planner
-from planner.engine import borrow
-from planner.kernels.workspace import ACCEPTED
-from planner.slq import LINE_SEARCHES, UPDATES
+from planner.kernels.lq.workspace import ACCEPTED
+from planner.solvers.engine import borrow
+from planner.solvers.slq import LINE_SEARCHES, UPDATES
 
 FRESH = """
 import hashlib, sys

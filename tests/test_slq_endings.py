@@ -23,7 +23,7 @@ from solves import (
 
 import planner
 from planner import FunctionDynamics, HopperDynamics, Problem, Quadratic, Status, TrackingCost
-from planner.slq import UPDATES
+from planner.solvers.slq import UPDATES
 
 # How a solve ends
 

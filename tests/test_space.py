@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from trees import mechanism_texts, mujoco, random_state
 
-from planner.mechanism import Mechanism
-from planner.poe import rotation
-from planner.space import (
+from planner.dynamics.poe import rotation
+from planner.model.mechanism import Mechanism
+from planner.model.space import (
     StateSpace,
     conjugate,
     euclidean,

@@ -9,8 +9,8 @@ from scipy.optimize import check_grad
 
 import planner
 from planner.cases import two_link
-from planner.rigid_body import rnea
-from planner.spline import _Basis, _effort, minimize_effort
+from planner.dynamics.algorithms import rnea
+from planner.paper.methods.splines import _Basis, _effort, minimize_effort
 
 UP = np.array([np.pi / 2, 0.0])
 

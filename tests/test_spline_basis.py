@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from planner import PlannerError
-from planner.spline_basis import SplineBasis
+from planner.paper.methods.spline_basis import SplineBasis
 
 
 @pytest.mark.parametrize(("intervals", "degree"), [(1, 3), (4, 3), (12, 5), (7, 6)])

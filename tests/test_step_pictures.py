@@ -5,11 +5,11 @@ import pytest
 
 import planner
 from planner.cases import human_step
-from planner.cases.step_measures import measures, robot_wrench, vertical_force
-from planner.cases.step_pictures import by_cycle
-from planner.cases.walker import LEG
-from planner.pictures import Charts, Paths, StickFigures
-from planner.plots import CASE_PICTURES, case_pictures, plot_case_picture
+from planner.cases.human_step.measures import measures, robot_wrench, vertical_force
+from planner.cases.human_step.pictures import by_cycle
+from planner.cases.human_step.walker import LEG
+from planner.problem.pictures import Charts, Paths, StickFigures
+from planner.view.plots import CASE_PICTURES, case_pictures, plot_case_picture
 
 
 @pytest.fixture(scope="module", params=["swing", "cycle"])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from planner.cases import human_step
-from planner.paper_studies import step_study
-from planner.paper_studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
-from planner.paper_studies.step_page import step_markdown, step_rows
-from planner.paper_studies.step_study import feedforward_alone, first_within, step_results
-from planner.slq import solve
+from planner.paper.studies import step as step_study
+from planner.paper.studies.step import feedforward_alone, first_within, step_results
+from planner.paper.studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
+from planner.paper.studies.step_page import step_markdown, step_rows
+from planner.solvers.slq import solve
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,14 @@ from solves import Plain, assert_consistent, assert_stationary, numpy_twin, roll
 from trees import CHAINS, actuated, chain, driven, machines, random_state, relative_error
 
 import planner
-from planner import Problem, Status, TrackingCost, lq
+from planner import Problem, Status, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import INTEGRATORS
-from planner.engine import CompiledEngine, NumpyEngine, _idle, borrow, give_back
-from planner.kernels import search
-from planner.kernels.workspace import ACCEPTED, CONVERGED, INDEFINITE
-from planner.mechanism import Mechanism
+from planner.kernels.lq import search
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
+from planner.model.mechanism import Mechanism
+from planner.solvers import lq
+from planner.solvers.engine import CompiledEngine, NumpyEngine, _idle, borrow, give_back
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 each_update = pytest.mark.parametrize("update", ["feedback", "open-loop"])

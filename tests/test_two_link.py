@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import planner
+from planner.base.gl import load_mujoco
 from planner.cases.planar_arm import UPRIGHT, Links, arm_text
-from planner.gl import load_mujoco
-from planner.guess import quintic
-from planner.mjcf import model_path
+from planner.model.mjcf.text import model_path
+from planner.problem.guess import quintic
 
 mujoco = load_mujoco()
 

@@ -5,8 +5,8 @@ import pytest
 
 import planner
 from planner.cases import acrobot
-from planner.rigid_body import hybrid_dynamics, rnea
-from planner.underactuated import DrivenProblem, DrivenSystem, minimize_effort_underactuated
+from planner.dynamics.algorithms import hybrid_dynamics, rnea
+from planner.paper.methods.underactuated import DrivenProblem, DrivenSystem, minimize_effort_underactuated
 
 UP = np.array([np.pi / 2, 0.0])
 

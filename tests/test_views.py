@@ -10,18 +10,19 @@ from test_render import changed, decode
 from test_side_by_side import make_proof
 from treadmills import BELT_SPEED, FRICTION, STAGE, TREADMILL, WEIGHT, standing
 
-from planner import gl, touches
-from planner.default_stage import default_stage
-from planner.drawing import Job, carry_out
-from planner.errors import PlannerError
-from planner.film import Film
-from planner.mechanism import Mechanism
-from planner.render import render_frame, render_strip, render_video
-from planner.replay import compile_model
-from planner.scene import Scene
-from planner.shapes import Shapes
-from planner.stage import Ghost, Stage, View
-from planner.touches import Touching
+from planner.base import gl
+from planner.base.errors import PlannerError
+from planner.model.mechanism import Mechanism
+from planner.problem.appearance import Ghost, Stage, View
+from planner.problem.default_appearance import default_stage
+from planner.proof import touches
+from planner.proof.replaying import compile_model
+from planner.proof.touches import Touching
+from planner.view.render.drawing import Job, carry_out
+from planner.view.render.film import Film
+from planner.view.render.scene import Scene
+from planner.view.render.shapes import Shapes
+from planner.view.render.video import render_frame, render_strip, render_video
 
 AT = np.array([0.0, 0.39])
 

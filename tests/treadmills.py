@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 from legs import attributes
 
-from planner.gl import load_mujoco
-from planner.mechanism_contacts import contact_attributes
-from planner.plan import Plan, Status
-from planner.replay import Replay, compile_model
-from planner.stage import Readout, Stage, View
-from planner.touches import Touching
-from planner.twin import Twin
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.contacts import contact_attributes
+from planner.model.twin import Twin
+from planner.problem.appearance import Readout, Stage, View
+from planner.problem.plan import Plan, Status
+from planner.proof.replaying import Replay, compile_model
+from planner.proof.touches import Touching
 
 BELT_SPEED = 1.0  # m/s, backward
 FRICTION, IMPRATIO = 0.6, 1000.0

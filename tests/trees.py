@@ -11,10 +11,10 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from planner.base.gl import load_mujoco
 from planner.dynamics import RigidBodyDynamics
-from planner.gl import load_mujoco
-from planner.mechanism import SCREW, Mechanism
-from planner.space import exp_quaternion, product
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import exp_quaternion, product
 
 mujoco = load_mujoco()
 

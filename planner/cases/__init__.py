@@ -6,15 +6,15 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
-from planner.arguments import choice
+from planner.base.arguments import choice
+from planner.base.errors import PlannerError
 from planner.cases.acrobot import acrobot
-from planner.cases.high_dive import high_dive
+from planner.cases.high_dive.case import high_dive
 from planner.cases.hopper import hopper
-from planner.cases.human_step import human_step
+from planner.cases.human_step.case import human_step
 from planner.cases.puma import puma
 from planner.cases.two_link import two_link
-from planner.errors import PlannerError
-from planner.problem import Problem
+from planner.problem.problem import Problem
 
 CASES: dict[str, Callable[..., Problem]] = {
     "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma, "high-dive": high_dive,

@@ -27,13 +27,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from planner.arguments import choice
+from planner.base.arguments import choice
 from planner.cases.planar_arm import Links, arm_cost, arm_dynamics, arm_stage, judge_upright, stages
 from planner.dynamics import RigidBodyDynamics
-from planner.mechanism import Mechanism
-from planner.problem import Problem, Requirements
-from planner.rigid_body import rnea
-from planner.twin import Twin
+from planner.dynamics.algorithms import rnea
+from planner.model.mechanism import Mechanism
+from planner.model.twin import Twin
+from planner.problem.problem import Problem, Requirements
 
 Start = Literal["paper", "hanging"]
 Guess = Literal["paper", "zero", "sine"]

@@ -25,18 +25,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.arguments import choice, count, number
-from planner.cost import TrackingCost
+from planner.base.arguments import choice, count, number
+from planner.base.errors import PlannerError
+from planner.base.measured import Figure, Section
 from planner.dynamics import INTEGRATORS, HopperDynamics
-from planner.errors import PlannerError
-from planner.figures import Figure, Section
-from planner.mjcf import edited, model_path, model_text, written
-from planner.problem import Problem, Requirements
-from planner.stage import Panel, Readout, Stage
-from planner.twin import Twin
+from planner.model.mjcf.text import edited, model_path, model_text, written
+from planner.model.twin import Twin
+from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.problem import Problem, Requirements
 
 if TYPE_CHECKING:
-    from planner.replay import Replay
+    from planner.proof.replaying import Replay
 
 PAPER = {
     "integrator": "euler", "horizon": 50, "final_weight": 1000.0, "speed_weight": 2.0, "piston_weight": 1000.0,

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.arguments import choice, count, number
-from planner.cost import TrackingCost
+from planner.base.arguments import choice, count, number
+from planner.base.errors import PlannerError
+from planner.base.measured import Figure, Section
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
-from planner.errors import PlannerError
-from planner.figures import Figure, Section
-from planner.mechanism import Mechanism
-from planner.mjcf import edited, model_path, model_text, written
-from planner.stage import Panel, Readout, Stage
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited, model_path, model_text, written
+from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.costs.tracking import TrackingCost
 
 if TYPE_CHECKING:
-    from planner.replay import Replay
+    from planner.proof.replaying import Replay
 
 LIGHTEST, HEAVIEST = 1e-3, 1e3  # kg and m, of a link
 LARGEST = 1e6  # of weights

@@ -29,22 +29,22 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from planner.arguments import choice, number
+from planner.base.arguments import choice, number
+from planner.base.measured import Figure, Section
 from planner.cases.planar_arm import LARGEST, stages
-from planner.cost import TrackingCost
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
-from planner.figures import Figure, Section
-from planner.guess import follow, quintic
-from planner.limits import Limits
-from planner.mechanism import Mechanism
-from planner.mjcf import edited, model_path, model_text, written
-from planner.problem import Problem, Requirements
-from planner.rigid_body import bias
-from planner.stage import Panel, Readout, Stage
-from planner.twin import Twin
+from planner.dynamics.algorithms import bias
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited, model_path, model_text, written
+from planner.model.twin import Twin
+from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.guess import follow, quintic
+from planner.problem.limits import Limits
+from planner.problem.problem import Problem, Requirements
 
 if TYPE_CHECKING:
-    from planner.replay import Replay
+    from planner.proof.replaying import Replay
 
 Style = Literal["straight", "tucked", "swung", "swung-tucked"]
 Torques = Literal["bounded", "free"]

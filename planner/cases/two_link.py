@@ -25,11 +25,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from planner.arguments import choice
+from planner.base.arguments import choice
 from planner.cases.planar_arm import UPRIGHT, Links, arm_cost, arm_dynamics, arm_stage, judge_upright, stages
-from planner.guess import follow, quintic
-from planner.problem import Problem, Requirements
-from planner.twin import Twin
+from planner.model.twin import Twin
+from planner.problem.guess import follow, quintic
+from planner.problem.problem import Problem, Requirements
 
 Guess = Literal["paper", "zero"]
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.arguments import array, choice, count, number
+from planner.base.arguments import array, choice, count, number
+from planner.base.errors import PlannerError
 from planner.dynamics.protocol import INTEGRATORS
-from planner.errors import PlannerError
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Jacobian = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.arguments import array, choice, number
+from planner.base.arguments import array, choice, number
 from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels import hopper as kernel
-from planner.kernels import hopper_second
-from planner.kernels.lanes import WIDTH, lane_array
-from planner.kernels.workspace import Workspace
+from planner.kernels.hopper import second as hopper_second
+from planner.kernels.hopper import step as kernel
+from planner.kernels.lq.workspace import Workspace
+from planner.kernels.numba.lanes import WIDTH, lane_array
 
 
 class HopperDynamics:

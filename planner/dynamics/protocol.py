@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from planner.kernels.workspace import Workspace
+from planner.kernels.lq.workspace import Workspace
 
 INTEGRATORS = ("euler", "semi-implicit-euler", "rk4")
 """explicit Euler (the paper's), velocities first then positions with the new ones, classic Runge-Kutta; the
@@ -113,7 +113,7 @@ class PenalisedDynamics(CompiledDynamics, Protocol):
     def penalised_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
 
     def penalties(self, measures: Any) -> Any:
-        """The kernels' table of a planner.penalty_measures.Measures, for Workspace.use_penalties."""
+        """The kernels' table of a planner.problem.costs.penalty_measures.Measures, for Workspace.use_penalties."""
         ...
 
     def penalise_nominal(self, w: Workspace, memory: Any) -> None:

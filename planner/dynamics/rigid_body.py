@@ -8,18 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import array, choice, number, shown
+from planner.base.arguments import array, choice, number, shown
+from planner.base.errors import PlannerError
 from planner.dynamics.protocol import INTEGRATORS
-from planner.errors import PlannerError
-from planner.kernels import penalties, tree_linearize, tree_second, tree_solve, tree_step
-from planner.kernels.lanes import padded
-from planner.kernels.model import Model
-from planner.kernels.penalty_table import PenaltyTable
+from planner.kernels.lq.workspace import Workspace
+from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
-from planner.kernels.tree_memory import SEMI_IMPLICIT_EULER, TreeMemory
-from planner.kernels.workspace import Workspace
-from planner.mechanism import Mechanism
-from planner.space import StateSpace
+from planner.kernels.tree import iteration as tree_solve
+from planner.kernels.tree import linearize as tree_linearize
+from planner.kernels.tree import penalties
+from planner.kernels.tree import second as tree_second
+from planner.kernels.tree import step as tree_step
+from planner.kernels.tree.memory import SEMI_IMPLICIT_EULER, TreeMemory
+from planner.kernels.tree.model import Model
+from planner.kernels.tree.penalty_table import PenaltyTable
+from planner.model.mechanism import Mechanism
+from planner.model.space import StateSpace
 
 
 class RigidBodyDynamics:
@@ -185,7 +189,7 @@ class RigidBodyDynamics:
         )  # fmt: skip
 
     def penalties(self, measures: Any) -> PenaltyTable:
-        """The kernels' table of the terms of a PenaltyCost of this mechanism, a planner.penalty_measures.Measures."""
+        """The kernels' table of the terms of a PenaltyCost of this mechanism: Measures of problem.costs.penalty_measures."""
         return PenaltyTable(self._model, measures)
 
     def penalise_nominal(self, w: Workspace, memory: TreeMemory) -> None:

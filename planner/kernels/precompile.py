@@ -15,24 +15,19 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.kernels import (
-    bounded,
-    hopper,
-    hopper_second,
-    penalties,
-    quadratic,
-    riccati,
-    second_order,
-    tree_batch,
-    tree_linearize,
-    tree_second,
-    tree_solve,
-    tree_step,
-)
-from planner.kernels.jit import announce, arguments_of, cache_is_shared, is_warm
+from planner.kernels.hopper import second as hopper_second
+from planner.kernels.hopper import step as hopper
+from planner.kernels.lq import bounded, quadratic, riccati, second_order
+from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
+from planner.kernels.tree import batch as tree_batch
+from planner.kernels.tree import iteration as tree_solve
+from planner.kernels.tree import linearize as tree_linearize
+from planner.kernels.tree import penalties
+from planner.kernels.tree import second as tree_second
+from planner.kernels.tree import step as tree_step
 
 if TYPE_CHECKING:
-    from planner.kernels.model import Model
+    from planner.kernels.tree.model import Model
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
 _HOPPER = ("int64", "float64", "float64[::1]")

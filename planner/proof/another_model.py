@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-from planner.driven_twin import as_driven
-from planner.mechanism import Mechanism
-from planner.mechanism_edits import take_out
-from planner.mechanism_refusals import found
-from planner.problem import Problem
-from planner.replay import compile_model, with_model
-from planner.twin import Twin
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import as_driven
+from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.refuse import found
+from planner.model.twin import Twin
+from planner.problem.problem import Problem
+from planner.proof.replaying import compile_model, with_model
 
 
 def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin:

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import count
-from planner.gl import load_mujoco
-from planner.plan import Plan
+from planner.base.arguments import count
+from planner.base.gl import load_mujoco
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
 from planner.proof.perturbation import Perturbation, draw
+from planner.proof.ranges import ranges_reached
+from planner.proof.replaying import RUNAWAY, Replay, between_knots, warnings_of
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
-from planner.ranges import ranges_reached
-from planner.replay import RUNAWAY, Replay, between_knots, warnings_of
-from planner.touches import Touching
-from planner.twin import Twin
+from planner.proof.touches import Touching
 
 
 def replay_case(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner import lq
-from planner.cost import Quadratic
-from planner.figures import Figure, Section
-from planner.plan import Plan
-from planner.problem import Problem
+from planner.base.measured import Figure, Section
+from planner.problem.costs.tracking import Quadratic
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 from planner.proof.limits import limit_figures
 from planner.proof.scales import cost_of_deviation
+from planner.solvers import lq
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from planner.plan import Plan
-from planner.replay import replay
+from planner.problem.plan import Plan
+from planner.proof.replaying import replay
 
 
 def proven_cost(plan: Plan) -> float:

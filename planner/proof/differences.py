@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.mechanism import Mechanism
+from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
 _MOST = 4  # differences named; further ones are counted

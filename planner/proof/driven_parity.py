@@ -1,4 +1,4 @@
-"""Parity of a machine with prescribed joints and of the model in which MuJoCo drives them (planner.driven_twin).
+"""Parity of a machine with prescribed joints and of the model in which MuJoCo drives them (planner.model.mjcf.driven).
 
 Two comparisons at random states. First the machines with a moderate armature in place of the H that makes the driven
 joints heavy: mass matrix, bias and actuator forces, accelerations as of any mechanism, since beside H a wrong mass
@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from planner import rigid_body
-from planner.driven_twin import HEAVY, prescribed_dofs, released
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Figure, Section
+from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.errors import ModelError
-from planner.figures import Figure, Section
-from planner.gl import load_mujoco
-from planner.mechanism import Mechanism
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.proof.rigid_parity import random_states, rigid_parity, rounded, unlimited
 
 _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.cost import TrackingCost
-from planner.figures import Figure, Section
-from planner.problem import Problem
-from planner.replay import Replay
+from planner.base.measured import Figure, Section
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.problem import Problem
+from planner.proof.replaying import Replay
 
 
 def goal(run: Replay, problem: Problem) -> Section:

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.driven_twin import HEAVY
+from planner.base.measured import Figure, Section
 from planner.dynamics import RigidBodyDynamics
-from planner.figures import Figure, Section
-from planner.plan import Plan
-from planner.problem import Problem
+from planner.model.mjcf.driven import HEAVY
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 from planner.proof.driven_parity import forces_of_prescribed
-from planner.replay import REFINEMENT, Replay
+from planner.proof.replaying import REFINEMENT, Replay
 
 SMALL = 0.1  # rad: beyond, a linear prediction is none
 FACTOR = 10.0  # between prediction and measurement, where both mean something
@@ -104,7 +104,7 @@ def _missed(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
-    """(N, ndx) where prescribed accelerations fall short by what moving the machine takes (planner.driven_twin)."""
+    """(N, ndx) where prescribed accelerations fall short by what moving the machine takes (model.mjcf.driven)."""
     dynamics = problem.dynamics
     if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
         return 0.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.figures import Figure
-from planner.problem import Problem
+from planner.base.measured import Figure
+from planner.problem.problem import Problem
 
 KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
 

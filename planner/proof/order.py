@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.curve_callback import curves_acting
-from planner.figures import Figure, Section
-from planner.plan import Plan
-from planner.problem import Problem
+from planner.base.measured import Figure, Section
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.curve_callback import curves_acting
+from planner.proof.replaying import Replay, matching_model
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, cost_scale
-from planner.replay import Replay, matching_model
-from planner.touches import may_touch
-from planner.twin import Twin
+from planner.proof.touches import may_touch
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.files import file_error, write_atomically
-from planner.gl import load_mujoco
+from planner.base.files import file_error, write_atomically
+from planner.base.gl import load_mujoco
 from planner.proof.perturbation import Perturbation
 from planner.proof.rollouts import Rollouts
 

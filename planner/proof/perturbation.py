@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import number
-from planner.driven_twin import HEAVY, driven_dofs
-from planner.errors import PlannerError
-from planner.gl import load_mujoco
-from planner.plan import Plan
-from planner.problem import Problem
-from planner.twin import Twin
+from planner.base.arguments import number
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.driven import HEAVY, driven_dofs
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _MOST_KNOTS = 200  # of the plan are asked for its largest forces

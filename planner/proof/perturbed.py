@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import count, number
-from planner.figures import Figure, Section
-from planner.jsonable import finite
-from planner.plan import Plan
+from planner.base.arguments import count, number
+from planner.base.jsonable import finite
+from planner.base.measured import Figure, Section
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
 from planner.proof.partial import Partial, fingerprint
 from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
 from planner.proof.rollouts import MODES, OutOfTime, Rollouts
 from planner.proof.statistics import Rate
-from planner.twin import Twin
 
 TOLERANCE = 0.1  # of the end state, largest component: rad, m, rad/s, m/s
 ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin

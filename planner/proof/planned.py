@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from planner.gl import load_mujoco
-from planner.ranges import ranges_reached
-from planner.replay import Replay, knows_contacts, matching_model, stopped_dofs
+from planner.base.gl import load_mujoco
+from planner.proof.ranges import ranges_reached
+from planner.proof.replaying import Replay, knows_contacts, matching_model, stopped_dofs
 
 
 def reached_by_plan(run: Replay) -> tuple[str, ...]:

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.figures import Figure, Section
-from planner.mechanism import Mechanism
-from planner.problem import Problem
+from planner.base.measured import Figure, Section
+from planner.model.mechanism import Mechanism
+from planner.problem.problem import Problem
 from planner.proof.limits import limit_figures
+from planner.proof.replaying import Replay
 from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
-from planner.replay import Replay
 
 
 def tracking(run: Replay, problem: Problem) -> Section:

@@ -20,17 +20,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner import rigid_body
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Figure, Section
+from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.errors import ModelError
-from planner.figures import Figure, Section
-from planner.gl import load_mujoco
-from planner.joint_curves import curve_torques, one_torque
-from planner.mechanism import SCREW, Mechanism
-from planner.mechanism_reader import mechanism_of
-from planner.mechanism_refusals import found
+from planner.model.joint_curves import curve_torques, one_torque
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.read import mechanism_of
+from planner.model.mjcf.refuse import found
+from planner.model.space import unit
 from planner.proof.differences import actuator_of, differences, joint_of
-from planner.space import unit
 
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
 LARGE = 10.0  # of the torque of a curve over all other forces

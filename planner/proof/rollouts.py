@@ -19,15 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import number
-from planner.curve_callback import CALL, curves_acting
-from planner.errors import PlannerError
-from planner.gl import load_mujoco, load_rollout
-from planner.plan import Plan
+from planner.base.arguments import number
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco, load_rollout
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
-from planner.replay import MOST_STEPS, RUNAWAY, between_knots, matching_model
-from planner.touches import may_touch
-from planner.twin import Twin
+from planner.proof.replaying import MOST_STEPS, RUNAWAY, between_knots, matching_model
+from planner.proof.touches import may_touch
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage

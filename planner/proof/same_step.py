@@ -4,7 +4,7 @@ MuJoCo has the semi-implicit Euler method, and Runge-Kutta's where no orientatio
 method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo does not have the plan's integrator, that
 integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
 
-So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (planner.driven_twin), which is
+So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.driven), which is
 not the transcription's. Here they are asked again for what is missing.
 """
 
@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.curve_callback import curves_acting
-from planner.driven_twin import driven_dofs
-from planner.figures import Figure, Section
-from planner.gl import load_mujoco
-from planner.plan import Plan
-from planner.problem import Problem
-from planner.replay import matching_model
-from planner.space import StateSpace
-from planner.twin import Twin
+from planner.base.gl import load_mujoco
+from planner.base.measured import Figure, Section
+from planner.model.mjcf.driven import driven_dofs
+from planner.model.space import StateSpace
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.curve_callback import curves_acting
+from planner.proof.replaying import matching_model
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.cost import Quadratic
-from planner.plan import Plan
-from planner.problem import Problem
+from planner.problem.costs.tracking import Quadratic
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 
 STATE_BOUND = 1e-2  # end state, in rad, m, rad/s, m/s: what the general rules ask
 COST_BOUND = 1.0  # %

@@ -23,25 +23,25 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import count, number, shown
-from planner.errors import PlannerError
-from planner.figures import Section
-from planner.gl import load_mujoco
-from planner.hold import Held, hold_gain, hold_section, replay_hold
-from planner.plan import Plan
+from planner.base.arguments import count, number, shown
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Section
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
 from planner.proof.another_model import another_model
 from planner.proof.consistency import consistency
 from planner.proof.goal import goal
 from planner.proof.growth import Growth, growth
+from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
+from planner.proof.models_agree import parity
 from planner.proof.order import Order, order
-from planner.proof.parity import parity
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, perturbed
 from planner.proof.refined import tracking
+from planner.proof.replaying import Replay, replay
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
-from planner.replay import Replay, replay
-from planner.twin import Twin
 
 ROLLOUTS = 512
 

@@ -1,0 +1,119 @@
+"""Checks of what a caller hands in. Each returns the value in the form the kernels need, or raises one sentence."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+
+LONGEST_HORIZON = 1_000_000  # stages; the gains and models of more fill the memory of any computer
+_LARGEST_COUNT = 2**63 - 1  # of the kernels' integers
+_LONGEST_TEXT = 200
+
+
+def shown(value: Any) -> str:
+    """A value for a sentence: its repr in one line, cut where it is long."""
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python writes no integers of more than 4300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."
+
+
+def _no_number(value: Any) -> bool:
+    """Whether NumPy would make numbers of what is none: of booleans, texts, dates and complex numbers."""
+    if isinstance(value, float):  # most of what lists hold
+        return False
+    if isinstance(value, (bool, str, bytes, bytearray)):
+        return True
+    if isinstance(value, Sequence):
+        return any(map(_no_number, value))
+    kind = getattr(getattr(value, "dtype", None), "kind", None)
+    return _no_number(value.tolist()) if kind == "O" else kind in ("b", "S", "U", "M", "m", "c")
+
+
+def number(
+    name: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
+) -> float:
+    """A finite float, greater than `above`, at least `least` and at most `most` where given."""
+    try:
+        result = math.nan if _no_number(value) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        result = math.nan
+    too_small = (above is not None and result <= above) or (least is not None and result < least)
+    too_large = most is not None and result > most
+    if too_small or too_large or not math.isfinite(result):
+        expected = "a finite number"
+        if above is not None:
+            expected += f" greater than {above:g}"
+        if least is not None:
+            expected += f" of at least {least:g}"
+        if most is not None:
+            expected += f" and at most {most:g}"
+        raise PlannerError(f"{name} is {shown(value)}, expected {expected}.")
+    return result
+
+
+def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> int:
+    """An integer of at least `least` and, where given, at most `most`; none that a kernel could not hold."""
+    try:
+        result = None if _no_number(value) else operator.index(value)
+    except TypeError:
+        result = None
+    largest = _LARGEST_COUNT if most is None else most
+    if result is None or not least <= result <= largest:
+        upper = f" and at most {largest}" if result is not None and result > largest else ""
+        raise PlannerError(f"{name} is {shown(value)}, expected a whole number of at least {least}{upper}.")
+    return result
+
+
+def choice(name: str, value: Any, choices: Collection[str]) -> str:
+    """One of some names; the message lists them and guesses what was meant."""
+    if isinstance(value, str) and value in choices:
+        return value
+    known = list(choices)
+    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise PlannerError(f"{name} is {shown(value)}, expected one of: {', '.join(known)}.{hint}")
+
+
+def numbers(name: str, value: Any) -> np.ndarray:
+    """Any array of floats."""
+    try:
+        return _floats(value)
+    except (TypeError, ValueError, OverflowError):
+        raise PlannerError(f"{name} is {shown(value)}, expected numbers.") from None
+
+
+def _floats(value: Any) -> np.ndarray:
+    """A copy as float64 in C order; TypeError, ValueError or OverflowError where something is no number."""
+    if getattr(getattr(value, "dtype", None), "kind", None) == "c":  # NumPy drops imaginary parts with a warning
+        raise TypeError
+    result = np.array(value, dtype=np.float64, order="C")
+    if _no_number(value):  # after NumPy has refused what is nested too deeply
+        raise TypeError
+    return result
+
+
+def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: bool = False) -> np.ndarray:
+    """A float64 array in C order, finite unless any_value. Sizes in `shape` that are letters match anything."""
+    wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+    try:
+        result = _floats(value)
+    except (TypeError, ValueError, OverflowError):
+        raise PlannerError(f"{name} is not an array of numbers, expected shape {wanted}.") from None
+    fits = result.ndim == len(shape) and all(
+        isinstance(want, str) or have == want for have, want in zip(result.shape, shape, strict=True)
+    )
+    if not fits:
+        raise PlannerError(f"{name} has shape {result.shape}, expected {wanted}.")
+    if not any_value and not np.isfinite(result).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
+        raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
+    return result

@@ -1,0 +1,1 @@
+"""The high dive: the diver, the cost, and how turns are counted."""

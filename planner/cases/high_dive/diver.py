@@ -1,0 +1,140 @@
+"""The diver of the case high-dive: the model for a person's mass and height, take-off and flight.
+
+number                          from
+masses, lengths, inertias       Winter, see anthropometry.py
+ranges of the joints            ours: usual ranges of motion, rounded
+straight                        ours: arms overhead, everything else zero
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.arguments import number
+from planner.cases import anthropometry as winter
+from planner.dynamics.momentum import center_of_mass
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited, model_path, model_text, written
+
+RANGES = {
+    "waist": (-0.4, 1.0), "waist_side": (-0.5, 0.5), "shoulder": (-0.8, 3.3), "shoulder_side": (-0.5, 1.1),
+    "elbow": (0.0, 2.5), "hip": (-0.3, 2.2), "hip_side": (-0.2, 0.7), "knee": (0.0, 2.4),
+}  # fmt: skip
+"""rad, of the joints of both sides, in the signs of the model; the arms overhead are pi at the shoulder. An arm
+stretched sideways would spin freely about itself, since there the two axes of the shoulder lie in one plane with it: so
+its range to the side ends before."""
+
+FILE_HEIGHT = 1.75  # m, of the person that mjcf/high_dive/high_dive.xml is written for
+_MOST = 1e6  # of speeds and heights
+
+
+@dataclass(frozen=True)
+class Diver:
+    """A person on a tower. Checked.
+
+    Attributes:
+        mass: kg.
+        height: m.
+        tower: Height of the platform above the water, m.
+        gravity: m/s^2.
+    """
+
+    mass: float
+    height: float
+    tower: float
+    gravity: float
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("mass", 1.0, 1e3), ("height", 0.1, 10.0), ("gravity", 1e-3, 1e3)):
+            object.__setattr__(self, name, number(name, getattr(self, name), least=least, most=most))
+        object.__setattr__(self, "tower", number("tower", self.tower, above=0.0, most=_MOST))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The model, read from the very text that a replay uses."""
+        return Mechanism.from_mjcf(self.text)
+
+    @property
+    def text(self) -> str:
+        """The MJCF text: the file with this person's masses and lengths, on this tower."""
+        bodies = winter.segments(self.mass, self.height)
+        root = ElementTree.fromstring(model_text(model_path("high_dive") / "scene.xml"))
+        pelvis = next(body for body in root.iter("body") if body.get("name") == "pelvis")
+        for element in pelvis.iter():
+            for key in ("pos", "fromto", "size") if element.tag != "inertial" else ():
+                if key in element.attrib:
+                    sizes = map(float, element.attrib[key].split())
+                    element.set(key, _text(*(self.height / FILE_HEIGHT * value for value in sizes)))
+        for body in pelvis.iter("body"):
+            name = body.attrib["name"].removeprefix("left_").removeprefix("right_")
+            segment, inertial = bodies[name], body.find("inertial")
+            assert inertial is not None  # every moving body of the file has one
+            inertial.attrib.update(
+                pos=_text(*segment.com), mass=written(segment.mass), diaginertia=_text(*segment.inertia)
+            )
+        text = ElementTree.tostring(root, encoding="unicode")
+        keys = {"start": (self.standing, (1.0, 0.0, 0.0, 0.0)), "goal": (self.reach, (0.0, 0.0, 1.0, 0.0))}
+        edits = {
+            f"keyframe/key[@name='{name}']": {"qpos": _text(0.0, 0.0, z, *turn, *straight(root))}
+            for name, (z, turn) in keys.items()
+        }
+        edits["option"] = {"gravity": _text(0.0, 0.0, -self.gravity)}
+        edits[".//body[@name='tower']"] = {"pos": _text(0.0, 0.0, self.tower)}
+        return edited(text, edits)
+
+    @property
+    def standing(self) -> float:
+        """Height of the hips above the water on the tower, m."""
+        return self.tower + winter.HIP_HEIGHT * self.height
+
+    @property
+    def reach(self) -> float:
+        """From the hips to the finger tips of raised arms, m: the hips' height when the hands touch the water."""
+        return (
+            winter.SHOULDER_HEIGHT - winter.HIP_HEIGHT + winter.UPPER_ARM + winter.FOREARM + winter.HAND
+        ) * self.height
+
+    def take_off(self, up: float, ahead: float, rate: float) -> np.ndarray:
+        """The state (nx,) at take-off: straight, turning like a rigid body about its centre of mass.
+
+        Args:
+            up: Speed of the centre of mass, m/s.
+            ahead: The same, horizontally.
+            rate: Of the somersault, rad/s, positive forward.
+        """
+        x = self.mechanism.keyframe("start")
+        nq = self.mechanism.nq
+        turning = np.array([0.0, rate, 0.0])
+        arm = x[:3] - center_of_mass(self.mechanism, x[:nq])
+        x[nq : nq + 3] = np.array([ahead, 0.0, up]) + np.cross(turning, arm)
+        x[nq + 3 : nq + 6] = turning
+        return x
+
+    def flight(self, up: float) -> float:
+        """How long, in s, until the hands of a straight diver touch the water, head down."""
+        x = self.mechanism.keyframe("start")
+        above = center_of_mass(self.mechanism, x[: self.mechanism.nq])[2] - self.standing  # the hips
+        fall = self.standing + above - (self.reach - above)
+        return float((up + np.sqrt(up**2 + 2.0 * self.gravity * fall)) / self.gravity)
+
+    def ranges(self) -> np.ndarray:
+        """(nv - 6, 2) of the joints in their order, rad."""
+        return np.array([RANGES[_sideless(name)] for name in self.mechanism.joint_names[1:]])
+
+
+def straight(root: ElementTree.Element) -> list[float]:
+    """The joint angles of a straight body with the arms overhead, in the order of the model's hinges."""
+    names = [joint.attrib["name"] for joint in root.find("worldbody").iter("joint")]  # type: ignore[union-attr]
+    return [np.pi if _sideless(name) == "shoulder" else 0.0 for name in names]
+
+
+def _sideless(joint: str) -> str:
+    return joint.removeprefix("left_").removeprefix("right_")
+
+
+def _text(*values: float) -> str:
+    return " ".join(written(value) for value in values)

@@ -1,0 +1,215 @@
+"""Human step training: find how a robot must move the pelvis so that a paralysed person's legs walk (case 3).
+
+A person is suspended over a treadmill, a robot moves the pelvis, the legs are passive (section 2.3). The paper solved
+the swing alone, in four hours, by splines; stance and swing together did not converge, and it hopes that SLQ would.
+
+    number               value             from
+    u                    six accelerations of the pelvis: place x, y, z, then tilt, list, rotation       the paper's:
+                                           hybrid dynamics, the pelvis' motion is given, the legs follow
+    body, passive joints 70 kg, 1.75 m     ours, see walker.py; the paper gives none
+    normal gait          cycle of 1.2 s    OpenSim's data, see gait.py
+    swing                .62 to 1 of the cycle, dt 4 ms: N = 114      ours
+    cycle                dt 5 ms: N = 240  ours
+    cost                 see step_cost.py  ours; the paper's is the distance from the normal gait, too
+    start                on the normal gait
+
+It finds what the paper found: the swinging hip is lifted, which clears the foot, and turned forward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from planner.base.arguments import array, choice, count, number
+from planner.base.errors import PlannerError
+from planner.cases.human_step.cost import step_cost, wishes
+from planner.cases.human_step.drive import Pelvis, Sparing, drive
+from planner.cases.human_step.gait import NORMAL_GAIT, Gait
+from planner.cases.human_step.gait_file import read_gait
+from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking
+from planner.cases.human_step.pictures import step_pictures
+from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.walker import PELVIS, SIDES, Walker
+from planner.dynamics import INTEGRATORS
+from planner.problem.appearance import Ghost, Panel, Readout, Stage, View
+from planner.problem.problem import Problem, Requirements
+
+Phase = Literal["swing", "cycle", "gait"]
+States = tuple[tuple[float, ...], ...]
+Angles = dict[str, tuple[float, ...]]
+Cost = Literal["default", "study"]
+Brace = Literal["ankle"]
+Passive = Literal["table", "riener-edrich"]
+
+SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
+LONGEST_STAGE = 0.02  # s, over which contact is still resolved
+STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
+MOST_CYCLES, MOST_STAGES = 20, 100_000
+HIGHEST = 0.2  # m, of a foot over the belt
+PROMISED = 0.01  # m: who asks for less clearance is not held to any
+CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
+"""Tendons of the scene: the robot, which the ghost is drawn without."""
+TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
+"""Of a solve, promised or gained: the last percent of the cost of a cycle takes half of the iterations, at the kinks of
+touch-downs. A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
+
+
+def human_step(
+    phase: Phase = "cycle", cycles: int = 1, mass: float = 70.0, height: float = 1.75, cadence: float = 100.0,
+    leg_mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0, brace: Brace | None = None,
+    passive: Passive = "table", cost: Cost = "default", pelvis: Pelvis = "motion", effort: float = 1.0,
+    jerk: float = 0.0, force: float = 0.0, clearance: float | None = None, apart: float | None = None,
+    reference: str | None = None, integrator: str = "rk4", horizon: int | None = None, ends: States | None = None,
+    angles: Angles | None = None,
+) -> Problem:  # fmt: skip
+    """Move the pelvis so that a paralysed person's passive legs walk on a treadmill.
+
+    Args:
+        phase: "swing" (one leg from toe-off to heel strike), "cycle" (both legs and the belt, from the normal gait) or
+            "gait" (a cycle that ends as it began, which is solved by solve_periodic).
+        cycles: How many, one after the other.
+        mass: Of the person, kg.
+        height: Of the person, m.
+        cadence: Steps per minute; a cycle is two.
+        leg_mass: Of the legs, times the table's share of the mass: less where muscles have wasted.
+        stiffness: Of the passive joints, times that of `passive`.
+        damping: Of the passive joints, times the table's.
+        brace: "ankle" for an orthosis that holds the feet.
+        passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
+            "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
+        cost: "default", or "study" for the numbers with which the case was first solved.
+        pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
+        effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
+        jerk: Weight of the rates of the pelvis' accelerations, 0 for none: with it these rates are the controls, and
+            the robot is a smoother one.
+        force: Weight of the robot's forces and moments beside its accelerations, 0 for none; it takes seconds.
+        clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
+        apart: Least distance of shanks and feet, m; by default that of the cost.
+        reference: A CSV file of another gait to copy.
+        integrator: "euler", "semi-implicit-euler" or "rk4".
+        horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
+        ends: Of a gait: the states where it begins and that its end is drawn to, (2, nx), as solve_periodic finds
+            them; by default those of the normal gait.
+        angles: What the file of `reference` said, as Gait.to_dict() gives it: in a plan, which needs the file no more.
+
+    Raises:
+        PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
+    """
+    gait = NORMAL_GAIT if reference is None else read_gait(reference) if angles is None else Gait.from_dict(angles)
+    sparing = Sparing(pelvis, effort, jerk, force)
+    step = _step(phase, cycles, cadence, gait, horizon, {
+        "mass": mass, "height": height, "leg_mass": leg_mass, "stiffness": stiffness, "damping": damping,
+        "brace": brace, "passive": passive,
+        "motors": pelvis == "force", "jerked": sparing.jerk > 0.0,
+    })  # fmt: skip
+    choice("cost", cost, get_args(Cost))
+    if clearance is not None:
+        clearance = number("clearance", clearance, least=0.0, most=HIGHEST)
+    if apart is not None:
+        apart = number("apart", apart, least=0.0, most=1.0)
+    wish = wishes(step, cost, clearance, apart)
+    promised = cost == "default" and wish.clearance >= PROMISED
+    robot = drive(step, wish, sparing, choice("integrator", integrator, INTEGRATORS))
+    start, goal = _ends(step, phase, ends)
+    whole = step_cost(robot.dynamics, step, wish, robot.tolerances, robot.control, goal, robot.acceleration)
+    if robot.forces is not None:
+        whole = whole + robot.forces
+    parameters: dict[str, Any] = {
+        "phase": phase, "cycles": cycles, "mass": step.walker.mass, "height": step.walker.height, "cadence": cadence,
+        "leg_mass": step.walker.leg_mass, "stiffness": step.walker.stiffness, "damping": step.walker.damping,
+        "brace": brace, "passive": passive, "cost": cost, **asdict(sparing),
+        "clearance": clearance, "apart": apart, "reference": reference, "integrator": integrator, "horizon": step.N,
+        "ends": None if ends is None else [start.tolist(), goal.tolist()],
+        "angles": None if gait == NORMAL_GAIT else gait.to_dict(),
+    }  # fmt: skip
+    return Problem(
+        robot.dynamics, whole, x0=start, us=robot.us,
+        case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
+        gain_tolerance=TOLERANCE[phase],
+        periodic=closing(step) if phase == "gait" else None,
+        requirements=Requirements(
+            tracking=lambda run: judge_tracking(step, run),
+            goal=lambda run: judge_step(step, run, promised=promised, closes=phase == "gait"),
+            follows=lambda xs, plan_xs, knots: follows(step, xs, plan_xs, knots, clear=promised),
+            perturbation=PATIENT,
+        ),
+    )  # fmt: skip
+
+
+def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> Step:
+    """Checked."""
+    swings = choice("phase", phase, get_args(Phase)) == "swing"
+    cycles = count("cycles", cycles, most=MOST_CYCLES)
+    if swings and cycles != 1:
+        raise PlannerError(f"cycles is {cycles}, expected 1 for phase='swing', which is a part of one.")
+    cadence = number("cadence", cadence, least=SLOWEST, most=FASTEST)
+    walker = Walker(**person, legs=("right",) if swings else SIDES, belt=not swings)
+    duration = 120.0 / cadence
+    begin, part = (SWING[0], SWING[1] - SWING[0]) if swings else (0.0, float(cycles))
+    N = round(part * duration / STAGES[phase]) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
+    if part * duration / N > LONGEST_STAGE:
+        least = int(np.ceil(part * duration / LONGEST_STAGE))
+        raise PlannerError(
+            f"horizon is {N}, expected at least {least}: a stage of more than {LONGEST_STAGE:g} s skips contacts."
+        )
+    return Step(walker, gait, duration, begin, N, part * duration / N)
+
+
+def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The state at the start, and the one that the end is drawn to."""
+    if ends is None:
+        return step.states[0], step.states[-1]
+    if phase != "gait":
+        raise PlannerError(f"ends are given for phase={phase!r}, expected them for phase='gait' alone.")
+    start, goal = array("ends", ends, (2, step.states.shape[1]))
+    return start, goal
+
+
+def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
+    """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
+    names = step.walker.mechanism.joint_names
+    duration = step.N * step.dt
+
+    def curves(side: str, *joints: str) -> tuple[tuple[int, str], ...]:
+        return tuple((names.index(f"{side}_{joint}"), joint.replace("_", " ")) for joint in joints)
+
+    def of_pelvis(*joints: str) -> tuple[tuple[int, str], ...]:
+        return tuple((names.index(joint), joint.removeprefix("pelvis_")) for joint in joints)
+
+    axes = tuple(enumerate((*"xyz", "tilt", "list", "rotation")))
+    low = (0.0, 0.0, 0.74 * step.walker.scale)  # so that no label hides the feet
+    unit, moment = "acceleration, m/s^2", "acceleration, rad/s^2"
+    if step.walker.motors:
+        unit, moment = "force, N", "moment, N m"
+    elif step.walker.jerked:
+        unit, moment = "jerk, m/s^3", "jerk, rad/s^3"
+    return Stage(
+        title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
+        readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),
+        look_at=(0.0, 0.0, 0.85 * step.walker.scale),
+        distance=4.2 * step.walker.scale,
+        azimuth=90.0,
+        elevation=-10.0,
+        views=(View(90.0, label="from the right"), View(180.0, look_at=low, label="from ahead")),
+        ghost=Ghost(step.states, "normal gait"),
+        scenery=(*(("belt",) if step.walker.belt else ()), *CYLINDERS),
+        force_scale=0.0 if not step.walker.belt else 8e-3,
+        force_unit="N",
+        speed=0.25 if duration < 1.0 else 0.5,
+        pictures=partial(step_pictures, step, tolerances),
+        plots=(
+            *(Panel(f"{side.capitalize()} leg", "angle, rad", states=curves(side, "hip_flexion", "knee", "ankle"))
+              for side in step.walker.legs),
+            *(Panel(f"{side.capitalize()} hip", "angle, rad", states=curves(side, "hip_adduction", "hip_rotation"))
+              for side in step.walker.legs),
+            Panel("Pelvis", "m", states=of_pelvis(*PELVIS[:3])),
+            Panel("Pelvis", "angle, rad", states=of_pelvis(*PELVIS[3:])),
+            Panel("Pelvis, driven", unit, controls=axes[:3]),
+            Panel("Pelvis, turned", moment, controls=axes[3:]),
+        ),
+    )  # fmt: skip

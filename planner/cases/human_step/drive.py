@@ -1,0 +1,131 @@
+"""The drive of a step: what the robot at the pelvis commands, and what it is sparing of.
+
+    pelvis="motion"                 u = accelerations of the pelvis; effort weighs them, each by a tolerance of the cost
+    pelvis="motion", jerk > 0       u = their rates; accelerations are states, weighed by effort as before
+    pelvis="motion", force > 0      u = accelerations; the forces that they take are weighed beside them
+    pelvis="force"                  u = forces and moments on a free pelvis; effort weighs them
+
+    tolerance            value                             from
+    of an acceleration   5 m/s^2, 40 rad/s^2               see step_cost.py
+    of its rate          the same in CHANGE                ours: of the size of the jerk of a plan that spares none
+    of a force           FORCE and MOMENT, with the body   ours
+
+A robot that carries the weight is spared what it does beyond that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from planner.base.arguments import choice, number
+from planner.base.errors import PlannerError
+from planner.cases.human_step.cost import Wishes
+from planner.cases.human_step.measures import robot_wrench
+from planner.cases.human_step.step import Step
+from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
+from planner.dynamics import RigidBodyDynamics
+from planner.problem.costs.drive import DriveCost
+
+Pelvis = Literal["motion", "force"]
+
+FORCE, MOMENT = 350.0, 100.0  # N and N m, of a robot for the person in the file
+CHANGE = 0.05  # s
+LEAST_WEIGHT = 1e-3  # times the usual
+
+
+@dataclass(frozen=True)
+class Sparing:
+    """What a robot commands and how much it is spared. Checked.
+
+    Attributes:
+        pelvis: "motion" or "force".
+        effort: Weight of the controls, or of accelerations that are states, times the usual.
+        jerk: The same of the rates of accelerations; 0 for none.
+        force: The same of forces that are no controls; 0 for none.
+    """
+
+    pelvis: str = "motion"
+    effort: float = 1.0
+    jerk: float = 0.0
+    force: float = 0.0
+
+    def __post_init__(self) -> None:
+        choice("pelvis", self.pelvis, get_args(Pelvis))
+        object.__setattr__(self, "effort", number("effort", self.effort, least=LEAST_WEIGHT, most=1.0 / LEAST_WEIGHT))
+        for name in ("jerk", "force"):
+            value = number(name, getattr(self, name), least=0.0, most=1.0 / LEAST_WEIGHT)
+            object.__setattr__(self, name, value)
+            if 0.0 < value < LEAST_WEIGHT:
+                raise PlannerError(f"{name} is {value:g}, expected 0 or at least {LEAST_WEIGHT:g}.")
+            if value and self.pelvis != "motion":
+                raise PlannerError(
+                    f"{name} is {value:g} with pelvis={self.pelvis!r}, expected 0: there effort weighs the forces."
+                )
+        if self.jerk and self.force:
+            raise PlannerError(f"jerk is {self.jerk:g} and force is {self.force:g}, expected one of the two to be 0.")
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Of a robot, in what the cost is made of.
+
+    Attributes:
+        dynamics: Of the person with it.
+        us: (N, 6) first guess: the pelvis moves as in the normal gait.
+        control: (6,) controls that cost nothing.
+        tolerances: (6,) of the controls.
+        acceleration: (6,) tolerances of accelerations that are states, or infinite.
+        forces: The cost of forces that are no controls, or None.
+    """
+
+    dynamics: RigidBodyDynamics
+    us: np.ndarray
+    control: np.ndarray
+    tolerances: np.ndarray
+    acceleration: Any = np.inf
+    forces: DriveCost | None = None
+
+
+def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
+    """The robot of a step whose walker has the motors that its sparing asks for.
+
+    Raises:
+        PlannerError: No such integrator.
+    """
+    walker, effort = step.walker, np.sqrt(sparing.effort)
+    led = not (walker.motors or walker.jerked)
+    dynamics = RigidBodyDynamics(walker.mechanism, step.dt, integrator, prescribed=PELVIS if led else ())
+    accelerations = np.repeat([wish.acceleration, wish.turning], 3)
+    share = walker.mass / FILE_MASS
+    forces = np.repeat([share * FORCE, share * walker.scale * MOMENT], 3)
+    carried, none = np.array([0.0, 0.0, weight(walker), 0.0, 0.0, 0.0]), np.zeros(len(PELVIS))
+    if walker.motors:
+        return Drive(dynamics, forces_of(step, step.accelerations[: step.N]), carried, forces / effort)
+    if walker.jerked:
+        us = np.diff(step.accelerations, axis=0) / step.dt
+        rates = accelerations / CHANGE / np.sqrt(sparing.jerk)
+        return Drive(dynamics, us, none, rates, accelerations / effort)
+    spared = None
+    if sparing.force:
+        spared = DriveCost(dynamics, step.N, sparing.force / (wish.period * forces**2), carried)
+    return Drive(dynamics, step.accelerations[: step.N], none, accelerations / effort, forces=spared)
+
+
+def weight(walker: Walker) -> float:
+    """Of all that the pelvis carries, N."""
+    mechanism = walker.mechanism
+    carried = mechanism.mass.sum() - (mechanism.mass[0] if walker.belt else 0.0)
+    return float(carried * np.linalg.norm(mechanism.gravity))
+
+
+def forces_of(step: Step, accelerations: np.ndarray) -> np.ndarray:
+    """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
+    carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
+    xs = np.empty((step.N + 1, carried.nx))
+    xs[0] = step.states[0]
+    for n in range(step.N):
+        xs[n + 1] = carried.step(xs[n : n + 1], accelerations[n : n + 1])[0]
+    return robot_wrench(carried, xs, accelerations)

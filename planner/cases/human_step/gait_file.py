@@ -1,0 +1,205 @@
+"""A gait from a file of measured angles: CSV with a header line, one row per instant, one cycle.
+
+    percent, tilt_deg, list_deg, rotation_deg, hip_flexion_deg, hip_adduction_deg, hip_rotation_deg, knee_deg, ankle_deg
+    0, -1.5, -0.6, ...
+    2, ...
+
+The first column says when: `percent` of the cycle (0 is the right heel strike), or `time` in seconds, of which the file
+then holds one cycle from its first row, a right heel strike, to its last, the next one. The others are the pelvis and
+the right leg, with the signs of planner.cases.human_step.gait and names with or without a unit:
+
+    name             also                                       sign
+    tilt             pelvis_tilt                                backward positive
+    list             pelvis_list                                right side down positive: about the axis ahead
+    rotation         pelvis_rotation                            to the left positive: about the axis up
+    hip_flexion      hip_flexion_r, hip_flexion_angle_r         flexion positive
+    hip_adduction    hip_adduction_r, hip_adduction_angle_r     adduction positive
+    hip_rotation     hip_rotation_r, hip_rotation_angle_r       inward positive
+    knee             knee_r, knee_angle_r, knee_angle           flexion negative
+                     knee_flexion, knee_flexion_r               flexion positive
+    ankle            ankle_r, ankle_angle_r, ankle_angle, ankle_dorsiflexion, ankle_flexion     dorsiflexion positive
+
+A name may end in _deg or _rad, then all must; without, the values tell: no joint turns more than three radians, and no
+walk's knee less than five degrees. Other columns are left alone. The angles are fitted by least squares to the six
+harmonics of a Gait, of which it keeps what the symmetry of left and right leaves.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.errors import FileError
+from planner.base.files import printable, read_text
+from planner.cases.human_step.gait import ANGLES, HARMONICS, HIGHEST, Gait, basis, used
+
+WHEN = ("percent", "time")
+ALSO = {
+    "tilt": ("pelvis_tilt",),
+    "list": ("pelvis_list",),
+    "rotation": ("pelvis_rotation",),
+    "hip_flexion": ("hip_flexion_r", "hip_flexion_angle_r"),
+    "hip_adduction": ("hip_adduction_r", "hip_adduction_angle_r"),
+    "hip_rotation": ("hip_rotation_r", "hip_rotation_angle_r"),
+    "knee": ("knee_r", "knee_angle_r", "knee_angle", "knee_flexion", "knee_flexion_r"),
+    "ankle": ("ankle_r", "ankle_angle_r", "ankle_angle", "ankle_dorsiflexion", "ankle_flexion"),
+}
+UNITS = {"deg": 1.0, "rad": math.degrees(1.0)}
+LEAST_ROWS = 20  # thirteen coefficients, and some to tell that they fit
+WIDEST_GAP = 1.0 / (2 * HARMONICS)  # of the cycle: what lies between rows farther apart is anybody's guess
+LARGEST_RADIANS, LEAST_DEGREES = 3.0, 5.0  # of the largest angle of a walk: what is between may be either
+LARGEST_JUMP = 5.0  # deg, from the end of a cycle to its beginning: two strides differ by as much
+LARGEST_MISFIT = 3.0  # deg rms, of a column from its series: a walk's own harmonics beyond the sixth are below one
+LARGEST_EXTENSION = 30.0  # deg, of a knee
+
+
+def read_gait(path: str | Path) -> Gait:
+    """A Gait from a CSV file of one cycle; see above for its columns.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileError: It cannot be read, has no such columns or not numbers in them, too few rows, rows that do not cover a
+            cycle or do not come back to where they began, angles whose unit or sign is not clear, or that do not look
+            like one cycle of a walk.
+    """
+    what = f"the gait {printable(path)}"
+    header, rows = _rows(read_text(path, "the gait"), what)
+    when, places, units, flips = _columns(header, what)
+    table = _numbers(rows, header, [when, *places], what)
+    t = _fractions(table[:, 0], header[when], what)
+    degrees = table[:, 1:] * flips * _factor(units, table[:, 1:], what)
+    _check_cycle(t, degrees, what)
+    t = t if t[-1] < 1.0 else t[:-1]  # the last row repeats the first
+    return Gait(*(_fitted(name, t, degrees[: len(t), i], what) for i, name in enumerate(ANGLES)))
+
+
+def _rows(text: str, what: str) -> tuple[list[str], list[list[str]]]:
+    """The names of the columns in lower case, and the rows that are not empty."""
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text), skipinitialspace=True) if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise FileError(f"{what} is no CSV: {error}.") from None
+    if not rows:
+        raise FileError(f"{what} is empty, expected a header and rows of numbers.")
+    header, rows = [name.strip().lower() for name in rows[0]], rows[1:]
+    if len(rows) < LEAST_ROWS:
+        raise FileError(f"{what} has {len(rows)} rows below its header, expected at least {LEAST_ROWS}.")
+    return header, rows
+
+
+def _columns(header: list[str], what: str) -> tuple[int, list[int], list[str], np.ndarray]:
+    """Where the column of times is; and of each angle where, in which unit ("" for none said), and its sign."""
+    when = [header.index(name) for name in WHEN if name in header]
+    found: dict[str, tuple[int, str, str]] = {}
+    for i, name in enumerate(header):
+        stem, _, unit = name.rpartition("_")
+        stem, unit = (stem, unit) if unit in UNITS else (name, "")
+        for angle, others in ALSO.items():
+            if stem == angle or stem in others:
+                if angle in found:
+                    raise FileError(f"{what} has two columns of {angle}, {header[found[angle][0]]} and {name}.")
+                found[angle] = i, unit, stem
+    missing = [angle for angle in ANGLES if angle not in found]
+    if not when:
+        missing.insert(0, " or ".join(WHEN))
+    if missing:
+        there = ", ".join(name for name in header if name) or "none"
+        raise FileError(f"{what} has no column {', '.join(missing)}; its columns are: {there[:300]}.")
+    if len(when) == 2:
+        raise FileError(f"{what} has columns percent and time, expected one of them.")
+    places, units, stems = zip(*(found[angle] for angle in ANGLES), strict=True)
+    if len(set(units)) > 1:
+        raise FileError(f"{what} says the unit of its angles differently, expected _deg or _rad on all, or on none.")
+    return when[0], [*places], [*units], np.where([stem.startswith("knee_flexion") for stem in stems], -1.0, 1.0)
+
+
+def _numbers(rows: list[list[str]], header: list[str], columns: list[int], what: str) -> np.ndarray:
+    """(rows, columns) finite floats."""
+    table = np.empty((len(rows), len(columns)))
+    for i, row in enumerate(rows):
+        for j, column in enumerate(columns):
+            word = row[column].strip() if column < len(row) else ""
+            try:
+                table[i, j] = float(word)
+            except ValueError:
+                table[i, j] = math.nan
+            if not math.isfinite(table[i, j]):
+                raise FileError(
+                    f"{what} has {word[:40]!r} in row {i + 1} of {header[column]}, expected a finite number."
+                )
+    return table
+
+
+def _fractions(times: np.ndarray, name: str, what: str) -> np.ndarray:
+    """When the rows are, in fractions of the cycle."""
+    if not np.all(np.diff(times) > 0.0):
+        i = int(np.argmin(np.diff(times) > 0.0))
+        raise FileError(f"{what} has {times[i + 1]:g} after {times[i]:g} in {name}, expected values that rise.")
+    if name == "time":
+        return (times - times[0]) / (times[-1] - times[0])
+    t = times / 100.0
+    if t[0] < 0.0 or t[-1] > 1.0 or t[0] > WIDEST_GAP or t[-1] < 1.0 - WIDEST_GAP:
+        raise FileError(
+            f"{what} goes from {times[0]:g} to {times[-1]:g} percent, expected a whole cycle from 0 to 100."
+        )
+    return t
+
+
+def _factor(units: list[str], values: np.ndarray, what: str) -> float:
+    """Degrees per unit of the angles (rows, 8)."""
+    if units[0]:
+        return UNITS[units[0]]
+    largest = float(np.abs(values).max())
+    if LARGEST_RADIANS < largest < LEAST_DEGREES:
+        raise FileError(
+            f"{what} has a largest angle of {largest:g}, which may be degrees or radians, "
+            "expected names of columns that end in _deg or _rad."
+        )
+    return UNITS["deg" if largest >= LEAST_DEGREES else "rad"]
+
+
+def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
+    """That rows at t (K,) are close enough, and that angles (K, 8) are a cycle of a walk."""
+    gap = float(np.diff(t).max())
+    if gap > WIDEST_GAP:
+        raise FileError(
+            f"{what} has no rows for {100.0 * gap:.3g} percent of the cycle, expected gaps of at most "
+            f"{100.0 * WIDEST_GAP:.3g}."
+        )
+    largest = float(np.abs(degrees).max())
+    if largest > HIGHEST:
+        raise FileError(f"{what} has an angle of {largest:.4g} deg, expected at most {HIGHEST:g}.")
+    # Where the last row is not the next heel strike, an angle may go on as fast as it ever does.
+    allowed = LARGEST_JUMP + np.abs(np.diff(degrees, axis=0) / np.diff(t)[:, None]).max(axis=0) * (t[0] + 1.0 - t[-1])
+    jump = np.abs(degrees[-1] - degrees[0])
+    if np.any(jump > allowed):
+        worst = int(np.argmax(jump - allowed))
+        raise FileError(
+            f"{what} ends {jump[worst]:.3g} deg from where it begins in {ANGLES[worst]}, expected one cycle that comes "
+            f"back to within {LARGEST_JUMP:g}."
+        )
+    extension = float(degrees[:, ANGLES.index("knee")].max())
+    if extension > LARGEST_EXTENSION:
+        raise FileError(
+            f"{what} has a knee that extends by {extension:.3g} deg, expected flexion to be negative, or a column "
+            "knee_flexion where it is positive."
+        )
+
+
+def _fitted(name: str, t: np.ndarray, degrees: np.ndarray, what: str) -> tuple[float, ...]:
+    """The thirteen coefficients of an angle (K,) at t (K,)."""
+    functions = basis(t)[0]
+    series = np.linalg.lstsq(functions, degrees, rcond=None)[0]
+    misfit = float(np.sqrt(np.mean((functions @ series - degrees) ** 2)))
+    if misfit > LARGEST_MISFIT:
+        raise FileError(
+            f"{what} is {misfit:.3g} deg rms from any series of {HARMONICS} harmonics in {name}, expected one cycle of "
+            f"a walk, to {LARGEST_MISFIT:g}."
+        )
+    return tuple(np.where(used(name), series, 0.0).tolist())

@@ -1,0 +1,217 @@
+"""Pictures of a step: what the paper's Fig. 5 shows, and its numbers beside the normal gait's.
+
+Of a leg everything is drawn over its own cycle, from its heel strike on, so that left and right lie on each other and
+on one normal gait; several cycles do, too. Of the pelvis it is the right leg's cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.cases.human_step.gait import COLUMNS
+from planner.cases.human_step.measures import height, normal_height, robot_wrench, vertical_force
+from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.walker import LEG, PELVIS
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.algorithms import frame_pose
+from planner.problem.pictures import Band, CasePicture, Chart, Charts, Curve, Motion, Paths, Stick, StickFigures, Trace
+
+if TYPE_CHECKING:
+    from planner.problem.plan import Plan
+    from planner.proof.replaying import Replay
+
+POSES = 9
+SAMPLES = 201  # of the normal gait over a cycle
+IN_MUJOCO, NORMAL = "in MuJoCo", "normal gait"
+PLACES, TURNS = ("x", "y", "z"), ("tilt", "list", "rotation")
+
+
+def step_pictures(
+    step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None
+) -> tuple[CasePicture, ...]:
+    """Poses, measures and the path of the pelvis.
+
+    Args:
+        step: What was planned.
+        tolerances: Joint of a leg -> rad, by which the cost lets it differ from the normal gait.
+        plan: Of the step.
+        replay: Of the plan, which is drawn beside it; None for none.
+    """
+    return poses(step, plan), measured(step, tolerances, plan, replay), pelvis_path(step, plan, replay)
+
+
+def poses(step: Step, plan: Plan) -> StickFigures:
+    """As in the paper's Fig. 5: the optimized motion solid, the normal one dashed."""
+    frames, sticks = ["right_hip", "left_hip"], [Stick((0, 1))]
+    for hue, side in enumerate(step.walker.legs):
+        first = len(frames)
+        frames += [f"{side}_{name}" for name in ("knee_centre", "ankle_centre", "heel_point", "toe_point")]
+        hip, knee, ankle, heel, toe = frames.index(f"{side}_hip"), *range(first, first + 4)
+        sticks.append(Stick((hip, knee, ankle, heel, toe, ankle), f"{side} leg", hue))
+    motions = [
+        Motion(label, _points(step, xs, frames), dashed)
+        for label, xs, dashed in (("optimized", plan.xs, False), (NORMAL, step.states, True))
+    ]
+    times = tuple(f"{100.0 * t:.0f} %" for t in np.linspace(step.t[0], step.t[-1], POSES))
+    return StickFigures(
+        "The motion beside the normal gait, over the right leg's cycle (the paper's Fig. 5)", motions, sticks, times,
+        ground=0.0, title="Optimized and normal gait",
+    )  # fmt: skip
+
+
+def pelvis_path(step: Step, plan: Plan, replay: Replay | None) -> Paths:
+    """Where the pelvis goes, between the hips."""
+    start = step.walker.mechanism.joint(PELVIS[0]).start
+    place = slice(start, start + 3)
+    traces = [Trace("optimized", plan.xs[:, place]), Trace(NORMAL, step.states[:, place], dashed=True)]
+    if replay is not None and step.walker.motors:  # a pelvis of given motion is where it is planned to be
+        traces.insert(1, Trace(IN_MUJOCO, _finite(replay)[1][:, place]))
+    return Paths("The path of the pelvis, where the hips are; a dot is where it begins", traces, "Path of the pelvis")
+
+
+def measured(step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None) -> Charts:
+    """Joints, heights, forces, the pelvis and the robot's wrench."""
+    motions = [("", step.t, plan.xs)]
+    if replay is not None:
+        seconds, xs = _finite(replay)
+        motions.append((IN_MUJOCO, step.begin + seconds / step.duration, xs))
+    whole = step.walker.belt
+    grid = np.linspace(0.0 if whole else SWING[0], 1.0, SAMPLES)
+    normal = step.normal.at(grid).q
+    charts = [_joint(step, joint, np.degrees(tolerances[joint]), motions, normal) for joint in LEG]
+    charts += [_hip_height(step, motions), _foot_height(step, motions, grid)]
+    if whole:
+        charts.append(_foot_force(step, motions))
+    charts += _pelvis(step, motions)
+    charts += _wrench(step, plan)
+    return Charts(
+        "Joint angles beside the normal gait, heights of hip and foot, forces of the belt, the pelvis, and what the "
+        "robot does to it", 100.0 * grid, charts, "cycle from heel strike (%)", "The step in numbers",
+        "swing" if whole else "",
+    )  # fmt: skip
+
+
+def by_cycle(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Percent of the cycle and values, of values (K,) at t (K,) cycles, with a gap where the next cycle begins."""
+    whole = np.floor(t + 1e-9)
+    percent = 100.0 * (t - whole)
+    ends = np.flatnonzero(np.diff(whole) > 0)
+    share = (whole[ends + 1] - t[ends]) / (t[ends + 1] - t[ends])
+    between = values[ends] + share * (values[ends + 1] - values[ends])
+    at = np.repeat(ends + 1, 3)
+    gap = np.stack([between, np.full(len(ends), np.nan), between], axis=1).ravel()
+    return np.insert(percent, at, np.tile([100.0, 100.0, 0.0], len(ends))), np.insert(values, at, gap)
+
+
+def _joint(
+    step: Step, joint: str, tolerance: float, motions: list[tuple[str, np.ndarray, np.ndarray]], normal: np.ndarray
+) -> Chart:
+    curves = []
+    for label, t, xs in motions:
+        for side in step.walker.legs:
+            i = step.walker.mechanism.joint(f"{side}_{joint}").start
+            curves.append(_of_leg(side, label, t, np.degrees(xs[:, i])))
+    mean = np.degrees(normal[:, COLUMNS.index(f"right_{joint}")])
+    band = Band("normal gait, \N{PLUS-MINUS SIGN} the cost's tolerance", mean, tolerance)
+    return Chart(joint.replace("_", " ").capitalize(), "angle, deg", curves, band, _swing(step))
+
+
+def _hip_height(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> Chart:
+    """Hip hiking."""
+    curves = []
+    for label, t, xs in motions:
+        for side in step.walker.legs:
+            site = f"{side}_hip"
+            normal = np.interp(t, step.t, normal_height(step, site))
+            curves.append(_of_leg(side, label, t, 1e3 * (height(step, _q(step, xs), site) - normal)))
+    return Chart("Hip over the normal gait's", "height, mm", curves, None, _swing(step))
+
+
+def _foot_height(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]], grid: np.ndarray) -> Chart:
+    curves = []
+    for label, t, xs in motions:
+        for side in step.walker.legs:
+            curves.append(_of_leg(side, label, t, 1e3 * _lowest(step, xs, side)))
+    feet = step.feet(step.normal.at(grid).q)
+    band = Band(NORMAL, 1e3 * feet[:, 1:3, 2].min(axis=1), 0.0)
+    return Chart("Foot, the lower of heel and toe", "height, mm", curves, band, _swing(step))
+
+
+def _foot_force(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> Chart:
+    m = step.walker.mechanism
+    curves = []
+    for label, t, xs in motions:
+        for side in step.walker.legs:
+            upward = vertical_force(step, xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], side)
+            curves.append(_of_leg(side, label, t, upward))
+    return Chart("Belt on a foot, upwards", "force, N", curves, None, _swing(step))
+
+
+def _pelvis(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> list[Chart]:
+    """Its place, from the mean of the normal gait, and its turn."""
+    first = step.walker.mechanism.joint(PELVIS[0]).start
+    charts = []
+    for title, unit, names, offset, scale in (
+        ("Pelvis, from the middle of normal gait", "place, mm", PLACES, 0, 1e3),
+        ("Pelvis", "angle, deg", TURNS, 3, 180.0 / np.pi),
+    ):
+        curves = []
+        for k, name in enumerate(names):
+            i = first + offset + k
+            middle = step.states[:, i].mean() if offset == 0 else 0.0
+            for label, t, xs in [*motions, (NORMAL, step.t, step.states)]:
+                percent, values = by_cycle(t, scale * (xs[:, i] - middle))
+                curves.append(Curve(label or name, values, bool(label), name if label else "", percent))
+        charts.append(Chart(title, unit, curves, None))
+    return charts
+
+
+def _wrench(step: Step, plan: Plan) -> list[Chart]:
+    """What the robot does to the pelvis."""
+    assert plan.problem is not None  # pictures are a stage's, which is a problem's
+    dynamics = plan.problem.dynamics
+    assert isinstance(dynamics, RigidBodyDynamics)
+    wrench = robot_wrench(dynamics, plan.xs, plan.us)
+    charts = []
+    for title, unit, names, offset in (("Robot on the pelvis", "force, N", PLACES, 0),
+                                       ("Robot on the pelvis", "moment, N m", TURNS, 3)):  # fmt: skip
+        curves = []
+        for k, name in enumerate(names):
+            percent, values = by_cycle(step.t[:-1], wrench[:, offset + k])
+            curves.append(Curve(name, values, t=percent))
+        charts.append(Chart(title, unit, curves, None))
+    return charts
+
+
+def _of_leg(side: str, label: str, t: np.ndarray, values: np.ndarray) -> Curve:
+    percent, values = by_cycle(t + (0.0 if side == "right" else 0.5), values)
+    return Curve(label or side, values, bool(label), side if label else "", percent)
+
+
+def _swing(step: Step) -> tuple[tuple[float, float], ...]:
+    return ((100.0 * SWING[0], 100.0 * SWING[1]),) if step.walker.belt else ()
+
+
+def _lowest(step: Step, xs: np.ndarray, side: str) -> np.ndarray:
+    return np.minimum(*(height(step, _q(step, xs), f"{side}_{end}_point") for end in ("heel", "toe")))
+
+
+def _q(step: Step, xs: np.ndarray) -> np.ndarray:
+    return xs[:, : step.walker.mechanism.nq]
+
+
+def _points(step: Step, xs: np.ndarray, frames: list[str]) -> np.ndarray:
+    """(K, P, 3) m."""
+    q = _q(step, xs)
+    return np.stack([frame_pose(step.walker.mechanism, q, frame)[:, :3, 3] for frame in frames], axis=1)
+
+
+def _finite(replay: Replay) -> tuple[np.ndarray, np.ndarray]:
+    """Times (K,) s and states (K, nx) at the plan's knots, of those before a replay ran away."""
+    t, xs = replay.t[:: replay.substeps], replay.xs[:: replay.substeps]
+    finite = np.isfinite(xs).all(axis=1)
+    known = len(xs) if finite.all() else int(np.argmin(finite))
+    return t[:known], xs[:known]

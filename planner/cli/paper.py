@@ -1,0 +1,145 @@
+"""The command `paper`: the paper beside ours. Its failures are results: the exit code is 0 where all was computed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from planner.base.errors import PlannerError
+from planner.base.files import read_text, staged_folder
+from planner.base.jsonable import json_text
+from planner.cli.console import Console
+from planner.paper.studies.catalogue import PENDING, STUDIES, chosen
+from planner.paper.studies.page import Finished, complete, page, run_studies, table_rows
+from planner.paper.studies.proof_table import proofs, proofs_markdown
+
+PAGE, NUMBERS = "paper-results.md", "paper-results.json"
+
+
+def paper(arguments: argparse.Namespace, console: Console) -> int:
+    """Compute, draw and write the paper's numbers beside ours."""
+    if arguments.proofs and arguments.studies:
+        raise PlannerError("--proofs makes a table of its own, expected it without names of studies.")
+    with _stoppable():
+        if arguments.proofs:
+            return _proofs(Path(arguments.out or "renders/paper"), console)
+        if arguments.studies:
+            return _some(arguments.studies, Path(arguments.out or "renders/paper"), console)
+        return _all(*_places(arguments.out), console)
+
+
+def _places(out: str | None) -> tuple[Path, Path]:
+    """Where the page goes and where its pictures and numbers go: into a checkout of this project, or beside us."""
+    if out is not None:
+        return Path(out), Path(out)
+    if _in_checkout():
+        return Path("docs"), Path("renders", "gallery", "paper")
+    return Path("paper"), Path("paper")
+
+
+def _in_checkout() -> bool:
+    """Whether the current folder is a checkout of this project."""
+    if not (Path("pyproject.toml").is_file() and Path("docs").is_dir() and Path("renders").is_dir()):
+        return False
+    try:
+        project = tomllib.loads(read_text("pyproject.toml", "the project")).get("project", {})
+    except (PlannerError, tomllib.TOMLDecodeError):
+        return False
+    return isinstance(project, dict) and project.get("name") == "slq-planner"
+
+
+def _all(at: Path, pictures: Path, console: Console) -> int:
+    """The whole page."""
+    files = [name for study in STUDIES for name in (f"{study.name}.json", *study.pictures)]
+    stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
+    with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
+        began = time.perf_counter()
+        done = run_studies(STUDIES, shown.path, console.note, os.cpu_count() or 1)
+        rows = table_rows(done, PENDING)
+        way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
+        (text.path / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
+        for one in done:
+            _write_results(one, shown.path)
+        summary = {"rows": rows, "studies": {one.study.name: _summary(one) for one in done}}
+        (shown.path / NUMBERS).write_text(json_text(summary), encoding="utf-8")
+    code = 0 if complete(done, rows) else 1
+    console.table(("where", "the paper says", "we get"), [(row["where"], row["paper"], row["ours"]) for row in rows])
+    console.say(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
+    names = [str(at / PAGE), *(str(pictures / name) for name in (*files, NUMBERS))]
+    console.document({"command": "paper", **summary, "files": names, "exit_code": code})
+    return code
+
+
+def _some(names: list[str], folder: Path, console: Console) -> int:
+    """Some studies, each with a page of its own."""
+    studies = chosen(names)
+    files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
+    with staged_folder(folder, files) as staged:
+        done = run_studies(studies, staged.path, console.note)
+        for one in done:
+            _write_results(one, staged.path)
+            if one.results is None:
+                raise PlannerError(f"the study {one.study.name} failed: {one.problem}")
+            text = one.study.markdown(one.results)
+            (staged.path / f"{one.study.name}.md").write_text(text, encoding="utf-8")
+            console.say(text)
+    console.say(f"{folder}: {', '.join(files)}")
+    results: dict[str, Any] = {one.study.name: one.results for one in done}
+    alone = (done[0].results or {}) if len(done) == 1 else {}
+    rows = table_rows(done, {})
+    code = 0 if complete(done, rows) else 1
+    document = {**alone, "command": "paper", "studies": results, "rows": rows, "folder": str(folder)}
+    console.document({**document, "files": files, "exit_code": code})
+    return code
+
+
+def _write_results(one: Finished, folder: Path) -> None:
+    """A study's numbers."""
+    if one.results is not None:
+        (folder / f"{one.study.name}.json").write_text(json_text(one.results), encoding="utf-8")
+
+
+def _summary(one: Finished) -> dict[str, Any]:
+    return {"seconds": one.seconds, "problem": one.problem}
+
+
+class _Stop(BaseException):
+    """Ctrl-C, under a name that a solve does not take for its own: an interrupted plan would be a wrong number."""
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Ctrl-C ends the command, not just the solve that is running."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise _Stop
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    except _Stop:
+        raise KeyboardInterrupt from None
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _proofs(folder: Path, console: Console) -> int:
+    """The table of proofs, PASS and FAIL."""
+    names = ("proofs.md", "proofs.json")
+    with staged_folder(folder, names) as staged:
+        rows = proofs(progress=lambda name: console.note(f"planning and proving {name}"))
+        text = proofs_markdown(rows)
+        (staged.path / "proofs.md").write_text(text, encoding="utf-8")
+        (staged.path / "proofs.json").write_text(json_text({"proofs": rows}), encoding="utf-8")
+    console.say(text)
+    console.say(f"{folder}: {', '.join(names)}")
+    console.document({"command": "paper", "proofs": rows, "folder": str(folder), "files": list(names), "exit_code": 0})
+    return 0

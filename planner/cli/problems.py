@@ -1,0 +1,125 @@
+"""The problem that a command line names, and its solve: shared by `run` and `solve`."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from planner import cases
+from planner.base.arguments import count, number
+from planner.base.errors import PlannerError
+from planner.cases.problem_file import case_in, load
+from planner.cli.console import Console
+from planner.cli.parser import PROBLEM_FILE
+from planner.problem.limits import EXACT, Limits
+from planner.problem.objective import checked_durations, weights_of, with_objective
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.cost import proven_cost
+from planner.solvers.free_time import solve_for
+from planner.solvers.multistart import MOST_STARTS
+from planner.solvers.periodic import solve_periodic
+from planner.solvers.slq import solve
+
+RANKS = {"cost": None, "proven-cost": proven_cost}
+
+
+class ProblemOf(NamedTuple):
+    """What a command line asks for."""
+
+    problem: Problem
+    starts: int
+    seed: int
+    objective: dict[str, float] | None
+    durations: list[float] | None
+
+
+def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
+    """The problem of a case or a file, and from how many first guesses it is solved."""
+    count("max_iterations", arguments.max_iterations)
+    objective = None if arguments.objective is None else objective_of(arguments.objective)
+    durations = None if arguments.durations is None else durations_of(arguments.durations)
+    named = case_in(arguments.problem) if arguments.case == PROBLEM_FILE else None
+    if arguments.case == PROBLEM_FILE and named is None:
+        given = {"starts": arguments.starts, "seed": arguments.seed}
+        file = load(arguments.problem, **given, objective=objective, durations=durations)
+        return ProblemOf(*file, file.objective, file.durations)
+    flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
+    case, given, starts, seed = named or (arguments.case, flags, 1, 0)
+    starts = starts if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)
+    seed = seed if arguments.seed is None else count("seed", arguments.seed, least=0)
+    problem = cases.build(case, **given)
+    limit = arguments.control_limit
+    if limit is not None or arguments.exact_goal:
+        bound = None if limit is None else number("control-limit", limit, above=0.0)
+        problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
+    if durations is not None and problem.periodic is not None:
+        raise PlannerError(
+            "--durations are given for a periodic motion, expected none: its cycle has a time of its own."
+        )
+    if objective is not None:
+        problem = with_objective(problem, objective)
+    checked_durations(durations, objective or {})
+    return ProblemOf(problem, starts, seed, objective, durations)
+
+
+def objective_of(text: str) -> dict[str, float]:
+    """Weights from "time" or from "effort=1,time=2".
+
+    Raises:
+        PlannerError: Neither, an unknown name or a negative weight.
+    """
+    if "=" not in text:
+        return weights_of(text.strip())
+    weights: dict[str, float] = {}
+    for word in text.split(","):
+        name, _, value = word.partition("=")
+        try:
+            weights[name.strip()] = float(value)
+        except ValueError:
+            raise PlannerError(f"--objective has {word!r}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
+    return weights_of(weights)
+
+
+def durations_of(text: str) -> list[float]:
+    """The shortest and the longest, from "0.5,3".
+
+    Raises:
+        PlannerError: Not two numbers.
+    """
+    try:
+        shortest, longest = map(float, text.split(","))
+    except ValueError:
+        raise PlannerError(f"--durations is {text!r}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
+    return [shortest, longest]
+
+
+def name_of(arguments: argparse.Namespace) -> str:
+    """What a run is called: its case, or its file without folder and ending."""
+    return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
+
+
+def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+    """The plan, and the seconds that the solve took."""
+    problem = asked.problem
+    solve(problem, hessian=arguments.hessian, max_iterations=1)  # what a first run compiles is not the solve's time
+    several = f", {asked.starts} starts" if asked.starts > 1 else ""
+    console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
+    began = time.perf_counter()
+    options = {
+        "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,
+        "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
+        "rank": RANKS[arguments.rank],
+    }  # fmt: skip
+    timed = asked.durations is not None
+    progress = console.tried if timed else console.iteration if asked.starts == 1 else console.start
+    if problem.periodic is not None:
+        plan = solve_periodic(problem, callback=console.passed, **options)
+    elif asked.objective is None:
+        plan = solve(problem, callback=progress, **options)
+    else:
+        plan = solve_for(problem, asked.objective, durations=asked.durations, callback=progress, **options)
+    return plan, time.perf_counter() - began

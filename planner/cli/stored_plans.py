@@ -1,0 +1,54 @@
+"""The command `check`: prove stored plans again and compare with the figures stored beside them."""
+
+from __future__ import annotations
+
+import argparse
+
+from planner.cli.console import Console
+from planner.sweeps.stored_plans import Checked, check
+
+UNCHANGED, REGRESSED = 0, 1
+
+
+def check_plans(arguments: argparse.Namespace, console: Console) -> int:
+    """Prove again and compare; a table of what moved."""
+
+    def show(one: Checked) -> None:
+        console.note(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
+
+    done = check(*arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show)
+    rows = []
+    for one in done:
+        rows += [(str(one.plan), one.problem, "", "", "", "regressed")] if one.problem else []
+        for change in one.changes:
+            values = [_shown(value) for value in (change.stored, change.now, change.bound)]
+            name = change.figure.replace("_", " ")
+            name = f"{change.step.replace('_', ' ')} {name}".strip()
+            rows.append((str(one.plan), name, *values, "regressed" if change.regressed else "moved"))
+    if rows:
+        console.table(("plan", "figure", "stored", "now", "bound", ""), rows)
+    bad = sum(not one.passed for one in done)
+    moved = sum(bool(one.changes) for one in done if one.passed)
+    counts = {"proved": len(done), "regressed": bad, "moved": moved, "as stored": len(done) - bad - moved}
+    if arguments.update:
+        counts["updated"] = sum(one.updated for one in done)
+    console.say(f"plans {', '.join(f'{word}: {count}' for word, count in counts.items())}")
+    code = REGRESSED if bad else UNCHANGED
+    console.document(
+        {
+            "command": "check", "exit_code": code,
+            "plans": [
+                {
+                    "plan": str(one.plan), "passed": one.passed, "problem": one.problem,
+                    "verdict": None if one.proof is None else one.proof.verdict,
+                    "changes": [change._asdict() for change in one.changes],
+                }
+                for one in done
+            ],
+        }
+    )  # fmt: skip
+    return code
+
+
+def _shown(value: float | str | None) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:.5g}"

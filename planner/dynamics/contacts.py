@@ -1,0 +1,241 @@
+"""What contacts, stops and curves do to a mechanism, in NumPy: for pictures and proofs, and the twin of the kernels.
+
+The law and its pieces are model.contact.laws's. A contact acts at p, halfway between the surfaces, which moves over the
+link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.
+Between two bodies J is the difference of both links', and the normal turns: the law is the same in all directions, so
+
+    df = w x f + f_e de + f_v (dv - w x v),   w = n x dn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.contact_places import BodyPlace
+from planner.model.contact.laws import Contact, Law, Touch, slide_direction
+from planner.model.joint_curves import curve_torque_derivatives, curve_torques
+from planner.model.mechanism import Frame, Mechanism
+
+
+class ContactForces(NamedTuple):
+    """Of each contact with a plane, or each of two bodies, at each state."""
+
+    points: np.ndarray  # (..., contacts, 3) m, where they act, in the world
+    depths: np.ndarray  # (..., contacts) m, into the real surface; negative above it
+    forces: np.ndarray  # (..., contacts, 3) N, on the mechanism or the first body, in the world
+
+
+def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
+    """Where and with what force the planes of the world touch a mechanism, in the order of its contacts.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq).
+        qd: (..., nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+    q, qd, single = _states(mechanism, q, qd)
+    places = [_Place(mechanism, contact, q, qd) for contact in mechanism.contacts]
+    return _forces(places, q, single)
+
+
+def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
+    """Where and with what force two bodies touch, in the order of a mechanism's body_contacts.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq).
+        qd: (..., nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+    q, qd, single = _states(mechanism, q, qd)
+    places = [BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
+    return _forces(places, q, single)
+
+
+def _forces(places: Sequence[_Place | BodyPlace], q: np.ndarray, single: bool) -> ContactForces:
+    K, n = len(q), len(places)
+    points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
+    for k, place in enumerate(places):
+        points[:, k], depths[:, k] = place.p, place.e - place.contact.touch.lift
+        forces[:, k] = _force(place)[0]
+    return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
+
+
+def contact_jacobians(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does."""
+    q = np.asarray(q, dtype=float)
+    q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
+    J = np.zeros((len(q), len(mechanism.contacts), 3, mechanism.nv))
+    for k, contact in enumerate(mechanism.contacts):
+        J[:, k] = _Place(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
+    return J[0] if single else J
+
+
+def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
+    """The applied force tau (..., nv) of all contacts, stops and curves at q (..., nq), qd (..., nv)."""
+    q, qd, single = _states(mechanism, q, qd)
+    tau = curve_torques(mechanism, q)
+    for place in _places(mechanism, q, qd):
+        tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
+    for stop in mechanism.stops:
+        e, opening = _stop_state(mechanism, stop, q, qd)
+        tau[:, stop.dof] -= stop.side * _one_sided(stop.law, e, opening)[0]
+    return tau[0] if single else tau
+
+
+def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives (..., nv, nv) of generalized_forces by q (in the tangent) and qd, exact."""
+    q, qd, single = _states(mechanism, q, qd)
+    by_q = curve_torque_derivatives(mechanism, q)
+    by_qd = np.zeros_like(by_q)
+    for place in _places(mechanism, q, qd):
+        J, (de, dn, dJ) = place.J, place.derivatives(q)
+        f, f_e, f_v = _force(place)
+        turn = np.cross(place.n[:, :, None], dn, axis=1)
+        dv = np.einsum("kaji,kj->kai", dJ, qd) - np.cross(turn, place.v[:, :, None], axis=1)
+        df = np.cross(turn, f[:, :, None], axis=1) + f_e[:, :, None] * de[:, None] + f_v @ dv
+        by_q += np.einsum("kaji,ka->kji", dJ, f) + np.swapaxes(J, 1, 2) @ df
+        by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
+    for stop in mechanism.stops:
+        e, opening = _stop_state(mechanism, stop, q, qd)
+        _, by_e, by_opening = _one_sided(stop.law, e, opening)
+        by_q[:, stop.dof, stop.dof] -= by_e
+        by_qd[:, stop.dof, stop.dof] += by_opening
+    return (by_q[0], by_qd[0]) if single else (by_q, by_qd)
+
+
+def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray, bool]:
+    single = np.ndim(q) <= 1
+    shape = () if single else ("K",)
+    q, qd = array("q", q, (*shape, mechanism.nq)), array("qd", qd, (*shape, mechanism.nv))
+    return np.atleast_2d(q), np.atleast_2d(qd), single
+
+
+def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[_Place | BodyPlace]:
+    return [
+        *(_Place(mechanism, contact, q, qd) for contact in mechanism.contacts),
+        *(BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts),
+    ]
+
+
+class _Place:
+    """Where a contact is at K states: what BodyPlace says of two bodies, of a sphere and a plane."""
+
+    def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
+        T = np.eye(4)
+        T[:3, 3] = contact.centre
+        self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
+        n, touch = contact.plane.normal, contact.touch
+        centre = rigid_body.frame_pose(mechanism, q, self.frame)[:, :3, 3]
+        self.e = contact.radius + touch.lift + contact.plane.offset - centre @ n
+        self.arm = (0.5 * self.e - contact.radius - 0.5 * touch.lift)[:, None] * n  # from the centre
+        self.p = centre + self.arm
+        J = rigid_body.jacobian(mechanism, q, self.frame)
+        self.at_centre, self.angular = J[:, :3], J[:, 3:]
+        self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
+        if contact.plane.slide >= 0:  # relative to what moves too
+            self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
+        self.n = np.broadcast_to(n, centre.shape)
+        self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
+
+    def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
+        D, n = rigid_body.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
+        de = -np.einsum("a,kaj->kj", n, self.at_centre)
+        darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
+        dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)
+        return de, np.zeros_like(darm), dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
+
+
+def _stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far beyond a stop, and how fast back."""
+    e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.lift
+    return e, -stop.side * qd[:, stop.dof]
+
+
+def ramp(e: np.ndarray, a: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """0, e^2 / 2a, e - a/2 for e < 0, 0..a, > a, and its slope."""
+    slope = np.clip(np.divide(e, a, out=np.where(e > 0.0, 1.0, 0.0), where=np.greater(a, 0.0)), 0.0, 1.0)
+    return slope * (e - 0.5 * a * slope), slope
+
+
+def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
+    """3 t^2 - 2 t^3 of t = e/a within 0..1, and its slope."""
+    if a == 0.0:
+        return np.where(e > 0.0, 1.0, 0.0), np.zeros_like(e)
+    t = np.clip(e / a, 0.0, 1.0)
+    return t**2 * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / a
+
+
+def _raw(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """K ramp(e) - B s(e) v_n, which may pull, and its derivatives by e and v_n."""
+    (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
+    return (
+        law.stiffness * r - law.damping * s * opening,
+        law.stiffness * dr - law.damping * ds * opening,
+        -law.damping * s,
+    )
+
+
+def _one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The force of the law, and its derivatives by e and v_n."""
+    g, by_e, by_opening = _raw(law, e, opening)
+    force, slope = ramp(g, float(law.force_ramp or 0.0))
+    return force, slope * by_e, slope * by_opening
+
+
+def _force(place: _Place | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
+    return touch_force(place.contact.touch, place.n, place.e, place.v)
+
+
+def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force (K, 3), and its derivatives by the penetration (K, 3) and by the velocity (K, 3, 3).
+
+    Args:
+        touch: The law's numbers.
+        n: (3,) or (K, 3) normal.
+        e: (K,) penetration into the law's surface, m.
+        v: (K, 3) velocity relative to the surface, m/s.
+    """
+    n = np.broadcast_to(n, v.shape)
+    mu, across = touch.friction, np.eye(3) - n[:, :, None] * n[:, None]
+    opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
+    speed = np.linalg.norm(vt, axis=1)
+    d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # of sliding
+    s, ds = smoothstep(e, touch.ramp)
+    c, dc = touch.slip_damping * s, touch.slip_damping * ds
+    slip = c * speed
+    g, g_e, g_n = _raw(touch, e, opening)
+    # gradients of scalars by (e, v): the slip force, the normal force, friction
+    e_axis = np.array([1.0, 0.0, 0.0, 0.0])
+    dslip = (dc * speed)[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], c[:, None] * d])
+    dg = g_e[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], g_n[:, None] * n])
+    slips = slip > mu * g
+    share = 1.0 / (1.0 + mu**2 / touch.impratio)
+    h = np.where(slips, share * (g + mu * slip / touch.impratio), g)
+    dh = np.where(slips[:, None], share * (dg + mu / touch.impratio * dslip), dg)
+    normal, slope = ramp(h, float(touch.force_ramp or 0.0))
+    dnormal = slope[:, None] * dh
+    limit, dlimit = mu * normal, mu * dnormal
+    bend = touch.bend
+    t = ramp(slip - (1.0 - bend) * limit, 2.0 * bend * limit)[1]
+    by_limit = t * (1.0 - bend + bend * t)
+    friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without its cancellation
+    dfriction = (1.0 - t)[:, None] * dslip + by_limit[:, None] * dlimit
+    force = normal[:, None] * n - friction[:, None] * d
+    turning = np.where(speed > 0.0, friction / np.where(speed > 0.0, speed, 1.0), np.where(limit > 0.0, c, 0.0))
+    by = dnormal[:, None, :] * n[:, :, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)
+    along = across - d[:, :, None] * d[:, None, :]  # d turns, unless it is a point at rest
+    by[:, :, 1:] -= turning[:, None, None] * along
+    return force, by[:, :, 0], by[:, :, 1:]

@@ -1,0 +1,1 @@
+"""The LQ subproblem for kernels: memory, quadratic costs, backward sweeps, line search."""

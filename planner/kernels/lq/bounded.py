@@ -1,0 +1,160 @@
+"""The backward sweep with bounds on the controls (Tassa, Mansard and Todorov 2014), and its direction.
+
+In each stage the control is the minimum of the quadratic over the box (see box). A clamped control c enters what is
+left as a constant, h += H_c k_c, and leaves it: its row and column become those of the identity. Then the plain
+sweep's own steps go on (see riccati), and give a clamped control no gains: feedback does not ask for more than there
+is. Of the others the gains are those of the plain sweep.
+
+Compiled apart from the plain sweep, so that a problem without bounds pays nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from planner.kernels.lq import workspace as W
+from planner.kernels.lq.box import box_minimum
+from planner.kernels.lq.quadratic import add_weights
+from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
+from planner.kernels.lq.second_order import add_second
+from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
+from planner.kernels.numba.jit import inline, jit
+from planner.kernels.numba.lanes import at, floats, load, pointer, store
+
+AT_BOUND = 1e-11  # a step can end a few roundings inside a bound
+
+
+@inline
+def at_lower(us, lower, i):
+    """Whether a control is at its lower bound, but for rounding."""
+    return load(us, i) - load(lower, i) <= AT_BOUND
+
+
+@inline
+def at_upper(us, upper, i):
+    """Whether a control is at its upper bound, but for rounding."""
+    return load(upper, i) - load(us, i) <= AT_BOUND
+
+
+@inline
+def _projected(w, n):
+    """Gradient of stage n (Eq. 18), kept, and the square of the part that does not push against a bound."""
+    nu, c, gradient = w[W.NU], floats(w, W.COSTATE), floats(w, W.GRADIENT)
+    us, lower, upper = floats(w, W.US), floats(w, W.LOWER), floats(w, W.UPPER)
+    norm2 = 0.0
+    for a in range(nu):
+        i, g = n * nu + a, load(c, a)
+        store(gradient, i, g)
+        pushes = (at_lower(us, lower, i) and g > 0.0) or (at_upper(us, upper, i) and g < 0.0)
+        if not pushes:
+            norm2 += g * g
+    return norm2
+
+
+@inline
+def _clamp(w):
+    """Take the clamped controls out of the quadratic of a stage."""
+    nu, width = w[W.NU], w[W.WIDTH_Z]
+    M, s, k = floats(w, W.H), floats(w, W.h), floats(w, W.BOX)
+    clamped = at(k, nu)
+    for c in range(nu):
+        if load(clamped, c) > 0.0:
+            kc = load(k, c)
+            for a in range(c):
+                store(s, a, load(s, a) + load(M, a * width + c) * kc)
+                store(M, a * width + c, 0.0)
+            for j in range(c + 1, width):
+                store(s, j, load(s, j) + load(M, c * width + j) * kc)
+                store(M, c * width + j, 0.0)
+            store(M, c * width + c, 1.0)
+    for c in range(nu):  # after all have been counted into the others
+        if load(clamped, c) > 0.0:
+            store(s, c, 0.0)
+
+
+@inline
+def _finish_bounded(w, mu, n):
+    """As riccati's, with the controls of stage n in their box; the model's value in place of the slope."""
+    nu = w[W.NU]
+    add_weights(w, floats(w, W.H), n)
+    if w[W.EXACT]:
+        add_second(w, floats(w, W.H), n)
+    norm2 = _projected(w, n)
+    value, definite = box_minimum(w, mu, n)
+    if definite:
+        _clamp(w)
+        _, definite = factorize(w, mu)
+    if definite:
+        next_value(w)
+        gains(w, n)
+        k, box = at(floats(w, W.FEEDFORWARD), n * nu), floats(w, W.BOX)
+        for a in range(nu):
+            store(k, a, load(box, a))
+    return norm2, value, definite
+
+
+@jit
+def riccati_dense_bounded(w, mu, dt):
+    """Sweep backward with F = (B | A) and bounds. Fills the gains, the gradient and the value function.
+
+    Returns:
+        (norm of the projected gradient, value of the LQ model at its minimum, minus the decrease that it promises;
+        False when R + B'PB + mu I is not positive definite where controls are free).
+    """
+    w = pointer(w)
+    begin(w)
+    total, value = 0.0, 0.0
+    for n in range(w[W.N] - 1, -1, -1):
+        dense_stage(w, n, dt)
+        norm2, part, definite = _finish_bounded(w, mu, n)
+        total += norm2
+        if not definite:
+            return math.sqrt(total), 0.0, False
+        value += part
+    return math.sqrt(total), value, True
+
+
+@jit
+def riccati_structured_bounded(w, mu, dt):
+    """The same for semi-implicit Euler, whose F holds accelerations only."""
+    w = pointer(w)
+    begin(w)
+    total, value = 0.0, 0.0
+    for n in range(w[W.N] - 1, -1, -1):
+        structured_stage(w, n, dt)
+        norm2, part, definite = _finish_bounded(w, mu, n)
+        total += norm2
+        if not definite:
+            return math.sqrt(total), 0.0, False
+        value += part
+    return math.sqrt(total), value, True
+
+
+@jit
+def bounded_direction(w, dt):
+    """The direction dus (N, nu) in which the clipped controls set out, and the slope of J along it.
+
+    du = k + K dx, but zero where it leads out of a bound that the control is at.
+    """
+    w = pointer(w)
+    ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
+    K, k, gradient = floats(w, W.GAINS), floats(w, W.FEEDFORWARD), floats(w, W.GRADIENT)
+    us, lower, upper = floats(w, W.US), floats(w, W.LOWER), floats(w, W.UPPER)
+    dus, dx = floats(w, W.DIRECTION), floats(w, W.DX)
+    slope = 0.0
+    for i in range(ndx):
+        store(dx, i, 0.0)
+    for n in range(w[W.N]):
+        for a in range(nu):
+            i = n * nu + a
+            du = load(k, i)
+            for j in range(ndx):
+                du += load(K, i * width + first + j) * load(dx, j)
+            if (at_lower(us, lower, i) and du < 0.0) or (at_upper(us, upper, i) and du > 0.0):
+                du = 0.0
+            store(dus, i, du)
+            slope += load(gradient, i) * du
+        advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
+        for i in range(ndx):
+            store(dx, i, load(dx, ndx + i))
+    return slope

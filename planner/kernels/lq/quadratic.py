@@ -1,0 +1,179 @@
+"""The tracking cost along a trajectory: gradients and Hessians of its stages, rotations by Gauss and Newton.
+
+With dx = x (-) x_ref and J = d dx / dx, the gradient is J' Q dx and the Hessian J' Q J; J is the identity but for the
+rotation vectors of quaternions. Weights are lists of their upper entries that are not zero, plain ones first, then
+those that touch a rotation.
+
+Ranges of the states come in as hinges, 1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2) on single components of the
+deviation e (see planner.solvers.augmented); where both bounds are the same, that is 1/2 w (e - bound)^2.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.rotations import difference_floats, inverse_right_jacobian_floats
+from planner.kernels.lq import workspace as W
+from planner.kernels.numba.jit import inline, jit, part
+from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
+
+
+@inline
+def _deviation(w, x, x_ref, e, turn):
+    """The deviation e (ndx) of a state from its reference, and the J (9) of each rotation."""
+    vector_x, vector_dx = integers(w, W.VECTOR_X), integers(w, W.VECTOR_DX)
+    for i in range(w[W.VECTORS]):
+        a = load(vector_x, i)
+        store(e, load(vector_dx, i), load(x, a) - load(x_ref, a))
+    for b in range(w[W.QUATERNIONS]):
+        a, d = load(integers(w, W.QUATERNION_X), b), load(integers(w, W.QUATERNION_DX), b)
+        difference_floats(at(x, a), at(x_ref, a), at(e, d))
+        inverse_right_jacobian_floats(at(e, d), at(turn, 9 * b))
+
+
+@inline
+def _add_gradient(row, column, value, terms, e, l):
+    """Add Q e to l."""
+    for t in range(terms):
+        i, j, q = load(row, t), load(column, t), load(value, t)
+        store(l, i, load(l, i) + q * load(e, j))
+        if i != j:
+            store(l, j, load(l, j) + q * load(e, i))
+
+
+@inline
+def state_terms(w, n):
+    """Rows, columns, values, and numbers of terms and of plain terms of the state weights of stage n, or of the end."""
+    if n < w[W.N]:
+        return (
+            integers(w, W.STAGE_ROW), integers(w, W.STAGE_COLUMN), at(floats(w, W.STAGE_VALUE), n * w[W.STAGE_TERMS]),
+            w[W.STAGE_TERMS], w[W.STAGE_PLAIN],
+        )  # fmt: skip
+    return (
+        integers(w, W.FINAL_ROW), integers(w, W.FINAL_COLUMN), at(floats(w, W.FINAL_VALUE), 0), w[W.FINAL_TERMS],
+        w[W.FINAL_PLAIN],
+    )  # fmt: skip
+
+
+@inline
+def control_terms(w, n):
+    """Rows, columns, values and number of terms of the control weights of stage n."""
+    terms = w[W.CONTROL_TERMS]
+    return integers(w, W.CONTROL_ROW), integers(w, W.CONTROL_COLUMN), at(floats(w, W.CONTROL_VALUE), n * terms), terms
+
+
+@inline
+def hinges_of(w, n):
+    """How many components have a range at stage n, or at the end."""
+    return w[W.STAGE_HINGES] if n < w[W.N] else w[W.HINGES]
+
+
+@inline
+def _add_hinges(w, n, hinged, e, l):
+    """Add the slopes of the hinges of stage n to l, and keep their second derivatives for add_weights."""
+    o, component = n * w[W.HINGES], integers(w, W.HINGE_DX)
+    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
+    weight, active = at(floats(w, W.HINGE_WEIGHT), o), at(floats(w, W.HINGE_ACTIVE), o)
+    for t in range(hinged):
+        i = load(component, t)
+        d, low, high, factor = load(e, i), load(lower, t), load(upper, t), load(weight, t)
+        slope, curvature = 0.0, 0.0
+        if d >= high:
+            slope, curvature = factor * (d - high), factor
+        if d < low:
+            slope, curvature = slope + factor * (d - low), curvature + factor
+        store(l, i, load(l, i) + slope)
+        store(active, t, curvature)
+
+
+@jit
+def gradients(w):
+    """L = (R (u - u_ref) | J' Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
+    w = pointer(w)
+    nx, nu, width, first = w[W.NX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
+    us, u_ref = floats(w, W.US), floats(w, W.U_REF)
+    e, turn, balls = floats(w, W.ERROR), floats(w, W.TURN), w[W.QUATERNIONS]
+    for n in range(w[W.N] + 1):
+        l = at(floats(w, W.STAGE_GRADIENT), n * width)
+        for j in range(width):
+            store(l, j, 0.0)
+        if n < w[W.N]:
+            for i in range(nu):
+                store(e, i, load(us, n * nu + i) - load(u_ref, n * nu + i))
+            row, column, value, terms = control_terms(w, n)
+            _add_gradient(row, column, value, terms, e, l)
+        row, column, value, terms, _ = state_terms(w, n)
+        hinged = hinges_of(w, n)
+        if terms == 0 and hinged == 0:
+            continue
+        J = at(turn, n * 9 * balls)
+        _deviation(w, at(floats(w, W.XS), n * nx), at(floats(w, W.X_REF), n * nx), e, J)
+        g = at(l, first)
+        _add_gradient(row, column, value, terms, e, g)
+        if hinged > 0:
+            _add_hinges(w, n, hinged, e, g)
+        for b in range(balls):
+            k = load(integers(w, W.QUATERNION_DX), b)
+            a0, a1, a2 = load(g, k), load(g, k + 1), load(g, k + 2)
+            for c in range(3):
+                o = 9 * b + c
+                store(g, k + c, a0 * load(J, o) + a1 * load(J, o + 3) + a2 * load(J, o + 6))
+
+
+@inline
+def _add_turned(w, M, width, turn, i, j, q):
+    """Add J' (q at (i, j) and (j, i)) J to a Hessian, where i or j belongs to a rotation."""
+    ball, first = integers(w, W.BALL_OF), integers(w, W.QUATERNION_DX)
+    bi, bj = load(ball, i), load(ball, j)
+    i0, ni = (load(first, bi), 3) if bi >= 0 else (i, 1)
+    j0, nj = (load(first, bj), 3) if bj >= 0 else (j, 1)
+    for a in range(ni):
+        fa = load(turn, 9 * bi + 3 * (i - i0) + a) if ni == 3 else 1.0
+        for b in range(nj):
+            fb = load(turn, 9 * bj + 3 * (j - j0) + b) if nj == 3 else 1.0
+            k = (i0 + a) * width + j0 + b
+            store(M, k, load(M, k) + q * fa * fb)
+            if i != j:
+                k = (j0 + b) * width + i0 + a
+                store(M, k, load(M, k) + q * fa * fb)
+
+
+@part
+def _add_penalties(w, M, n):
+    """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
+    rows, width = w[W.PENALISED], w[W.WIDTH_Z]
+    ld = (rows + WIDTH - 1) // WIDTH * WIDTH
+    P = at(floats(w, W.PENALTY_HESSIAN), n * rows * ld)
+    for i in range(rows):
+        for j in range(i // WIDTH * WIDTH, ld, WIDTH):
+            o = i * width + j
+            store4(M, o, load4(M, o) + load4(P, i * ld + j))
+
+
+@inline
+def add_weights(w, M, n):
+    """The weights of stage n, or of the end, onto the upper triangle of its Hessian M (z, z)."""
+    width, first = w[W.WIDTH_Z], w[W.FIRST_X]
+    if n < w[W.N]:
+        row, column, value, terms = control_terms(w, n)
+        for t in range(terms):
+            k = load(row, t) * width + load(column, t)
+            store(M, k, load(M, k) + load(value, t))
+    row, column, value, terms, plain = state_terms(w, n)
+    M = at(M, first * width + first)
+    for t in range(plain):
+        k = load(row, t) * width + load(column, t)
+        store(M, k, load(M, k) + load(value, t))
+    turn = at(floats(w, W.TURN), n * 9 * w[W.QUATERNIONS])
+    for t in range(plain, terms):
+        _add_turned(w, M, width, turn, load(row, t), load(column, t), load(value, t))
+    hinged = hinges_of(w, n)
+    if hinged > 0:
+        component, active = integers(w, W.HINGE_DX), at(floats(w, W.HINGE_ACTIVE), n * w[W.HINGES])
+        for t in range(hinged):
+            q, i = load(active, t), load(component, t)
+            if q > 0.0:
+                if load(integers(w, W.BALL_OF), i) >= 0:
+                    _add_turned(w, M, width, turn, i, i, q)
+                else:
+                    store(M, i * width + i, load(M, i * width + i) + q)
+    if w[W.PENALISED] > 0:
+        _add_penalties(w, M, n)

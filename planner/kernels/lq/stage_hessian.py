@@ -1,0 +1,167 @@
+"""The Hessian and gradient in z = (u | x) of a stage of the LQ problem, before the stage's own weights.
+
+With F = (B | A) and the value function of the next stage (P, s),
+
+    H = F' P F,    h = l + F' s.
+
+Semi-implicit Euler has more structure: x+ = E (x + [0; dt a(z)]) with E = [[T, dt J], [0, 1]], where T = J = 1 but
+for rotations. With S = E' P E and D = dt da/dz,
+
+    H = (0 | 1)' (S + S_xv D) + D' (S_vx + S_vv D),
+
+which contracts over nv rows instead of 2 nv. Only the upper triangle of H is formed; P and S are whole.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.tiles import four_rows, two_sums
+from planner.kernels.lq import workspace as W
+from planner.kernels.numba.jit import inline
+from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, spread, store, store4
+
+
+@inline
+def _pull_back(w, n, F, rows, scale, first_row, stays):
+    """Gradient h and the costate, l + (s, if it stays) + scale F' s (Eq. 16), from s in their arrays' second rows."""
+    width = w[W.WIDTH_Z]
+    h, c, l = floats(w, W.h), floats(w, W.COSTATE), at(floats(w, W.STAGE_GRADIENT), n * width)
+    for j in range(0, width, WIDTH):
+        x, y = two_sums(at(h, width + first_row), at(c, width + first_row), F, 0, width, rows, width, j)
+        p = load4(l, j)
+        if stays:
+            store4(h, j, p + load4(h, width + j) + scale * x)
+            store4(c, j, p + load4(c, width + j) + scale * y)
+        else:
+            store4(h, j, p + x)
+            store4(c, j, p + y)
+
+
+@inline
+def dense_stage(w, n, dt):
+    """H, and h and the costate through F' (Eq. 16), for F = (B | A)."""
+    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
+    F, M, G = at(floats(w, W.LINEAR), n * ndx * width), floats(w, W.H), floats(w, W.G)
+    h, c, P = floats(w, W.h), floats(w, W.COSTATE), first * width + first
+    for i in range(0, ndx, WIDTH):
+        C = (G, i * width, width)
+        four_rows(C, (M, P + i, width, 1), (F, 0, width), ndx, 1.0, width, C, False)
+    for j in range(first, width, WIDTH):
+        store4(h, width + j, load4(h, j))
+        store4(c, width + j, load4(c, j))
+    _pull_back(w, n, F, ndx, 1.0, first, False)
+    for i in range(0, width, WIDTH):
+        C = (M, i * width + i, width)
+        four_rows(C, (F, i, width, 1), (G, i, width), ndx, 1.0, width - i, C, False)
+
+
+@inline
+def _times_E_plain(M, p, ldp, S, o, ld, nv, dt):
+    """E' P E without rotations, in one pass over the quarters of P."""
+    zero = spread(0.0)
+    for i in range(nv):
+        pq, pv, oq, ov = p + i * ldp, p + (nv + i) * ldp, o + i * ld, o + (nv + i) * ld
+        for j in range(0, nv, WIDTH):
+            qq = load4(M, pq + j)
+            store4(S, oq + j, qq)
+            store4(S, ov + j, dt * qq + load4(M, pv + j))
+        for j in range(0, nv, WIDTH):  # over what the rows above left past their ends
+            qq = load4(M, pq + j)
+            qv = dt * qq + load4(M, pq + nv + j)
+            store4(S, oq + nv + j, qv)
+            store4(S, ov + nv + j, dt * (qv + load4(M, pv + j)) + load4(M, pv + nv + j))
+        store4(S, oq + 2 * nv, zero)
+        store4(S, ov + 2 * nv, zero)
+
+
+@inline
+def _times_E(w, n, dt):
+    """S = (0 | E' P E), columns in the order of z; returns the length of its rows."""
+    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
+    nv = ndx // 2
+    ld = first + (ndx + 2 * WIDTH - 1) // WIDTH * WIDTH
+    M, S = floats(w, W.H), at(floats(w, W.S), first)  # the first columns stay zero
+    balls, starts = w[W.QUATERNIONS], integers(w, W.QUATERNION_DX)
+    if balls == 0:
+        _times_E_plain(M, first * width + first, width, S, 0, ld, nv, dt)
+        return ld
+    E = at(floats(w, W.TRANSPORT), n * 18 * balls)
+    zero = spread(0.0)
+    for i in range(ndx):  # P E
+        o, p = i * ld, (first + i) * width + first
+        for j in range(0, nv, WIDTH):
+            store4(S, o + j, load4(M, p + j))
+        for j in range(0, nv, WIDTH):
+            store4(S, o + nv + j, dt * load4(M, p + j) + load4(M, p + nv + j))
+        store4(S, o + ndx, zero)
+        for b in range(balls):
+            k, e = load(starts, b), 18 * b
+            x, y, z = load(M, p + k), load(M, p + k + 1), load(M, p + k + 2)
+            for c in range(3):
+                store(S, o + k + c, x * load(E, e + c) + y * load(E, e + 3 + c) + z * load(E, e + 6 + c))
+                turned = x * load(E, e + 9 + c) + y * load(E, e + 12 + c) + z * load(E, e + 15 + c)
+                store(S, o + nv + k + c, dt * turned + load(M, p + nv + k + c))
+    for i in range(nv):  # E' (P E)
+        o, p = i * ld, (nv + i) * ld
+        for j in range(0, ndx, WIDTH):
+            store4(S, p + j, dt * load4(S, o + j) + load4(S, p + j))
+    for b in range(balls):
+        k, e = load(starts, b), 18 * b
+        for j in range(0, ndx, WIDTH):
+            x, y, z = load4(S, k * ld + j), load4(S, (k + 1) * ld + j), load4(S, (k + 2) * ld + j)
+            for c in range(3):
+                turned = load(E, e + 9 + c) * x + load(E, e + 12 + c) * y + load(E, e + 15 + c) * z
+                own = x if c == 0 else y if c == 1 else z  # what the loop above added, for J = 1
+                q = (nv + k + c) * ld + j
+                store4(S, q, load4(S, q) + dt * (turned - own))
+            for c in range(3):
+                turned = load(E, e + c) * x + load(E, e + 3 + c) * y + load(E, e + 6 + c) * z
+                store4(S, (k + c) * ld + j, turned)
+        for c in range(3):  # tiles read past the end of rows
+            for j in range(ndx, ld - first):
+                store(S, (k + c) * ld + j, 0.0)
+                store(S, (nv + k + c) * ld + j, 0.0)
+    return ld
+
+
+@inline
+def times_E_vector(w, n, dt, s, t):
+    """E' s of a value gradient s (ndx), into t."""
+    ndx = w[W.NDX]
+    nv = ndx // 2
+    for j in range(0, nv, WIDTH):
+        store4(t, j, load4(s, j))
+    for j in range(0, nv, WIDTH):
+        store4(t, nv + j, load4(s, nv + j) + dt * load4(s, j))
+    store4(t, ndx, spread(0.0))
+    starts = integers(w, W.QUATERNION_DX)
+    E = at(floats(w, W.TRANSPORT), n * 18 * w[W.QUATERNIONS])
+    for b in range(w[W.QUATERNIONS]):
+        k, e = load(starts, b), 18 * b
+        x, y, z = load(s, k), load(s, k + 1), load(s, k + 2)
+        for c in range(3):
+            turned = x * load(E, e + 9 + c) + y * load(E, e + 12 + c) + z * load(E, e + 15 + c)
+            store(t, nv + k + c, load(s, nv + k + c) + dt * turned)
+            store(t, k + c, x * load(E, e + c) + y * load(E, e + 3 + c) + z * load(E, e + 6 + c))
+
+
+@inline
+def structured_stage(w, n, dt):
+    """H, and h and the costate, for semi-implicit Euler; F holds da/dz."""
+    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
+    nv = ndx // 2
+    F, M, Y, S = at(floats(w, W.LINEAR), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
+    h, c = floats(w, W.h), floats(w, W.COSTATE)
+    ld = _times_E(w, n, dt)
+    times_E_vector(w, n, dt, at(h, first), at(h, width + first))
+    times_E_vector(w, n, dt, at(c, first), at(c, width + first))
+    _pull_back(w, n, F, nv, dt, first + nv, True)
+    for i in range(0, ndx, WIDTH):  # Y = S (0 | 1) + S_xv D; of the position rows only what lies above
+        j = 0 if i + WIDTH > nv else first + i
+        A, base = (S, nv * ld + first + i, ld, 1), (S, i * ld + j, ld)
+        four_rows((Y, i * width + j, width), A, (F, j, width), nv, dt, width - j, base, True)
+    for i in range(0, width, WIDTH):
+        C, A, B = (M, i * width + i, width), (F, i, width, 1), (Y, nv * width + i, width)
+        if i < first:
+            four_rows(C, A, B, nv, dt, width - i, C, False)
+        else:
+            four_rows(C, A, B, nv, dt, width - i, (Y, (i - first) * width + i, width), True)

@@ -1,0 +1,182 @@
+"""The memory of one solve, allocated once: nothing is allocated inside iterations.
+
+Kernels see one int64 table: sizes, then addresses (see `lanes`). Here each array has its name and shape. Rows and
+columns of matrices are ordered z = (u | x), x in deviations, each padded to whole lanes: x begins at column `first`,
+and a row has `width` columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.kernels.numba.jit import part
+from planner.kernels.numba.lanes import WIDTH, floats, lane_array, load, padded, store
+
+# Outcomes of one iteration
+ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
+
+_SIZES = (
+    "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
+    "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges", "exact",
+    "penalised",
+)  # fmt: skip
+_ARRAYS = (
+    "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
+    "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
+    "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
+    "costate", "dx", "trial_x", "trial_u", "deviations", "lower", "upper", "box", "hinge_dx", "hinge_lower",
+    "hinge_upper", "hinge_weight", "hinge_active", "T", "costates", "penalty_hessian",
+)  # fmt: skip
+(
+    N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
+    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES, EXACT, PENALISED,
+) = range(len(_SIZES))  # fmt: skip
+(
+    XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
+    STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
+    STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
+    TRIAL_U, DEVIATIONS, LOWER, UPPER, BOX, HINGE_DX, HINGE_LOWER, HINGE_UPPER, HINGE_WEIGHT, HINGE_ACTIVE,
+    SECOND_ORDER, COSTATES, PENALTY_HESSIAN,
+) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
+SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
+ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
+
+
+class Workspace:
+    """Arrays of one solve, and the table that kernels take.
+
+    Args:
+        cost: A TrackingCost: Q (N+1, ndx, ndx), R (N, nu, nu), x_ref (N+1, nx), u_ref (N, nu).
+        space: A StateSpace.
+        structured: F holds accelerations only, (N, nv, width), for semi-implicit Euler: x+ = E (x + [0; dt F z]),
+            where E adds dt times the velocity to the position. Else F = (B | A), (N, ndx, width).
+        bounds: Lower and upper bounds of the controls, (N, nu) each; None for none.
+        hinges: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
+            many those are.
+
+    Attributes:
+        table: What kernels take.
+        search: (4, 4) the line search's arrays, by rows.
+        xs: (N+1, nx).
+        us: (N, nu).
+        K: (N, nu, width) with the gains in the columns of x, from `first` on.
+        k: (N, nu).
+        dus: (N, nu) the LQ problem's own controls.
+        gradient: (N, nu) of Eq. 19.
+        F: (N, rows, width).
+        transport: (N, quaternions, 18) T and J of E for each quaternion.
+        l: (N+1, width) gradients of the stage costs.
+        first: The first column of x.
+        hinge_lower: (N+1, hinges) of the deviation from x_ref.
+        hinge_upper: (N+1, hinges).
+        hinge_weight: (N+1, hinges) zero until a solve sets them.
+        T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
+        costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
+        penalties: A kernels.penalty_table.PenaltyTable, or None.
+    """
+
+    def __init__(
+        self, cost: Any, space: Any, structured: bool, bounds: tuple[np.ndarray, np.ndarray] | None = None,
+        hinges: tuple[np.ndarray, int] | None = None,
+    ) -> None:  # fmt: skip
+        Q, R = cost.Q, cost.R
+        N, nu = R.shape[:2]
+        nx, ndx = space.nx, space.ndx
+        self.ndx = ndx
+        self.first = padded(nu)
+        width = self.first + padded(ndx)
+        quaternions = np.array(space.quaternions, dtype=np.int64).reshape(-1, 2)
+        in_x, in_dx = np.ones(nx, dtype=bool), np.ones(ndx, dtype=bool)
+        ball = np.full(ndx, -1)
+        for number, (i, j) in enumerate(quaternions):
+            in_x[i : i + 4], in_dx[j : j + 3], ball[j : j + 3] = False, False, number
+        stage, final, control = _terms(Q[:-1], ball), _terms(Q[-1:], ball), _terms(R, np.full(nu, -1))
+        states = ndx // 2 if structured else ndx
+        self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
+        self.search = lane_array(SEARCH_ROWS, WIDTH)
+        slack = WIDTH  # rows are read four at a time, past their ends
+        F, l = lane_array(N * states * width + slack), lane_array((N + 1) * width + slack)
+        self.F, self.l = F[:-slack].reshape(N, states, width), l[:-slack].reshape(N + 1, width)
+        self.k, self.dus, self.gradient = (np.zeros((N, nu)) for _ in range(3))
+        self.transport = np.zeros((N, len(quaternions), 18))
+        lower, upper = (np.empty((0, nu)), np.empty((0, nu))) if bounds is None else bounds
+        hinge_dx, at_end = (np.empty(0, dtype=np.int64), 0) if hinges is None else hinges
+        self.hinge_lower, self.hinge_upper, self.hinge_weight, active = (
+            np.zeros((N + 1, len(hinge_dx))) for _ in range(4)
+        )
+        self._arrays: dict[str, np.ndarray] = {
+            "xs": self.xs, "us": self.us, "x_ref": cost.x_ref.copy(), "u_ref": cost.u_ref.copy(),
+            "vector_x": np.flatnonzero(in_x), "vector_dx": np.flatnonzero(in_dx),
+            "quaternion_x": quaternions[:, 0].copy(), "quaternion_dx": quaternions[:, 1].copy(), "ball": ball,
+            "stage_row": stage[0], "stage_column": stage[1], "stage_value": stage[2],
+            "final_row": final[0], "final_column": final[1], "final_value": final[2],
+            "control_row": control[0], "control_column": control[1], "control_value": control[2],
+            "error": np.zeros(max(nu, ndx)), "turn": np.zeros(((N + 1), len(quaternions), 9)),
+            "l": l, "F": F,
+            "transport": self.transport, "K": self.K, "k": self.k,
+            "dus": self.dus, "gradient": self.gradient, "H": lane_array(width * width + slack),
+            "G": lane_array(padded(ndx) * width + slack),
+            "S": lane_array((width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
+            "h": lane_array(3 * width + slack),
+            "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
+            "trial_x": lane_array((N + 1) * nx, WIDTH),
+            "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
+            "lower": lower, "upper": upper, "box": np.zeros(nu * (nu + 6)),
+            "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
+            "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
+        }  # fmt: skip
+        self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
+        self._arrays |= {"T": self.T, "costates": self.costates, "penalty_hessian": np.zeros(0)}
+        self.penalties: Any = None
+        sizes = (
+            N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
+            stage[3], len(final[0]), final[3], len(control[0]), int(bounds is not None), len(hinge_dx) - at_end,
+            len(hinge_dx), 0, 0,
+        )  # fmt: skip
+        self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
+        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the sweep adds T, whose memory is taken when it is first asked for."""
+        self.table[EXACT] = exact
+        if exact and not len(self.T):
+            N, width = len(self.us), self.T.shape[1]
+            rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
+            self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
+            self._arrays |= {"T": self.T, "costates": self.costates}
+            self.table[[SECOND_ORDER, COSTATES]] = self.T.ctypes.data, self.costates.ctypes.data
+
+    def use_penalties(self, penalties: Any) -> None:
+        """Have the terms of a PenaltyTable in every sweep and rollout."""
+        self.penalties = penalties
+        self._arrays["penalty_hessian"] = lane_array(len(self.xs), penalties.rows, padded(penalties.rows))
+        self.table[PENALISED] = penalties.rows
+        self.table[PENALTY_HESSIAN] = self._arrays["penalty_hessian"].ctypes.data
+
+
+def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """The upper entries of symmetric weights that are not always zero: row, column, value (stages, terms).
+
+    Those that touch no rotation come first; how many they are is the last of what is returned.
+    """
+    row, column = np.nonzero(np.triu(np.any(weights != 0.0, axis=0)))
+    turned = (ball[row] >= 0) | (ball[column] >= 0)
+    order = np.argsort(turned, kind="stable")
+    row, column = row[order], column[order]
+    return row, column, weights[:, row, column], int(np.sum(~turned))
+
+
+@part
+def accept(w, lane):
+    """Make candidate `lane` the nominal trajectory."""
+    take_lane(floats(w, XS), floats(w, TRIAL_X), w[NX] * (w[N] + 1), lane)
+    take_lane(floats(w, US), floats(w, TRIAL_U), w[NU] * w[N], lane)
+
+
+@part
+def take_lane(to, candidates, count, lane):
+    """Copy one lane of `count` entries of four."""
+    for i in range(count):
+        store(to, i, load(candidates, i * WIDTH + lane))

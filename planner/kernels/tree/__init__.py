@@ -1,0 +1,1 @@
+"""Trees of rigid bodies for kernels: recursions, forces, derivatives, one iteration."""

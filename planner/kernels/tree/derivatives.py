@@ -1,0 +1,127 @@
+"""Derivatives of a tree's accelerations, four knots at a time.
+
+They follow from those of inverse dynamics, da = M^-1 (dtau - Dq dq - Dv dv) (section 1.2), with the rows of
+prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
+"""
+
+from __future__ import annotations
+
+from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
+from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
+from planner.kernels.tree.joint_curves import subtract_curve_derivatives
+from planner.kernels.tree.memory import COLUMNS, DQ, DV, FIRST_X, HELD, LD, LINKS, M_LANES, SCRATCH, TAU  # fmt: skip
+from planner.kernels.tree.model import (  # fmt: skip
+    INPUT_DOF,
+    INPUT_INDEX,
+    INPUT_VALUE,
+    INPUTS,
+    NU,
+    NV,
+    PAIRS,
+    PRESCRIBED,
+    RELATED_ROWS,
+    RELATED_START,
+)
+from planner.kernels.tree.pair_contact import subtract_pair_derivatives
+from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
+
+
+@inline
+def _minus_product(M, D, ld, i0, i1, j0, rows, start, stop):
+    """Rows i0 and i1 of -M D in four columns from j0, over the listed rows of D, which are all that are not zero."""
+    z = spread(0.0)
+    a0, a1, a2, a3, b0, b1, b2, b3 = z, z, z, z, z, z, z, z
+    for t in range(start, stop):
+        k = load(rows, t)
+        m0, m1, o = load(M, i0 * ld + k), load(M, i1 * ld + k), k * ld + j0
+        d0, d1, d2, d3 = load(D, o), load(D, o + 1), load(D, o + 2), load(D, o + 3)
+        a0 -= m0 * d0
+        b0 -= m1 * d0
+        a1 -= m0 * d1
+        b1 -= m1 * d1
+        a2 -= m0 * d2
+        b2 -= m1 * d2
+        a3 -= m0 * d3
+        b3 -= m1 * d3
+    return (a0, a1, a2, a3), (b0, b1, b2, b3)
+
+
+@inline
+def store_four(p, k, v):
+    """Write four consecutive entries."""
+    store(p, k, v[0])
+    store(p, k + 1, v[1])
+    store(p, k + 2, v[2])
+    store(p, k + 3, v[3])
+
+
+@part
+def acceleration_derivatives(m, r, q, v, a, dA, touching):
+    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); touching: see Model."""
+    nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]
+    M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
+    zero = spread(0.0)
+    for k in range(nv * ld):
+        store(M, k, zero)
+        store(Dq, k, zero)
+        store(Dv, k, zero)
+    inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
+    add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
+    add_actuator_derivatives(m, Dq, Dv, ld)
+    if touching is not None:
+        add_stop_derivatives(m, q, v, Dq, Dv, ld)
+        subtract_curve_derivatives(m, q, Dq, ld)
+        subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
+        if m[PAIRS] > 0:
+            subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
+    prescribed = integers(m, PRESCRIBED)
+    for p in range(nv):
+        given = load(prescribed, p)
+        if given >= 0:  # its column of M acts on the others like a force; its own row says nothing
+            for i in range(nv):
+                store(held, given * nv + i, load(M, i * ld + p))
+    for p in range(nv):
+        if load(prescribed, p) >= 0:
+            for i in range(nv):
+                store(M, i * ld + p, zero)
+                store(M, p * ld + i, zero)
+                store(Dq, p * ld + i, zero)
+                store(Dv, p * ld + i, zero)
+            store(M, p * ld + p, zero + 1.0)
+    invert(M, nv, ld)
+    starts, rows = integers(m, RELATED_START), integers(m, RELATED_ROWS)
+    for half in range(2):
+        D = Dq if half == 0 else Dv
+        for j0 in range(0, nv, WIDTH):
+            start, stop = load(starts, j0 // WIDTH), load(starts, j0 // WIDTH + 1)
+            for i0 in range(0, nv, 2):
+                i1 = min(i0 + 1, nv - 1)
+                first, second = _minus_product(M, D, ld, i0, i1, j0, rows, start, stop)
+                store_four(dA, i0 * columns + x0 + half * nv + j0, first)
+                store_four(dA, i1 * columns + x0 + half * nv + j0, second)
+    for i in range(nv):
+        for k in range(x0):
+            store(dA, i * columns + k, zero)
+        for k in range(x0 + 2 * nv, columns):
+            store(dA, i * columns + k, zero)
+    dof, index, value = integers(m, INPUT_DOF), integers(m, INPUT_INDEX), floats(m, INPUT_VALUE)
+    for t in range(m[INPUTS]):
+        k = load(index, t) if load(index, t) < nu else load(index, t) - nu + x0 + 2 * nv
+        j, x = load(dof, t), load(value, t)
+        for i in range(nv):
+            o = i * columns + k
+            store(dA, o, load(dA, o) + x * load(M, i * ld + j))
+    for p in range(nv):
+        given = load(prescribed, p)
+        if given >= 0:
+            for i in range(nv):
+                total = zero
+                for j in range(nv):
+                    if load(prescribed, j) < 0:
+                        total -= load(M, i * ld + j) * load(held, given * nv + j)
+                store(dA, i * columns + given, total)
+            store(dA, p * columns + given, zero + 1.0)
+            for k in range(x0, columns):
+                store(dA, p * columns + k, zero)

@@ -1,0 +1,179 @@
+"""The line search on a tree: four rollouts at once."""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.rotations import difference
+from planner.kernels.lq import workspace as W
+from planner.kernels.lq.quadratic import control_terms, hinges_of, state_terms
+from planner.kernels.lq.search import batches, choose, ladder, refine
+from planner.kernels.lq.workspace import accept, take_lane
+from planner.kernels.numba.jit import inline, jit, part
+from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
+from planner.kernels.tree.memory import ACCELERATIONS, LINKS, STAGES, TRIAL_A
+from planner.kernels.tree.model import NV
+from planner.kernels.tree.penalties import penalty_cost
+from planner.kernels.tree.step import stage
+
+
+@inline
+def _deviations(w, X, reference, e):
+    """Deviations e (ndx lanes) of the candidates' states X (nx lanes) from one reference (nx floats)."""
+    vector_x, vector_dx = integers(w, W.VECTOR_X), integers(w, W.VECTOR_DX)
+    for i in range(w[W.VECTORS]):
+        k = load(vector_x, i)
+        store(e, load(vector_dx, i), load(X, k) - load(reference, k))
+    for b in range(w[W.QUATERNIONS]):
+        k = load(integers(w, W.QUATERNION_X), b)
+        difference(X, k, reference, k, e, load(integers(w, W.QUATERNION_DX), b))
+
+
+@inline
+def _quadratic(row, column, value, terms, e):
+    """1/2 e'Qe."""
+    J = spread(0.0)
+    for t in range(terms):
+        i, j = load(row, t), load(column, t)
+        factor = 0.5 * load(value, t) if i == j else load(value, t)
+        J += factor * (load(e, i) * load(e, j))
+    return J
+
+
+@inline
+def _state_cost(w, X, n, e):
+    """1/2 |x - x_ref|^2 of stage n or, for n = N, of the end; and its hinges."""
+    row, column, value, terms, _ = state_terms(w, n)
+    if terms == 0 and hinges_of(w, n) == 0:
+        return spread(0.0)
+    _deviations(w, X, at(floats(w, W.X_REF), n * w[W.NX]), e)
+    J = _quadratic(row, column, value, terms, e)
+    if hinges_of(w, n) > 0:
+        J += _hinges(w, n, e)
+    return J
+
+
+@inline
+def _hinges(w, n, e):
+    """1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2)."""
+    o, component, J = n * w[W.HINGES], integers(w, W.HINGE_DX), spread(0.0)
+    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
+    weight = at(floats(w, W.HINGE_WEIGHT), o)
+    for t in range(hinges_of(w, n)):
+        d = load(e, load(component, t))
+        above, below = maximum(d - load(upper, t), 0.0), maximum(load(lower, t) - d, 0.0)
+        J += 0.5 * load(weight, t) * (above * above + below * below)
+    return J
+
+
+@inline
+def _clip(w, n, U):
+    """Controls of stage n put back within their bounds."""
+    nu = w[W.NU]
+    lower, upper = at(floats(w, W.LOWER), n * nu), at(floats(w, W.UPPER), n * nu)
+    for a in range(nu):
+        store(U, a, minimum(maximum(load(U, a), load(lower, a)), load(upper, a)))
+
+
+@inline
+def _control_cost(w, U, n, e):
+    """1/2 |u - u_ref|^2 of stage n."""
+    nu, u_ref = w[W.NU], at(floats(w, W.U_REF), n * w[W.NU])
+    for i in range(nu):
+        store(e, i, load(U, i) - load(u_ref, i))
+    row, column, value, terms = control_terms(w, n)
+    return _quadratic(row, column, value, terms, e)
+
+
+@inline
+def _controls(w, n, alpha, feedback, dx, U):
+    """U = us + alpha k + K dx with feedback, us + alpha dus without (Eq. 36)."""
+    nu, ndx, width = w[W.NU], w[W.NDX], w[W.WIDTH_Z]
+    us = at(floats(w, W.US), n * nu)
+    step = at(floats(w, W.FEEDFORWARD), n * nu) if feedback else at(floats(w, W.DIRECTION), n * nu)
+    for a in range(nu):
+        store(U, a, load(us, a) + alpha * load(step, a))
+    if not feedback:
+        return
+    K = at(floats(w, W.GAINS), n * nu * width + w[W.FIRST_X])
+    zero = spread(0.0)
+    for a in range(0, nu - 3, 4):
+        k0, k1, k2, k3 = at(K, a * width), at(K, (a + 1) * width), at(K, (a + 2) * width), at(K, (a + 3) * width)
+        s0, s1, s2, s3 = zero, zero, zero, zero
+        for j in range(ndx):
+            d = load(dx, j)
+            s0 += load(k0, j) * d
+            s1 += load(k1, j) * d
+            s2 += load(k2, j) * d
+            s3 += load(k3, j) * d
+        store(U, a, load(U, a) + s0)
+        store(U, a + 1, load(U, a + 1) + s1)
+        store(U, a + 2, load(U, a + 2) + s2)
+        store(U, a + 3, load(U, a + 3) + s3)
+    for a in range(nu // 4 * 4, nu):
+        k0 = at(K, a * width)
+        s0, s1 = zero, zero
+        half = ndx // 2
+        for j in range(half):
+            s0 += load(k0, j) * load(dx, j)
+            s1 += load(k0, half + j) * load(dx, half + j)
+        if 2 * half < ndx:
+            s0 += load(k0, ndx - 1) * load(dx, ndx - 1)
+        store(U, a, load(U, a) + (s0 + s1))
+
+
+@part
+def rollout(w, m, r, search, dt, feedback, touching, p):
+    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
+
+    p is the table of penalties or, where there are none, None: then nothing of them is compiled.
+    """
+    nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]
+    X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
+    xs = floats(w, W.XS)
+    dx, lengths = at(e, ndx), at(e, 2 * ndx)
+    alpha, length = load(search, W.ALPHA), spread(dt)
+    for i in range(nx):
+        store(X_, i, spread(load(xs, i)))
+    J = spread(0.0)
+    for n in range(w[W.N]):
+        X, U = at(X_, n * nx), at(U_, n * nu)
+        J += _state_cost(w, X, n, e)
+        if p is not None:
+            J += penalty_cost(m, pointer(p), X, lanes(r, LINKS), n)
+        if feedback:
+            _deviations(w, X, at(xs, n * nx), dx)
+        _controls(w, n, alpha, feedback, dx, U)
+        if w[W.BOUNDED] > 0:
+            _clip(w, n, U)
+        J += _control_cost(w, U, n, lengths)
+        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), touching)
+    J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
+    if p is not None:
+        J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
+    store(search, W.COSTS, J)
+
+
+@inline
+def _take(w, m, r, lane):
+    """Make candidate `lane` the nominal trajectory, its accelerations with it."""
+    accept(w, lane)
+    take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
+
+
+@jit
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope, touching, p):
+    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+
+    The step is 0 when there is none. p is the table of penalties or None, touching as in Model: what is None is not
+    compiled.
+    """
+    w, m, r = pointer(w), pointer(m), pointer(r)
+    alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
+    ladder(rule, alpha, bracket)
+    for _ in range(batches(rule)):
+        rollout(w, m, r, pointer(search), dt, feedback, touching, p)
+        lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
+        if lane >= 0:
+            _take(w, m, r, lane)
+            return alpha[lane], costs[lane]
+        refine(rule, alpha, bracket)
+    return 0.0, cost

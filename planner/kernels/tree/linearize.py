@@ -1,0 +1,155 @@
+"""Exact A and B of a stage of a tree (Eq. 35), four knots at a time: the chain rule through the integrator's stages.
+
+Columns are ordered z = (u | dq | dv | dact), as in tree_derivatives.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.rotations import carried, right_jacobian_times
+from planner.kernels.algebra.spatial import store3
+from planner.kernels.numba.jit import inline, jit
+from planner.kernels.numba.lane_math import transpose
+from planner.kernels.numba.lanes import (
+    WIDTH,
+    as_floats,
+    at,
+    doubles,
+    floats,
+    integers,
+    lanes,
+    load,
+    pointer,
+    spread,
+    store,
+    store4,
+)
+from planner.kernels.tree.chain import euler, keep_turns, runge_kutta
+from planner.kernels.tree.derivatives import acceleration_derivatives
+from planner.kernels.tree.memory import (  # fmt: skip
+    A_LANES,
+    ACCELERATIONS,
+    BLOCK,
+    BY_STAGE,
+    COLUMNS,
+    DIRECT,
+    INTEGRATOR,
+    Q_STAGE,
+    RK4,
+    SCRATCH,
+    SEMI_IMPLICIT_EULER,
+    STAGES,
+    THETA,
+    U_LANES,
+    V_STAGES,
+    X_LANES,
+)
+from planner.kernels.tree.model import BALL_V, NA, NBALLS, NQ, NU, NV
+from planner.kernels.tree.step import end_rotation, gather, stage_state
+
+
+@inline
+def scatter_row(X, row, F, f, count, stride, width):
+    """A row of lanes, width of them, to the same row of `count` knots."""
+    for j0 in range(0, width, WIDTH):
+        o, k = row + j0, f + j0
+        e0, e1, e2, e3 = transpose((load(X, o), load(X, o + 1), load(X, o + 2), load(X, o + 3)))
+        store4(F, k, e0)
+        if count > 1:
+            store4(F, k + stride, e1)
+        if count > 2:
+            store4(F, k + 2 * stride, e2)
+        if count > 3:
+            store4(F, k + 3 * stride, e3)
+
+
+@inline
+def _transport(m, r, x, a, dt, transport, first, count):
+    """E's blocks of the balls, [T J] with dq+ = T dq + dt J dv+, for semi-implicit Euler."""
+    balls, ball_v, v, scratch = m[NBALLS], integers(m, BALL_V), at(x, m[NQ]), lanes(r, SCRATCH)
+    one, zero = spread(1.0), spread(0.0)
+    flat = as_floats(scratch)
+    for b in range(balls):
+        i = load(ball_v, b)
+        t = (
+            dt * (load(v, i) + dt * load(a, i)), dt * (load(v, i + 1) + dt * load(a, i + 1)),
+            dt * (load(v, i + 2) + dt * load(a, i + 2)),
+        )  # fmt: skip
+        for half in range(2):
+            for c in range(3):
+                unit = (one if c == 0 else zero, one if c == 1 else zero, one if c == 2 else zero)
+                d = carried(t, unit) if half == 0 else right_jacobian_times(t, unit)
+                store3(scratch, 0, d)
+                for lane in range(count):
+                    o = ((first + lane) * balls + b) * 18 + 9 * half + c
+                    store(transport, o, load(flat, lane))
+                    store(transport, o + 3, load(flat, WIDTH + lane))
+                    store(transport, o + 6, load(flat, 2 * WIDTH + lane))
+
+
+@inline
+def _gathered(m, r, xs, us, first, count):
+    """States, controls and the rollout's accelerations of four stages onto lanes."""
+    gather(doubles(xs), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
+    gather(doubles(us), first, count, m[NU], lanes(r, U_LANES))
+    gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * m[NV], lanes(r, A_LANES))
+
+
+@jit
+def linearize_structured(m, r, dt, xs, us, F, transport, touching):
+    """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
+
+    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
+    """
+    m, r = pointer(m), pointer(r)
+    nv, columns, count, width = m[NV], r[COLUMNS], us.shape[0], F.shape[2]
+    x, a, dA = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, BY_STAGE)
+    flat, blocks, stride = doubles(F), doubles(transport), nv * width
+    for first in range(0, count, WIDTH):
+        present = min(WIDTH, count - first)
+        _gathered(m, r, xs, us, first, count)
+        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA, touching)
+        for i in range(nv):
+            scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
+        _transport(m, r, x, a, dt, blocks, first, present)
+
+
+@inline
+def _stage_derivatives(m, r, q, v, a, i, present, width, touching):
+    """D of stage i, (nv, width) for each of the knots present, into DIRECT."""
+    dA, D, block, columns = lanes(r, BY_STAGE), floats(r, DIRECT), r[BLOCK], r[COLUMNS]
+    acceleration_derivatives(m, r, q, v, a, dA, touching)
+    for row in range(m[NV]):
+        scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
+
+
+@jit
+def linearize_dense(m, r, dt, xs, us, F, touching):
+    """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
+    m, r = pointer(m), pointer(r)
+    nv, count, width = m[NV], us.shape[0], F.shape[2]
+    x, a, v_stages, theta = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, V_STAGES), lanes(r, THETA)
+    flat, stride, length = doubles(F), (2 * nv + m[NA]) * width, spread(dt)
+    for first in range(0, count, WIDTH):
+        present = min(WIDTH, count - first)
+        _gathered(m, r, xs, us, first, count)
+        v = at(x, m[NQ])
+        for i in range(r[STAGES]):
+            if i == 0:
+                _stage_derivatives(m, r, x, v, a, 0, present, width, touching)
+            else:
+                stage_state(m, r, x, i, a, length)
+                keep_turns(m, r, i)
+                v, ai = at(v_stages, i * nv), at(a, i * nv)
+                _stage_derivatives(m, r, lanes(r, Q_STAGE), v, ai, i, present, width, touching)
+        if r[INTEGRATOR] == RK4:
+            end_rotation(m, r, x, a, length)
+            keep_turns(m, r, 4)
+            for lane in range(present):
+                runge_kutta(m, r, dt, lane, width, flat, (first + lane) * stride)
+        else:
+            for i in range(nv):
+                later = dt * load(a, i) if r[INTEGRATOR] == SEMI_IMPLICIT_EULER else spread(0.0)
+                store(theta, i, dt * (load(v, i) + later))
+            keep_turns(m, r, 0)
+            for lane in range(present):
+                euler(m, r, dt, lane, width, flat, (first + lane) * stride)

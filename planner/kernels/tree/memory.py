@@ -1,0 +1,58 @@
+"""Scratch memory of the tree kernels on lanes, and the accelerations that linearisation takes from rollouts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.kernels.numba.lanes import WIDTH, lane_array, padded
+from planner.kernels.tree.recursion import RECORD
+
+EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2  # as planner.dynamics.INTEGRATORS
+
+_SIZES = ("integrator", "stages", "ld", "columns", "first", "block")
+_ARRAYS = (
+    "links", "x", "u", "tau", "scratch", "rates", "theta", "q_stage", "v_stages", "act_stage", "act_rates", "a",
+    "trial_a", "accelerations", "M", "Dq", "Dv", "held", "by_stage", "turns", "direct", "chained", "Xa",
+)  # fmt: skip
+INTEGRATOR, STAGES, LD, COLUMNS, FIRST_X, BLOCK = range(6)
+(
+    LINKS, X_LANES, U_LANES, TAU, SCRATCH, RATES, THETA, Q_STAGE, V_STAGES, ACT_STAGE, ACT_RATES, A_LANES,
+    TRIAL_A, ACCELERATIONS, M_LANES, DQ, DV, HELD, BY_STAGE, TURNS, DIRECT, CHAINED, XA,
+) = range(6, 29)  # fmt: skip
+
+
+class TreeMemory:
+    """Arrays for a model and N stages.
+
+    Args:
+        model: A kernels.model.Model.
+        integrator: EULER, SEMI_IMPLICIT_EULER or RK4.
+        N: Stages whose accelerations are kept; 0 for single calls.
+        linearizing: Whether derivatives will be asked for.
+    """
+
+    def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True) -> None:
+        nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
+        stages = 4 if integrator == RK4 else 1
+        ld, first = padded(nv), padded(nu)
+        columns = first + padded(2 * nv + na) + WIDTH  # products are written four columns at a time
+        n = nv if linearizing else 0
+        block = padded(nv) * (columns - WIDTH)  # of a knot's derivatives, one row an acceleration
+        slack = 4 * columns  # tiles read past the end
+        lanes = {
+            "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
+            "rates": na, "theta": nv,
+            "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": stages * nv,
+            "trial_a": N * stages * nv, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
+            "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
+        }  # fmt: skip
+        self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
+        self._arrays["accelerations"] = np.zeros(N * stages * nv + 1)
+        self._arrays["Xa"] = np.zeros(4 * na + 1)
+        kept = block if linearizing else 0
+        self._arrays["direct"] = lane_array(stages * WIDTH * kept + slack)
+        self._arrays["chained"] = lane_array((stages if integrator == RK4 else 0) * kept + slack)
+        sizes = (integrator, stages, ld, columns, first, block)
+        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)

@@ -1,0 +1,340 @@
+"""A mechanism as kernels read it: one int64 table of sizes and addresses, and the arrays behind it.
+
+Every screw is a turn about an axis and a shift along it (Chasles). Each link gets a frame of its own whose z axis is
+its screw's, so that revolute, prismatic and helical joints are one formula with two constants, turn and shift:
+
+    T = H Rot_z(turn q) Trans_z(shift q),   S = (turn z, shift z) at the frame's origin,
+
+with H constant and q_home taken out. A ball's links share a frame at the anchor, with axes x, y, z. Each tree is
+described about an origin of its own, the first joint's place at home or, for a floating tree, wherever it is:
+dynamics do not depend on where a tree stands, but rounding does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.kernels.numba.lanes import WIDTH
+from planner.model.contact.between_bodies import common_carrier
+from planner.model.contact.laws import slide_direction
+
+HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
+INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
+CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
+PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
+SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
+
+# What the table holds: sizes first, then addresses.
+_SIZES = (
+    "nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops", "pairs",
+    "curves",
+)  # fmt: skip
+_ARRAYS = (
+    "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
+    "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
+    "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
+    "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
+    "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
+    "stop_value", "pair_links", "pair_value", "curve_dof", "curve_value", "curve_start", "curve_slope_dof",
+    "curve_slope",
+)  # fmt: skip
+(
+    NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS, PAIRS, CURVES,
+) = range(len(_SIZES))  # fmt: skip
+(
+    PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
+    BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
+    INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
+    VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
+    RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
+    PAIR_LINKS, PAIR_VALUE, CURVE_DOF, CURVE_VALUE, CURVE_START, CURVE_SLOPE_DOF, CURVE_SLOPE,
+) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
+
+
+class Model:
+    """The arrays of a mechanism and the table of their addresses.
+
+    Args:
+        mechanism: A planner.Mechanism.
+        prescribed: (nv,) True where the acceleration is an input instead of the force.
+        actuated: Whether actuators, contacts, stops and curves act; the public dynamics functions take applied forces
+            instead.
+
+    Attributes:
+        table: What kernels take.
+        touching: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
+            them once for each type and leaves out, for None, what stands under `if touching is not None`.
+    """
+
+    def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
+        nv = mechanism.nv
+        prescribed = np.zeros(nv, dtype=bool) if prescribed is None else prescribed
+        arrays: dict[str, np.ndarray] = {**_tree(mechanism), **_forces(mechanism, prescribed, actuated)}
+        self.nv, self.nq = nv, mechanism.nq
+        self.nu = (mechanism.nu if actuated else 0) + int(prescribed.sum())
+        self.na = mechanism.na if actuated else 0
+        coupled = np.zeros((nv, nv), dtype=bool)
+        for name in ("position", "velocity"):
+            coupled[arrays[f"{name}_row"], arrays[f"{name}_column"]] = True
+        contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
+        pairs = mechanism.body_contacts if actuated else ()
+        curves = mechanism.curves if actuated else ()
+        self.touching = True if contacts or stops or pairs or curves else None
+        for curve in curves:
+            for j, _ in curve.slopes:
+                coupled[curve.dof, j] = True
+        for contact in contacts:
+            i = contact.link
+            while i >= 0 and contact.plane.slide >= 0:  # a belt feels what touches it
+                coupled[i, contact.plane.slide] = coupled[contact.plane.slide, i] = True
+                i = mechanism.parent[i]
+        for pair in pairs:
+            common = common_carrier(mechanism.parent, pair)
+            chains = [_chain(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
+            coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
+        arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
+        arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
+        arrays |= _curves(curves)
+        sizes = {
+            "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
+            "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
+            "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
+            "pairs": len(pairs), "curves": len(curves),
+        }  # fmt: skip
+        self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
+        addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
+        self.table = np.array([*(sizes[n] for n in _SIZES), *addresses], dtype=np.int64)
+        self.own_frames = arrays["frames"]  # (nv, 4, 4) the kernels' frames in the mechanism's
+        self.origin = arrays["origin"]  # (nv, 3) what world positions are relative to, but for floating trees
+        self.floating = arrays["kind"] == FLOATING
+        self.floating_address = arrays["floating_address"]  # (nv,) where qpos holds a floating tree's place, or -1
+
+
+def _chain(parent: np.ndarray, link: int, end: int) -> list[int]:
+    """A link and what carries it, up to the end, which is left out."""
+    chain = []
+    while link != end:
+        chain.append(link)
+        link = int(parent[link])
+    return chain
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    kind = np.float64 if array.dtype.kind == "f" else np.int64
+    result = np.array(array, dtype=kind, order="C").reshape(-1)
+    return result if result.size else np.zeros(1, dtype=kind)
+
+
+def _tree(mechanism: Any) -> dict[str, np.ndarray]:
+    nv = mechanism.nv
+    kind = np.array(mechanism.kind)
+    first = np.arange(nv)
+    for i in range(nv):
+        if kind[i] == BALL_NEXT:
+            first[i] = first[i - 1]
+    for links in mechanism.joint_links:
+        if links.stop - links.start == 6:  # a free joint
+            kind[links.start : links.start + 3] = FLOATING
+    roots = np.arange(nv)
+    for i in range(nv):
+        if mechanism.parent[i] >= 0:
+            roots[i] = roots[mechanism.parent[i]]
+    frames = np.array([_own_frame(mechanism.S[i], kind[i]) for i in range(nv)]).reshape(nv, 4, 4)
+    for _, i in mechanism.quaternions:
+        S = mechanism.S[i : i + 3]  # (e_k, anchor x e_k)
+        frames[i : i + 3, :3, 3] = [S[1, 5], S[2, 3], S[0, 4]]
+    home, origin = np.zeros((nv, HOME_SIZE)), np.zeros((nv, 3))
+    for i in range(nv):
+        carrier = mechanism.parent[i]
+        before = np.eye(4) if carrier < 0 else np.linalg.inv(frames[carrier])
+        turn, shift = _turn_and_shift(mechanism.S[i], kind[i])
+        T = before @ mechanism.T_home[i] @ frames[i] @ _screw_motion(-mechanism.q_home[i], turn, shift)
+        if kind[i] == FLOATING:
+            T[:3, 3] = 0.0
+        elif carrier < 0:
+            origin[i], T[:3, 3] = T[:3, 3], 0.0
+        else:
+            origin[i] = origin[roots[i]]
+        moved = 0.0 if kind[i] == FLOATING else shift  # its own place is the origin
+        home[i, :9], home[i, 9:12], home[i, 12:] = T[:3, :3].ravel(), T[:3, 3], [turn, shift, moved]
+    subtree_mass = mechanism.mass.copy()
+    for i in reversed(range(nv)):
+        if mechanism.parent[i] >= 0:
+            subtree_mass[mechanism.parent[i]] += subtree_mass[i]
+    floating = np.where(kind[roots] == FLOATING, mechanism.q_address[roots], -1)
+    balls = np.array(mechanism.quaternions, dtype=np.int64).reshape(-1, 2)
+    return {
+        "parent": mechanism.parent, "base": mechanism.base, "kind": kind, "first": first,
+        "q_address": mechanism.q_address, "home": home, "inertia": _inertias(mechanism, frames),
+        "subtree_mass": subtree_mass, "armature": mechanism.armature, "base_acceleration": -mechanism.gravity,
+        "damping": mechanism.damping, "stiffness": mechanism.stiffness, "rest": mechanism.spring_rest,
+        "ball_q": balls[:, 0], "ball_v": balls[:, 1], "ball_stiffness": mechanism.ball_stiffness,
+        "ball_rest": mechanism.ball_rest, "origin": origin, "frames": frames, "floating_address": floating,
+    }  # fmt: skip
+
+
+def _turn_and_shift(S: np.ndarray, kind: int) -> tuple[float, float]:
+    """How much a screw turns and shifts per unit of q."""
+    if kind in (BALL, BALL_NEXT):
+        return 1.0, 0.0
+    w, v = S[:3], S[3:]
+    return (1.0, float(w @ v)) if np.any(w) else (0.0, 1.0)
+
+
+def _screw_motion(q: float, turn: float, shift: float) -> np.ndarray:
+    c, s = np.cos(turn * q), np.sin(turn * q)
+    return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, 1.0, shift * q], [0.0, 0.0, 0.0, 1.0]])
+
+
+def _own_frame(S: np.ndarray, kind: int) -> np.ndarray:
+    """Where the kernels' frame of a link is, in the link's own (4, 4)."""
+    G = np.eye(4)
+    if kind in (BALL, BALL_NEXT):
+        return G
+    w, v = S[:3], S[3:]
+    axis = w if np.any(w) else v
+    other = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(other, axis)
+    x /= np.linalg.norm(x)
+    G[:3, 0], G[:3, 1], G[:3, 2] = x, np.cross(axis, x), axis
+    G[:3, 3] = np.cross(w, v)  # the point of the axis that is nearest to the link's origin
+    return G
+
+
+def _inertias(mechanism: Any, frames: np.ndarray) -> np.ndarray:
+    """(nv, 11) in each link's frame: m, c (3), j, a (3), b (3), with j 1 - a a' - b b' the inertia about c."""
+    R = frames[:, :3, :3]
+    c = np.einsum("nji,nj->ni", R, mechanism.com - frames[:, :3, 3])
+    moments, axes = np.linalg.eigh(mechanism.inertia)
+    lengths = np.sqrt(moments[:, 2:] - moments[:, :2])
+    vectors = lengths[:, :, None] * np.einsum("nji,njk->nki", R, axes)[:, :2]
+    return np.concatenate([mechanism.mass[:, None], c, moments[:, 2:], vectors.reshape(-1, 6)], axis=1)
+
+
+def _related(parent: np.ndarray, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For each block of four columns, the rows of dtau/dq that are not zero: relatives, and what actuators couple."""
+    n = len(parent)
+    related = coupled | np.eye(n, dtype=bool)
+    for i in range(n):
+        j = parent[i]
+        while j >= 0:
+            related[i, j] = related[j, i] = True
+            j = parent[j]
+    blocks = [np.flatnonzero(related[:, j : j + WIDTH].any(axis=1)) for j in range(0, n, WIDTH)]
+    return np.cumsum([0, *(len(rows) for rows in blocks)]), np.concatenate(blocks)
+
+
+def _forces(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> dict[str, np.ndarray]:
+    """Applied forces as sums of terms: constant, by input (u, then act), by position and by velocity."""
+    a, nv = mechanism.actuators, mechanism.nv
+    nu = (mechanism.nu if actuated else 0) + int(prescribed.sum())
+    constant, inputs = np.zeros(nv), np.zeros((nv, nu + (mechanism.na if actuated else 0)))
+    by_position, by_velocity = np.zeros((nv, nv)), np.zeros((nv, nv))
+    states = {"input": [], "gain": [], "rate": []}
+    if actuated:
+        moment = np.where(prescribed[None, :], 0.0, a.moment)  # a prescribed joint feels no force
+        for k in range(mechanism.nu):
+            constant += moment[k] * a.bias[k, 0]
+            by_position += np.outer(moment[k], a.moment[k]) * a.bias[k, 1]
+            by_velocity += np.outer(moment[k], a.moment[k]) * a.bias[k, 2]
+            state = a.activation[k]
+            inputs[:, k if state < 0 else nu + state] += moment[k] * a.gain[k]
+        order = np.argsort(a.activation[a.activation >= 0])
+        for k in np.flatnonzero(a.activation >= 0)[order]:
+            filtering = a.dynamics[k] == 2
+            states["input"].append(k)
+            states["gain"].append(1.0 / a.time_constant[k] if filtering else 1.0)
+            states["rate"].append(-1.0 / a.time_constant[k] if filtering else 0.0)
+    which = np.full(nv, -1)
+    which[prescribed] = (mechanism.nu if actuated else 0) + np.arange(int(prescribed.sum()))
+    dof, index = np.nonzero(inputs)
+    row, column = np.nonzero(by_position)
+    vrow, vcolumn = np.nonzero(by_velocity)
+    return {
+        "constant": constant, "input_dof": dof, "input_index": index, "input_value": inputs[dof, index],
+        "position_row": row, "position_column": column, "position_value": by_position[row, column],
+        "velocity_row": vrow, "velocity_column": vcolumn, "velocity_value": by_velocity[vrow, vcolumn],
+        "activation_input": np.array(states["input"], dtype=np.int64),
+        "activation_gain": np.array(states["gain"], dtype=float),
+        "activation_rate": np.array(states["rate"], dtype=float), "prescribed": which,
+    }  # fmt: skip
+
+
+def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact: centre (3), normal (3), level, arm, surface velocity (3), slide (3), eleven numbers of its force.
+
+    With the centre c in the kernels' frames and about the tree's origin, e = level - n'c and p = c - (arm - e/2) n.
+    """
+    link = np.array([contact.link for contact in contacts], dtype=np.int64)
+    value = np.zeros((len(contacts), CONTACT_SIZE))
+    for row, contact in zip(value, contacts, strict=True):
+        plane, touch, i = contact.plane, contact.touch, contact.link
+        row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
+        row[3:6], row[8:11] = plane.normal, plane.velocity
+        row[6] = contact.radius + touch.lift + plane.offset - plane.normal @ tree["origin"][i]
+        row[7] = contact.radius + 0.5 * touch.lift
+        row[11:14], row[14:] = slide_direction(mechanism, plane), _touch(touch)
+    slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
+    address = tree["floating_address"][link]
+    return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
+
+
+def _stops(stops: Any) -> dict[str, np.ndarray]:
+    """Per stop: its side, where it begins, and the six numbers of its force."""
+    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law(stop.law)] for stop in stops]
+    return {
+        "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
+        "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
+    }
+
+
+def _pairs(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per contact of two bodies: both links, their last common one, where qpos has their floating trees' places.
+
+    And of each part its middle (3), axis (3) and half length, then from the second's origin to the first's (3),
+    r_1 + r_2 + lift, (r_1 - r_2)/2, b, the determinant for parallel axes, eleven numbers of the force.
+    """
+    links = np.full((len(pairs), PAIR_LINKS_SIZE), -1, dtype=np.int64)
+    value = np.zeros((len(pairs), PAIR_SIZE))
+    for link, row, pair in zip(links, value, pairs, strict=True):
+        parts, b, origins = (pair.first, pair.second), pair.blunt, np.zeros((2, 3))
+        link[:3] = pair.first.link, pair.second.link, common_carrier(parent, pair)
+        for k, part in enumerate(parts):
+            own = np.linalg.inv(tree["frames"][part.link]) if part.link >= 0 else np.eye(4)
+            row[7 * k : 7 * k + 3] = (own @ np.append(part.middle, 1.0))[:3]
+            row[7 * k + 3 : 7 * k + 6], row[7 * k + 6] = own[:3, :3] @ part.axis, part.length
+            if part.link >= 0:
+                origins[k], link[3 + k] = tree["origin"][part.link], tree["floating_address"][part.link]
+        if link[3] == link[4]:  # of one tree
+            link[3:] = -1
+        radii = [part.radius for part in parts]
+        row[14:17] = origins[0] - origins[1]
+        row[17:21] = sum(radii) + pair.touch.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
+        row[21:] = _touch(pair.touch)
+    return {"pair_links": links, "pair_value": value}
+
+
+def _curves(curves: Any) -> dict[str, np.ndarray]:
+    """Per curve: where it acts, its amplitude and constant, and its slopes from curve_start on."""
+    slopes = [pair for curve in curves for pair in curve.slopes]
+    return {
+        "curve_dof": np.array([curve.dof for curve in curves], dtype=np.int64),
+        "curve_value": np.array([(curve.amplitude, curve.constant) for curve in curves], dtype=float),
+        "curve_start": np.cumsum([0, *(len(curve.slopes) for curve in curves)]),
+        "curve_slope_dof": np.array([j for j, _ in slopes], dtype=np.int64),
+        "curve_slope": np.array([slope for _, slope in slopes], dtype=float),
+    }
+
+
+def _touch(touch: Any) -> list[float]:
+    raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.model.contact.laws
+    share = 1.0 / (1.0 + touch.friction * raised)
+    return [*_law(touch), touch.slip_damping, touch.friction, raised, share, touch.bend]
+
+
+def _law(law: Any) -> list[float]:
+    """Stiffness, damping and the two ramps with their inverses, so large for none that all is beyond its end."""
+    ramps = (law.ramp, law.force_ramp)
+    return [law.stiffness, law.damping, *(x for a in ramps for x in (a, 1.0 / a if a > 0.0 else 1e300))]

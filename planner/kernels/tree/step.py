@@ -1,0 +1,253 @@
+"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler or RK4.
+
+Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
+Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
+
+    theta_2 = K_1 / 2,   theta_3 = K_2 / 2 + K_1 x K_2 / 8,   theta_4 = K_3,
+    theta   = (K_1 + 2 K_2 + 2 K_3 + K_4) / 6 + K_1 x K_4 / 12.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.rotations import turned
+from planner.kernels.algebra.spatial import cross, load3, store3
+from planner.kernels.numba.jit import inline, jit, part
+from planner.kernels.numba.lane_math import transpose
+from planner.kernels.numba.lanes import (
+    WIDTH,
+    as_floats,
+    at,
+    doubles,
+    floats,
+    integers,
+    lanes,
+    load,
+    load4,
+    pointer,
+    store,
+)
+from planner.kernels.tree.contact import add_contact_wrenches, add_stops
+from planner.kernels.tree.forces import activation_rates, applied_forces
+from planner.kernels.tree.joint_curves import add_curves
+from planner.kernels.tree.memory import (  # fmt: skip
+    A_LANES,
+    ACCELERATIONS,
+    ACT_RATES,
+    ACT_STAGE,
+    INTEGRATOR,
+    LINKS,
+    Q_STAGE,
+    RK4,
+    SCRATCH,
+    SEMI_IMPLICIT_EULER,
+    STAGES,
+    TAU,
+    THETA,
+    U_LANES,
+    V_STAGES,
+    X_LANES,
+)
+from planner.kernels.tree.model import (  # fmt: skip
+    BALL,
+    BALL_NEXT,
+    BALL_Q,
+    BALL_V,
+    KIND,
+    NA,
+    NBALLS,
+    NQ,
+    NU,
+    NV,
+    PAIRS,
+    Q_ADDRESS,
+)
+from planner.kernels.tree.pair_contact import add_pair_wrenches
+from planner.kernels.tree.recursion import accelerate, move_links
+
+
+@inline
+def moved(m, q, theta, q_next):
+    """Configuration q moved by theta (nv)."""
+    kind, q_address = integers(m, KIND), integers(m, Q_ADDRESS)
+    for i in range(m[NV]):
+        if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
+            k = load(q_address, i)
+            store(q_next, k, load(q, k) + load(theta, i))
+    ball_q, ball_v = integers(m, BALL_Q), integers(m, BALL_V)
+    for b in range(m[NBALLS]):
+        k = load(ball_q, b)
+        w, x, y, z = turned(load(q, k), load(q, k + 1), load(q, k + 2), load(q, k + 3), load3(theta, load(ball_v, b)))
+        store(q_next, k, w)
+        store(q_next, k + 1, x)
+        store(q_next, k + 2, y)
+        store(q_next, k + 3, z)
+
+
+@inline
+def add_commutator(m, theta, first, second, factor):
+    """Add factor times first x second to theta on every ball."""
+    ball_v = integers(m, BALL_V)
+    for b in range(m[NBALLS]):
+        k = load(ball_v, b)
+        c = cross(load3(first, k), load3(second, k))
+        t = load3(theta, k)
+        store3(theta, k, (t[0] + factor * c[0], t[1] + factor * c[1], t[2] + factor * c[2]))
+
+
+@part
+def accelerations(m, r, q, v, u, act, a, touching):
+    """Accelerations a (nv lanes) under inputs u and activations act.
+
+    With `touching` None the machine has no contacts, stops and curves, and their code is left out: see Model.touching.
+    """
+    tau, links = lanes(r, TAU), lanes(r, LINKS)
+    applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
+    if touching is not None:
+        add_stops(m, q, v, tau)
+        add_curves(m, q, tau)
+    move_links(m, q, v, links)
+    if touching is not None:
+        add_contact_wrenches(m, q, links)
+        if m[PAIRS] > 0:
+            add_pair_wrenches(m, q, links)
+    accelerate(m, tau, a, links, False)
+
+
+@inline
+def _stage_state(m, r, x, i, factor, velocity, acceleration):
+    """State i (1, 2, 3) of a Runge-Kutta stage: velocity, activation and theta from those before."""
+    nv, na = m[NV], m[NA]
+    v, act = at(x, m[NQ]), at(x, m[NQ] + nv)
+    vi, theta = at(lanes(r, V_STAGES), i * nv), lanes(r, THETA)
+    for k in range(nv):
+        store(vi, k, load(v, k) + factor * load(acceleration, k))
+        store(theta, k, factor * load(velocity, k))
+    rate, act_i = at(lanes(r, ACT_RATES), (i - 1) * na), lanes(r, ACT_STAGE)
+    for k in range(na):
+        store(act_i, k, load(act, k) + factor * load(rate, k))
+
+
+@part
+def stage_state(m, r, x, i, a, dt):
+    """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
+    nv = m[NV]
+    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    if i == 1:
+        for k in range(nv):
+            store(v1, k, load(x, m[NQ] + k))
+        _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
+    elif i == 2:
+        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, nv))
+        add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
+    else:
+        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * nv))
+    moved(m, x, theta, lanes(r, Q_STAGE))
+
+
+@part
+def end_rotation(m, r, x, a, dt):
+    """What moves the configuration over a whole RK4 stage, into theta; v_stages are filled."""
+    nv = m[NV]
+    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    for k in range(nv):
+        inner = 2.0 * (load(v1, nv + k) + load(v1, 2 * nv + k))
+        store(theta, k, (1.0 / 6.0) * dt * (load(v1, k) + inner + load(v1, 3 * nv + k)))
+    add_commutator(m, theta, v1, at(v1, 3 * nv), (1.0 / 12.0) * dt * dt)
+
+
+@part
+def stage(m, r, x, u, a, dt, x_next, touching):
+    """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
+    nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
+    v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
+    v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
+    accelerations(m, r, x, v, u, act, a, touching)
+    activation_rates(m, u, act, rates)
+    if integrator != RK4:
+        for k in range(nv):
+            rate = load(v, k) + dt * load(a, k)
+            store(theta, k, dt * (rate if integrator == SEMI_IMPLICIT_EULER else load(v, k)))
+            store(v_next, k, rate)
+        for k in range(na):
+            store(act_next, k, load(act, k) + dt * load(rates, k))
+        moved(m, x, theta, x_next)
+        return
+    for i in range(1, 4):
+        stage_state(m, r, x, i, a, dt)
+        vi, act_i = at(lanes(r, V_STAGES), i * nv), lanes(r, ACT_STAGE)
+        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv), touching)
+        activation_rates(m, u, act_i, at(rates, i * na))
+    end_rotation(m, r, x, a, dt)
+    moved(m, x, theta, x_next)
+    sixth = (1.0 / 6.0) * dt
+    for k in range(nv):
+        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
+        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
+    for k in range(na):
+        inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
+        store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+
+
+@inline
+def gather(source, first, count, width, destination):
+    """Rows first, ..., first + 3 (the last one repeated) of a float matrix onto lanes."""
+    flat, last, whole = as_floats(destination), count - 1, width // WIDTH * WIDTH
+    r0, r1 = first * width, min(first + 1, last) * width
+    r2, r3 = min(first + 2, last) * width, min(first + 3, last) * width
+    for k in range(0, whole, WIDTH):
+        e = transpose((load4(source, r0 + k), load4(source, r1 + k), load4(source, r2 + k), load4(source, r3 + k)))
+        store(destination, k, e[0])
+        store(destination, k + 1, e[1])
+        store(destination, k + 2, e[2])
+        store(destination, k + 3, e[3])
+    for lane in range(WIDTH):
+        row = min(first + lane, last) * width
+        for k in range(whole, width):
+            store(flat, k * WIDTH + lane, load(source, row + k))
+
+
+@inline
+def scatter(source, first, count, width, destination):
+    """The reverse of gather."""
+    flat = as_floats(source)
+    for lane in range(min(WIDTH, count - first)):
+        row = (first + lane) * width
+        for k in range(width):
+            store(destination, row + k, load(flat, k * WIDTH + lane))
+
+
+@jit
+def steps(m, r, dt, xs, us, xs_next, keep, touching):
+    """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
+
+    With `keep` the stages' accelerations are left in ACCELERATIONS.
+    """
+    m, r = pointer(m), pointer(r)
+    nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
+    x, a, scratch = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, SCRATCH)
+    for first in range(0, K, WIDTH):
+        gather(doubles(xs), first, K, nx, x)
+        gather(doubles(us), first, K, nu, lanes(r, U_LANES))
+        gather(pointer(dt), first, K, 1, scratch)
+        length = load(scratch, 0)
+        stage(m, r, x, lanes(r, U_LANES), a, length, x, touching)
+        scatter(x, first, K, nx, doubles(xs_next))
+        if keep:
+            scatter(a, first, K, r[STAGES] * m[NV], floats(r, ACCELERATIONS))
+
+
+@jit
+def rates(m, r, xs, us, out, touching):
+    """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
+    m, r = pointer(m), pointer(r)
+    nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
+    x, u, a, rate = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), lanes(r, LINKS)
+    for first in range(0, K, WIDTH):
+        gather(doubles(xs), first, K, nx, x)
+        gather(doubles(us), first, K, m[NU], u)
+        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, touching)
+        for k in range(nv):
+            store(rate, k, load(x, nq + k))
+            store(rate, nv + k, load(a, k))
+        activation_rates(m, u, at(x, nq + nv), at(rate, 2 * nv))
+        scatter(rate, first, K, 2 * nv + na, doubles(out))

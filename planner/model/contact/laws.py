@@ -1,0 +1,231 @@
+"""What pushes a mechanism from outside its joints: spheres that touch planes, and stops at the ends of joints. Data.
+
+One smooth one-sided law serves both. With the penetration e, the speed v_n at which it opens, and the sliding
+velocity v_t,
+
+    ramp(e; a) = 0, e^2 / 2a, e - a/2          for e < 0, 0..a, > a
+    s(e; a)    = 3 t^2 - 2 t^3, t = e/a within 0..1
+    f_n = ramp(K ramp(e; a) - B s(e; a) v_n; f)
+    f_t = -(h - ramp(h - (1 - b) mu f_n; 2 b mu f_n)) v_t / |v_t|,   h = c_t s(e; a) |v_t|
+
+which is once continuously differentiable and never pulls: friction is viscous, h, as long as that is less than
+(1 - b) mu f_n, Coulomb's mu f_n where it is more than (1 + b) mu f_n, and bends between. Far beyond the ramps the force
+is that of a plain spring whose surface lies lower by
+
+    lift = a/2 + f/2K
+
+so the law's surface is raised by as much. `Touch.exact` is the limit of no smoothing, in which MuJoCo's
+contact tends to the same force (see model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where
+it slips MuJoCo's projection onto the friction cone raises the normal force to
+
+    f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array, count, number
+from planner.base.errors import PlannerError
+
+ALONG = 1e-9  # of a direction along a plane, its part across
+FORCE_SHARE = 0.2  # of stiffness * ramp: how much of the force the second ramp smooths, as the step study's 5 N of 25
+BEND = 0.5  # of the cone either way: less is hardly nearer to MuJoCo; the human step has its own
+RAMP_SHARE = 0.2  # of how deep a machine at rest sinks in: then its feet stand where the law is that of a plain spring
+
+
+@dataclass(frozen=True)
+class Law:
+    """The one-sided force of a spring and damper.
+
+    Attributes:
+        stiffness: K, N/m or N m/rad.
+        damping: B, N s/m or N m s/rad.
+        ramp: a, m or rad: how far in the force grows to its full slope; 0 for no smoothing.
+        force_ramp: f, N or N m: the same for the force where damping would make it pull; by default a share of
+            stiffness * ramp.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    ramp: float = 0.0
+    force_ramp: float | None = None
+
+    def __post_init__(self) -> None:
+        _set(self, stiffness=number("stiffness", self.stiffness, above=0.0))
+        for name in ("damping", "ramp"):
+            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
+        share = FORCE_SHARE * self.stiffness * self.ramp if self.force_ramp is None else self.force_ramp
+        _set(self, force_ramp=number("force_ramp", share, least=0.0))
+
+    @property
+    def lift(self) -> float:
+        """How much the law's surface is raised, so that the force deep inside is stiffness times the depth."""
+        return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
+
+
+@dataclass(frozen=True)
+class Touch(Law):
+    """The force between two surfaces: the one-sided law along the normal, and friction.
+
+    Attributes:
+        slip_damping: c_t, N s/m, of friction before it slips.
+        friction: mu.
+        impratio: Of MuJoCo's projection onto the friction cone; infinite for none.
+        bend: b, how gradually friction turns from viscous to Coulomb's, 0 (at once) to 1. In an MJCF it goes with a
+            ramp: without one friction is cut off at once.
+    """
+
+    slip_damping: float = 0.0
+    friction: float = 0.0
+    impratio: float = math.inf
+    bend: float = BEND
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("slip_damping", "friction"):
+            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
+        _set(self, bend=number("bend", self.bend, least=0.0, most=1.0))
+        if self.impratio != math.inf:
+            _set(self, impratio=number("impratio", self.impratio, above=0.0))
+
+    @classmethod
+    def resting(
+        cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
+        ramp: float | None = None, gravity: float = 9.81,
+    ) -> Touch:  # fmt: skip
+        """The law of a ground by what it does to a machine of some mass, for whom the law's numbers say nothing.
+
+        RK4 wants stages of at most 2.7 m / slip_damping and 2.7 m / damping, m the mass that a foot has by itself:
+        light feet want a larger slip, or a shorter dt.
+
+        Args:
+            mass: kg, of all of the machine.
+            sink: m, how deep the machine sinks in when it stands on one contact: K = mass gravity / sink.
+            friction: mu.
+            damping_ratio: zeta of the machine bouncing on one contact: B = 2 zeta sqrt(K mass).
+            slip: m/s at which viscous friction would be all there is, c_t = mu mass gravity / slip; a foot pushed
+                along with a part of that creeps at about that part of it.
+            ramp: m, of smoothing; by default a fifth of the sink.
+            gravity: m/s^2.
+
+        Raises:
+            PlannerError: A number that is not above 0.
+        """
+        weight = number("mass", mass, above=0.0) * number("gravity", gravity, above=0.0)
+        stiffness = weight / number("sink", sink, above=0.0)
+        damping = 2.0 * number("damping_ratio", damping_ratio, least=0.0) * math.sqrt(stiffness * mass)
+        mu = number("friction", friction, least=0.0)
+        return cls(
+            stiffness, damping, RAMP_SHARE * sink if ramp is None else ramp,
+            slip_damping=mu * weight / number("slip", slip, above=0.0), friction=mu,
+        )  # fmt: skip
+
+    @classmethod
+    def exact(
+        cls, stiffness: float, damping: float, slip_damping: float, friction: float, impratio: float = math.inf
+    ) -> Touch:
+        """The law without any smoothing, which is what MuJoCo's contact with these coefficients tends to."""
+        return cls(stiffness, damping, 0.0, 0.0, slip_damping, friction, impratio, bend=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane of the world: n'x = offset on it, touched from n'x > offset.
+
+    Attributes:
+        normal: (3,) of length one.
+        offset: m.
+        velocity: (3,) m/s of its surface; only what is along the plane counts.
+        slide: The degree of freedom that carries it along itself, a treadmill's belt for example; -1 for none.
+    """
+
+    normal: np.ndarray
+    offset: float = 0.0
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    slide: int = -1
+
+    def __post_init__(self) -> None:
+        normal, velocity = array("normal", self.normal, (3,)), array("velocity", self.velocity, (3,))
+        length = float(np.linalg.norm(normal))
+        if not length > 0.0:
+            raise PlannerError("normal is (0, 0, 0), expected a direction.")
+        normal /= length
+        velocity -= normal * (normal @ velocity)
+        _set(self, normal=normal, velocity=velocity, offset=number("offset", self.offset))
+        _set(self, slide=count("slide", self.slide, least=-1))
+        for value in (normal, velocity):
+            value.flags.writeable = False
+
+
+def slide_direction(mechanism: Any, plane: Plane) -> np.ndarray:
+    """(3,) the velocity of a plane per rate of the slide that carries it, in the world; zeros where none does.
+
+    Raises:
+        PlannerError: It is no slide on the world along the plane.
+    """
+    i = plane.slide
+    if i < 0:
+        return np.zeros(3)
+    fits = i < mechanism.nv and mechanism.parent[i] < 0 and not np.any(mechanism.S[i, :3])
+    direction = mechanism.T_home[i, :3, :3] @ mechanism.S[i, 3:] if fits else plane.normal
+    if not abs(direction @ plane.normal) < ALONG:
+        raise PlannerError(f"a plane is carried by dof {i}, expected that of a slide on the world along the plane.")
+    return direction
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A sphere, or a point, of a link against a plane.
+
+    Attributes:
+        link: Which carries the sphere.
+        centre: (3,) m, in the link's frame.
+        radius: m, 0 for a point.
+        plane: What it touches.
+        touch: The force.
+        name: For pictures and messages.
+    """
+
+    link: int
+    centre: np.ndarray
+    radius: float
+    plane: Plane
+    touch: Touch
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        centre = array("centre", self.centre, (3,))
+        centre.flags.writeable = False
+        _set(self, link=count("link", self.link, least=0), centre=centre, radius=number("radius", self.radius, least=0))
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The end of a hinge's or slide's range.
+
+    Attributes:
+        dof: Which degree of freedom.
+        end: Its coordinate there, rad or m.
+        side: +1 where larger coordinates are beyond it, -1 where smaller ones are.
+        law: The force.
+    """
+
+    dof: int
+    end: float
+    side: int
+    law: Law
+
+    def __post_init__(self) -> None:
+        _set(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
+        if self.side not in (-1, 1):
+            raise PlannerError(f"side is {self.side!r}, expected 1 or -1.")
+
+
+def _set(data: Any, **values: Any) -> None:
+    for name, value in values.items():
+        object.__setattr__(data, name, value)

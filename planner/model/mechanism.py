@@ -1,0 +1,302 @@
+"""Mechanism: a machine as the paper sees it, a tree of links on screws (section 1.2). Data only.
+
+There is one link per degree of freedom, in MuJoCo's order of qvel, so that revolute, prismatic, ball and free joints
+go through one recursion (Fig. 2). A body with several joints is a chain of links of which only the last has mass; a
+body without joints is part of the link that carries it. Link i moves relative to its parent by
+
+    T = T_home[i] exp(S[i] (q - q_home[i]))                        (SCREW: hinge or slide)
+    T = T_home[i] exp of the rotation R(quaternion) about the anchor   (BALL)
+    T = identity                                                   (BALL_NEXT, the ball's second and third axis)
+
+with the screw in the moving frame. A free joint is three slides along the world's axes and a ball: then q, qd and qdd
+are MuJoCo's qpos, qvel and qacc, world linear and body angular. All axes of a ball turn with it, so
+the rate of its screws is taken with the twist before the ball, which is what `base` says.
+
+The applied force tau excludes what the mechanism itself does:
+
+    M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest).
+
+Actuator a gives the force gain u + bias[0] + bias[1] length + bias[2] length rate along the row moment[a] of
+generalized forces, where u is the control or, with a state of its own, the activation: d act/dt = u (INTEGRATOR) or
+(u - act) / time_constant (FILTER); length = moment[a] q over the hinge and slide joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arguments import choice
+from planner.base.errors import ModelError, PlannerError
+from planner.model.contact.between_bodies import BodyContact, check_body_contact
+from planner.model.contact.laws import Contact, Stop, Touch, slide_direction
+from planner.model.joint_curves import ExponentialTorque, check_curve
+from planner.model.space import StateSpace
+
+SCREW, BALL, BALL_NEXT = 0, 1, 2
+DIRECT, INTEGRATOR, FILTER = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A body or site: fixed at T (4, 4) to a link (-1: the world)."""
+
+    link: int
+    T: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Actuators:
+    """What acts on a mechanism. nu actuators; the ranges are data, infinite where there are none.
+
+    Attributes:
+        names: (nu,) names, "" where the file gives none.
+        moment: (nu, nv) generalized force per actuator force.
+        gain: (nu,).
+        bias: (nu, 3) constant, per length, per length rate.
+        dynamics: (nu,) DIRECT, INTEGRATOR or FILTER.
+        activation: (nu,) index into act, -1 for DIRECT.
+        time_constant: (nu,) s, of FILTER.
+        control_range: (nu, 2).
+        force_range: (nu, 2).
+        activation_range: (nu, 2).
+    """
+
+    names: tuple[str, ...]
+    moment: np.ndarray
+    gain: np.ndarray
+    bias: np.ndarray
+    dynamics: np.ndarray
+    activation: np.ndarray
+    time_constant: np.ndarray
+    control_range: np.ndarray
+    force_range: np.ndarray
+    activation_range: np.ndarray
+
+    @property
+    def nu(self) -> int:
+        """Number of actuators."""
+        return len(self.names)
+
+    @property
+    def na(self) -> int:
+        """Number of activations."""
+        return int(np.sum(self.dynamics != DIRECT))
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A tree of links on screws. All arrays are float64 or int64, in C order and read-only.
+
+    Attributes:
+        nq: Size of qpos.
+        qpos0: (nq,) where the file puts the joints.
+        parent: (nv,) link that carries link i, -1 for the world; parents come first.
+        base: (nv,) link whose twist turns the screw of link i: the parent, or what carries the ball.
+        kind: (nv,) SCREW, BALL or BALL_NEXT.
+        q_address: (nv,) where qpos holds the coordinate; for a ball, the first of its quaternion.
+        T_home: (nv, 4, 4) pose in the parent's frame at q_home.
+        q_home: (nv,) rad or m, 0 for a ball.
+        S: (nv, 6) screw (angular, linear) in the link's own frame.
+        mass: (nv,) kg.
+        com: (nv, 3) centre of mass in the link's frame, m.
+        inertia: (nv, 3, 3) about the centre of mass, in the link's frame, kg m^2.
+        armature: (nv,) added to the diagonal of M.
+        damping: (nv,).
+        stiffness: (nv,) of hinge, slide and the slides of a free joint; 0 on balls.
+        spring_rest: (nv,) rad or m.
+        ball_stiffness: (nballs,) of the balls in the order of `quaternions`.
+        ball_rest: (nballs, 4) quaternions at rest.
+        gravity: (3,) m/s^2.
+        actuators: What acts on it.
+        joint_names: One per joint, "" where the file gives none.
+        joint_links: One per joint: its links, a slice of the degrees of freedom.
+        joint_range: (nv, 2) infinite where there is none.
+        joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
+        body_names: MuJoCo's bodies in order, the world first.
+        bodies: Their frames.
+        contacts: What touches the planes of the world.
+        stops: Ends of joints that push back.
+        body_contacts: Spheres and capsules that touch each other.
+        curves: Torques that are exponentials of coordinates; the file knows nothing of them.
+        sites: Frames by name.
+        keyframes: State (nx,) by name.
+        mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
+        assets: Files that the text names, by the name it uses.
+        ignored: What was taken out of the file, one phrase each.
+    """
+
+    nq: int
+    qpos0: np.ndarray
+    parent: np.ndarray
+    base: np.ndarray
+    kind: np.ndarray
+    q_address: np.ndarray
+    T_home: np.ndarray
+    q_home: np.ndarray
+    S: np.ndarray
+    mass: np.ndarray
+    com: np.ndarray
+    inertia: np.ndarray
+    armature: np.ndarray
+    damping: np.ndarray
+    stiffness: np.ndarray
+    spring_rest: np.ndarray
+    ball_stiffness: np.ndarray
+    ball_rest: np.ndarray
+    gravity: np.ndarray
+    actuators: Actuators
+    joint_names: tuple[str, ...]
+    joint_links: tuple[slice, ...]
+    joint_range: np.ndarray
+    joint_force_range: np.ndarray
+    body_names: tuple[str, ...]
+    bodies: tuple[Frame, ...]
+    contacts: tuple[Contact, ...] = ()
+    stops: tuple[Stop, ...] = ()
+    sites: dict[str, Frame] = field(default_factory=dict)
+    keyframes: dict[str, np.ndarray] = field(default_factory=dict)
+    mjcf: str = ""
+    assets: dict[str, bytes] = field(default_factory=dict)
+    ignored: tuple[str, ...] = ()
+    body_contacts: tuple[BodyContact, ...] = ()
+    curves: tuple[ExponentialTorque, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("armature", "damping", "stiffness"):
+            values = getattr(self, name)
+            wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+            if len(wrong):
+                i = int(wrong[0])
+                joint = next(j for j, links in enumerate(self.joint_links) if links.start <= i < links.stop)
+                where = f"joint {self.joint_names[joint]!r} has {name} {values[i]:g}"
+                raise ModelError(f"{where}, expected a finite number of at least 0.")
+        for name in ("moment", "gain", "bias"):
+            wrong = np.argwhere(~np.isfinite(getattr(self.actuators, name)))
+            if len(wrong):
+                actuator = self.actuators.names[int(wrong[0][0])]
+                raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
+        self._check_contacts()
+        frames = (*self.bodies, *self.sites.values())
+        parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
+        for value in (*parts, *self.keyframes.values()):
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def _check_contacts(self) -> None:
+        carriers = sorted({body.link for body in self.bodies} - {-1})
+        for k, contact in enumerate(self.contacts):
+            if contact.link not in carriers:  # of several joints of a body, the last one carries it
+                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
+            slide_direction(self, contact.plane)
+        for k, pair in enumerate(self.body_contacts):
+            check_body_contact(pair, carriers, f"body_contacts[{k}]")
+        for k, stop in enumerate(self.stops):
+            if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
+                raise PlannerError(
+                    f"stops[{k}] is of dof {stop.dof}, expected one of a hinge or slide, below {self.nv}."
+                )
+
+        for k, curve in enumerate(self.curves):
+            check_curve(curve, self.kind == SCREW, f"curves[{k}]")
+
+    @classmethod
+    def from_mjcf(
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | Touch = "on"
+    ) -> Mechanism:
+        """Read an MJCF file or text as MuJoCo's compiler understands it.
+
+        Args:
+            model: A path, or the XML text itself.
+            ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
+            contacts: "on" models contacts of spheres, capsules and corners of boxes with planes, and of spheres and
+                capsules with each other, if MuJoCo's force is a law of planner.model.contact.laws (see
+                planner.model.mjcf.contacts); "off" takes all contacts out of the file; a Touch is given to those of
+                the file instead of their own force, in the replayed model too, and what is left of them is taken
+                out and said in `ignored`.
+
+        Raises:
+            ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion
+                and are not modelled: all of them in one message.
+        """
+        from planner.model.mjcf.read import read  # the one module that needs MuJoCo's compiler
+
+        return read(model, ignore=ignore, contacts=contacts)
+
+    def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
+        """The same machine with torques that are exponentials of its coordinates, in place of those it has.
+
+        Raises:
+            PlannerError: One of them is of a ball, or of a degree of freedom that there is not.
+        """
+        return replace(self, curves=tuple(curves))
+
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom."""
+        return len(self.parent)
+
+    @property
+    def nu(self) -> int:
+        """Actuators."""
+        return self.actuators.nu
+
+    @property
+    def na(self) -> int:
+        """Activations."""
+        return self.actuators.na
+
+    @cached_property
+    def quaternions(self) -> tuple[tuple[int, int], ...]:
+        """(address in qpos, first degree of freedom) of each ball."""
+        return tuple((int(self.q_address[i]), int(i)) for i in np.flatnonzero(self.kind == BALL))
+
+    @cached_property
+    def space(self) -> StateSpace:
+        """Of x = (qpos, qvel, act)."""
+        return StateSpace(self.nq + self.nv + self.na, 2 * self.nv + self.na, self.quaternions)
+
+    @cached_property
+    def home(self) -> np.ndarray:
+        """(nx,) the state the file describes, at rest."""
+        x = np.zeros(self.space.nx)
+        x[: self.nq] = self.qpos0
+        return x
+
+    def keyframe(self, name: str) -> np.ndarray:
+        """State (nx,) of a keyframe of the file.
+
+        Raises:
+            PlannerError: There is no keyframe of that name.
+        """
+        if not self.keyframes:
+            raise PlannerError(f"the model has no keyframes, so none is named {name!r}: expected a state vector.")
+        return self.keyframes[choice("keyframe", name, self.keyframes)].copy()
+
+    def frame(self, name: str) -> Frame:
+        """A site or body by name.
+
+        Raises:
+            PlannerError: There is neither a site nor a body of that name.
+        """
+        if isinstance(name, str) and name in self.sites:
+            return self.sites[name]
+        named = [body for body in self.body_names if body]
+        return self.bodies[self.body_names.index(choice("frame", name, [*self.sites, *named]))]
+
+    def joint(self, name: str) -> slice:
+        """The degrees of freedom of a joint.
+
+        Raises:
+            PlannerError: There is no joint of that name.
+        """
+        return self.joint_links[self.joint_names.index(choice("joint", name, [n for n in self.joint_names if n]))]
+
+    def __str__(self) -> str:
+        return f"Mechanism({self.nv} degrees of freedom, {self.nu} actuators, {len(self.bodies) - 1} bodies)"
+
+    __repr__ = __str__

@@ -1,0 +1,1 @@
+"""MJCF files: bounded, read, edited or refused."""

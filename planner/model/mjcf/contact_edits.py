@@ -1,0 +1,171 @@
+"""A law of planner.model.contact.laws given to the contacts of an MJCF, so that MuJoCo replays what was planned with.
+
+Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
+that are not modelled (meshes, boxes of two bodies that both move) are excluded and said to be.
+
+Those numbers are relative to MuJoCo's body_invweight0, so a model whose inertias are changed needs others for the same
+law: `keep_law` writes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.model.contact.laws import Touch
+from planner.model.contact.shapes import at_home
+from planner.model.mjcf.contacts import CONTACT_RAMP, Pair, contact_attributes, pairs, shapes_fit
+from planner.model.mjcf.refuse import named
+from planner.model.mjcf.text import written
+
+IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
+
+
+def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
+    """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
+
+    Args:
+        root: Of the file, includes resolved; changed.
+        model: What the root compiles to.
+        touch: The law. Of an infinite impratio becomes IMPRATIO.
+
+    Raises:
+        ModelError: Geoms that are not elements of the file itself.
+    """
+    all_of_them = pairs(model)
+    if not all_of_them:
+        return []
+    home = at_home(model)
+    impratio = touch.impratio if np.isfinite(touch.impratio) else IMPRATIO
+    body_names, geom_names = _names(root, model)
+    for section in root.findall("contact"):
+        for element in section.findall("pair"):
+            section.remove(element)
+    section, left_out = ElementTree.SubElement(root, "contact"), []
+    for pair in all_of_them:
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+        if not shapes_fit(model, home, pair):
+            left_out.append(pair)
+            _exclude(root, section, *(body_names[body] for body in bodies))
+            continue
+        weight = float(np.sum(model.body_invweight0[bodies, 0]))
+        law = contact_attributes(touch.stiffness, touch.damping, touch.slip_damping, touch.friction, weight, impratio)
+        geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
+        ElementTree.SubElement(section, "pair", {**geoms, **law, "margin": "0", "gap": "0"})
+    option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
+    ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
+    _say_smoothing(root, touch)
+    return [_phrase(model, left_out)] if left_out else []
+
+
+def keep_law(root: ElementTree.Element, model: Any, weights: np.ndarray, still: np.ndarray) -> None:
+    """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
+
+    Args:
+        root: Of the file, includes resolved; changed.
+        model: What the root compiles to, with the law in it.
+        weights: (nbody,) body_invweight0[:, 0] of the model with the other inertias, 1/kg.
+        still: (nbody,) bodies that no force moves: what touches between two of them is excluded.
+
+    Raises:
+        ModelError: Geoms that are not elements of the file itself.
+    """
+    body_names, geom_names = _names(root, model)
+    all_of_them = pairs(model)
+    for section in root.findall("contact"):
+        for element in section.findall("pair"):
+            section.remove(element)
+    section = ElementTree.SubElement(root, "contact")
+    for pair in all_of_them:
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+        if np.all(still[bodies]):
+            _exclude(root, section, *(body_names[body] for body in bodies))
+            continue
+        ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
+        numbers = {
+            "friction": pair.friction, "solref": ratio * pair.solref, "solreffriction": ratio * pair.solreffriction,
+            "solimp": pair.solimp,
+        }  # fmt: skip
+        law = {name: " ".join(map(written, values)) for name, values in numbers.items()}
+        geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
+        extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
+        ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
+
+
+def _phrase(model: Any, left_out: list[Pair]) -> str:
+    first = " and ".join(named(model, "geom", i) for i in left_out[0].geoms)
+    more = "" if len(left_out) == 1 else f" and {len(left_out) - 1} more pairs"
+    return f"contacts of {first}{more}"
+
+
+def _say_smoothing(root: ElementTree.Element, touch: Touch) -> None:
+    for section in root.findall("custom"):
+        for element in section.findall("numeric"):
+            if element.get("name") == CONTACT_RAMP:
+                section.remove(element)
+    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
+    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
+
+
+def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str, second: str) -> None:
+    """Exclude two bodies, once: <pair>s are not concerned by it."""
+    known = {frozenset((e.get("body1"), e.get("body2"))) for s in root.findall("contact") for e in s.iter("exclude")}
+    if frozenset((first, second)) not in known:
+        ElementTree.SubElement(section, "exclude", {"body1": first, "body2": second})
+
+
+def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[str]]:
+    """Names of all bodies and geoms, given to those that have none."""
+    worlds = root.findall("worldbody")
+    bodies = [body for world in worlds for body in _bodies(world)]
+    geoms = [geom for parent in (*worlds, *bodies) for geom in _own(parent, "geom")]
+    return (
+        ["world", *_named("body", bodies, [model.body(i).name for i in range(1, model.nbody)])],
+        _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)]),
+    )
+
+
+def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
+    """The elements of all joints, in MuJoCo's order.
+
+    Raises:
+        ModelError: Joints that are not elements of the file itself.
+    """
+    bodies = [body for world in root.findall("worldbody") for body in _bodies(world)]
+    joints = [joint for body in bodies for joint in _own(body, "joint", "freejoint")]
+    if [joint.get("name", "") for joint in joints] != [model.joint(j).name for j in range(model.njnt)]:
+        raise ModelError("the file has not all joints of the model (<attach>, <replicate>), so none is driven.")
+    return joints
+
+
+def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
+    if [element.get("name", "") for element in elements] != known:
+        raise ModelError(
+            f"the file has not all {kind}s of the model (<attach>, <replicate>), so no law is given to it."
+        )
+    for i, element in enumerate(elements):
+        if not element.get("name"):
+            element.set("name", f"{kind} number {i}")
+    return [element.attrib["name"] for element in elements]
+
+
+def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    """In MuJoCo's order: a body, then all that hangs on it."""
+    for child in parent:
+        if child.tag == "body":
+            yield child
+        if child.tag in ("body", "frame"):
+            yield from _bodies(child)
+
+
+def _own(body: ElementTree.Element, *tags: str) -> Iterator[ElementTree.Element]:
+    """A body's elements of some kinds, but for those of the bodies that hang on it."""
+    for child in body:
+        if child.tag in tags:
+            yield child
+        elif child.tag == "frame":
+            yield from _own(child, *tags)

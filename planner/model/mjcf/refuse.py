@@ -1,0 +1,261 @@
+"""What a model has that changes its motion and is not modelled, by name.
+
+It is found in MuJoCo's compiled model, where defaults, flags and replicas are settled: what counts is what would act.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+
+# What `ignore` may name.
+KINDS = (
+    "frictionloss",
+    "equality",
+    "tendon",
+    "fluid",
+    "gravcomp",
+    "actuator",
+    "actearly",
+    "polynomial",
+    "plasticity",
+    "mocap",
+    "sleep",
+)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """One thing that is not modelled: its kind ("contacts", one of KINDS, or what nothing takes out) and its name."""
+
+    kind: str
+    phrase: str
+
+
+def named(model: Any, kind: str, index: int) -> str:
+    """An element for a sentence: "joint 'hip'", or its place where it has no name."""
+    name = load_mujoco().mj_id2name(model, getattr(load_mujoco().mjtObj, f"mjOBJ_{kind.upper()}"), index)
+    return f"{kind} {name!r}" if name else f"{kind} number {index}"
+
+
+def disabled(model: Any, *names: str) -> bool:
+    """Whether the file's <flag> disables any of these."""
+    return any(model.opt.disableflags & _bit("Disable", "DSBL", name) for name in names)
+
+
+def passive_off(model: Any) -> bool:
+    """Whether passive forces of all kinds are disabled: since MuJoCo 3.4 by two flags, before by one."""
+    return disabled(model, "passive") or (disabled(model, "spring") and disabled(model, "damper"))
+
+
+def _bit(group: str, prefix: str, name: str) -> int:
+    return int(getattr(getattr(load_mujoco(), f"mjt{group}Bit"), f"mj{prefix}_{name.upper()}", 0))
+
+
+def field(model: Any, name: str, count: int) -> np.ndarray:
+    """A field of the compiled model, zeros where this release of MuJoCo does not have it."""
+    return np.asarray(getattr(model, name, np.zeros(count)))
+
+
+def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
+    """(count,) whether an element has any number other than 0 in a field, which may have several for each."""
+    values = field(model, name, count)
+    return np.any(values != 0.0, axis=tuple(range(1, values.ndim)))
+
+
+def found(model: Any) -> list[Refusal]:
+    """Everything in a compiled model that acts and is not modelled, in a fixed order."""
+    return list(_all(model))
+
+
+def _all(model: Any) -> Iterator[Refusal]:
+    yield from _joints(model)
+    yield from _bodies(model)
+    yield from _tendons(model)
+    if not disabled(model, "constraint", "equality"):
+        for i in np.flatnonzero(model.eq_active0):
+            yield Refusal("equality", named(model, "equality", int(i)))
+    for i in range(len(model.actuator_trntype)):
+        yield from actuator_refusals(model, i)
+    if model.opt.enableflags & _bit("Enable", "ENBL", "sleep"):
+        yield Refusal("sleep", "the sleep of what rests")
+    for i in range(model.nflex):
+        yield Refusal("flex", named(model, "flex", i))
+    pairs = contact_pairs(model)
+    if pairs:
+        first = " and ".join(named(model, "geom", i) for i in pairs[0])
+        more = "" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs"
+        yield Refusal("contacts", f"contacts of {first}{more}")
+
+
+def _joints(model: Any) -> Iterator[Refusal]:
+    if not disabled(model, "constraint", "frictionloss"):
+        for i in _joints_of(model, model.dof_frictionloss):
+            yield Refusal("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
+    if not disabled(model, "spring", "passive"):
+        for i in np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly", model.njnt)):
+            yield Refusal("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
+        for i in np.flatnonzero(field(model, "jnt_springyield", model.njnt)):
+            yield Refusal("plasticity", f"plastic spring of {named(model, 'joint', int(i))}")
+    if not disabled(model, "damper", "passive"):
+        for i in _joints_of(model, _nonzero(model, "dof_dampingpoly", model.nv)):
+            yield Refusal("polynomial", f"polynomial damping of {named(model, 'joint', i)}")
+
+
+def _joints_of(model: Any, dofs: np.ndarray) -> list[int]:
+    return sorted({int(j) for j in model.dof_jntid[np.flatnonzero(dofs)]})
+
+
+def _bodies(model: Any) -> Iterator[Refusal]:
+    moves = model.body_weldid != 0
+    if not (passive_off(model) or disabled(model, "gravity")) and np.any(model.opt.gravity):
+        for i in np.flatnonzero((model.body_gravcomp != 0.0) & moves & (model.body_mass > 0.0)):
+            yield Refusal("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+    if not passive_off(model):
+        for name in ("density", "viscosity"):
+            if getattr(model.opt, name) > 0.0:
+                yield Refusal("fluid", f"fluid {name}")
+    carries = set(model.body_weldid[model.dof_bodyid]) | set(model.body_rootid[model.dof_bodyid])
+    for i in np.flatnonzero(model.body_mocapid >= 0):
+        if int(i) in carries:
+            yield Refusal("mocap", f"mocap {named(model, 'body', int(i))}")
+    for i in np.flatnonzero(model.body_plugin >= 0):
+        yield Refusal("plugin", f"plugin of {named(model, 'body', int(i))}")
+
+
+def _tendons(model: Any) -> Iterator[Refusal]:
+    n = model.ntendon
+
+    def acts(name: str) -> np.ndarray:
+        return _nonzero(model, f"tendon_{name}", n)
+
+    never = np.zeros(n, dtype=bool)
+    effects = {
+        "stiffness": never if disabled(model, "spring", "passive") else acts("stiffness") | acts("stiffnesspoly"),
+        "damping": never if disabled(model, "damper", "passive") else acts("damping") | acts("dampingpoly"),
+        "armature": acts("armature"),
+        "frictionloss": never if disabled(model, "constraint", "frictionloss") else acts("frictionloss"),
+        "limit": never if disabled(model, "constraint", "limit") else acts("limited"),
+    }
+    for i in range(n):
+        has = [name for name, act in effects.items() if act[i]]
+        if has == ["frictionloss"]:
+            yield Refusal("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
+        elif has:
+            yield Refusal("tendon", f"{', '.join(has)} of {named(model, 'tendon', i)}")
+
+
+def actuator_disabled(model: Any, i: int) -> bool:
+    """Whether a flag or its group keeps an actuator from acting."""
+    group = int(model.actuator_group[i])
+    return disabled(model, "actuation") or bool(0 <= group <= 30 and model.opt.disableactuator & (1 << group))
+
+
+def adheres_to_nothing(model: Any, i: int) -> bool:
+    """Whether it is an adhesion actuator, which acts through contacts, of a model that has none."""
+    return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
+
+
+def actuator_refusals(model: Any, i: int) -> Iterator[Refusal]:
+    """An actuator's refusals. One that is disabled keeps its control, if it has one control and one state at most."""
+    mujoco = load_mujoco()
+    n = len(model.actuator_trntype)
+    name = named(model, "actuator", i)
+    several = (
+        field(model, "actuator_ctrlnum", 0).size and model.actuator_ctrlnum[i] != 1,
+        field(model, "actuator_outnum", 0).size and model.actuator_outnum[i] != 1,
+        model.actuator_actadr[i] >= 0 and model.actuator_actnum[i] != 1,
+        model.actuator_plugin[i] >= 0,
+    )
+    reasons: list[str] = []
+    if any(several) or not actuator_disabled(model, i):
+        reasons = [*_dynamics(model, i), *_force(model, i), *_transmission(model, i)]
+    if any(several) and not reasons:
+        reasons = ["several controls, forces or activations"]
+    if field(model, "actuator_delay", n)[i] > 0.0:
+        reasons.append("delay")
+    at_joint = _is(model.actuator_trntype[i], mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    for own in ("damping", "armature"):
+        if field(model, f"actuator_{own}", n)[i] != 0.0 and not at_joint:
+            reasons.append(f"{own} of its own")
+    if _nonzero(model, "actuator_dampingpoly", n)[i]:
+        yield Refusal("polynomial", f"polynomial damping of {name}")
+    if reasons:
+        yield Refusal("actuator", f"{name} ({', '.join(reasons)})")
+    elif model.actuator_actearly[i] and not actuator_disabled(model, i):
+        yield Refusal("actearly", f"actearly of {name}")
+
+
+def _is(value: int, *kinds: Any) -> bool:
+    return any(value == kind for kind in kinds)  # MuJoCo's enumerations do not equal NumPy's integers from the left
+
+
+def _lower(kinds: Any, value: int) -> str:
+    return kinds(int(value)).name.split("_")[-1].lower()
+
+
+def _dynamics(model: Any, i: int) -> Iterator[str]:
+    kinds = load_mujoco().mjtDyn
+    # filterexact is the same differential equation as filter, solved better by MuJoCo's Euler steps
+    modelled = (kinds.mjDYN_NONE, kinds.mjDYN_INTEGRATOR, kinds.mjDYN_FILTER, kinds.mjDYN_FILTEREXACT)
+    if not _is(model.actuator_dyntype[i], *modelled):
+        yield f"{_lower(kinds, model.actuator_dyntype[i])} dynamics"
+
+
+def _force(model: Any, i: int) -> Iterator[str]:
+    gains, biases = load_mujoco().mjtGain, load_mujoco().mjtBias
+    gain, bias = model.actuator_gaintype[i], model.actuator_biastype[i]
+    fixed = gain == gains.mjGAIN_AFFINE and not np.any(model.actuator_gainprm[i, 1:3])
+    if gain != gains.mjGAIN_FIXED and not fixed:
+        yield f"{_lower(gains, gain)} gain"
+    if not _is(bias, biases.mjBIAS_NONE, biases.mjBIAS_AFFINE):
+        yield f"{_lower(biases, bias)} bias"
+
+
+def _transmission(model: Any, i: int) -> Iterator[str]:
+    """Why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    mujoco = load_mujoco()
+    kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
+    kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
+    if _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+        joint = model.jnt_type[target]
+        if _is(joint, joints.mjJNT_BALL, joints.mjJNT_FREE) and kind == kinds.mjTRN_JOINTINPARENT:
+            yield "jointinparent of a ball or free joint"
+        elif joint == joints.mjJNT_BALL and _has_length(model, i):
+            yield "force by the angle of a ball joint"
+    elif kind == kinds.mjTRN_TENDON:
+        first = model.wrap_type[model.tendon_adr[target]]
+        if first != mujoco.mjtWrap.mjWRAP_JOINT:
+            yield "spatial tendon"
+    elif not adheres_to_nothing(model, i):
+        yield f"{_lower(kinds, kind)} transmission"
+
+
+def _has_length(model: Any, i: int) -> bool:
+    return model.actuator_biastype[i] == load_mujoco().mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
+
+
+def contact_pairs(model: Any) -> list[tuple[int, int]]:
+    """The pairs of geoms that MuJoCo would test for contact, wherever they are: its own filters, without positions."""
+    if disabled(model, "contact", "constraint"):
+        return []
+    weld = model.body_weldid[model.geom_bodyid]
+    above = model.body_weldid[model.body_parentid[weld]]
+    masks, others = model.geom_contype, model.geom_conaffinity
+    may = (masks[:, None] & others) | (others[:, None] & masks) != 0
+    may &= weld[:, None] != weld
+    if not disabled(model, "filterparent"):
+        family = (weld[:, None] == above) | (above[:, None] == weld)
+        may &= ~(family & (weld[:, None] != 0) & (weld != 0))
+    for signature in model.exclude_signature:
+        first = model.geom_bodyid == signature >> 16
+        second = model.geom_bodyid == signature & 0xFFFF
+        may &= ~(np.outer(first, second) | np.outer(second, first))
+    pairs = {(int(i), int(j)) for i, j in np.argwhere(np.triu(may, 1))}
+    explicit = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    return sorted(pairs | {(int(i), int(j)) for i, j in explicit if weld[i] or weld[j]})

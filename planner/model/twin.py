@@ -1,0 +1,109 @@
+"""Twin: the machine in MuJoCo, and how the plan's state reads there. Data only, stored in every plan.npz.
+
+The simulator's physical state is w = (qpos, qvel, act), nw numbers. The plan's state is an affine function of it,
+
+    x = to_x @ w + to_x_offset,
+
+and back, where a unilateral contact makes a coordinate the lesser of several affine functions (a leg is as long
+as its spring at rest, or as the ground lets it be),
+
+    w = min over k of (to_sim[k] @ x + to_sim_offset[k]).
+
+The control is MuJoCo's ctrl. So replay and render know no machine: they know a text and two maps. A Mechanism's state
+is the simulator's own, so its maps are identities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.base.errors import PlannerError
+from planner.model.joint_curves import ExponentialTorque
+
+if TYPE_CHECKING:
+    from planner.model.mechanism import Mechanism
+
+_MAPS: dict[str, tuple[int | str, ...]] = {
+    "to_x": ("nx", "nw"), "to_x_offset": ("nx",), "to_sim": ("K", "nw", "nx"), "to_sim_offset": ("K", "nw"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Twin:
+    """An MJCF model and the maps between its state and the plan's.
+
+    Attributes:
+        mjcf: The XML text, includes resolved.
+        to_x: (nx, nw).
+        to_x_offset: (nx,).
+        to_sim: (K, nw, nx); K = 1 unless contacts are unilateral.
+        to_sim_offset: (K, nw).
+        assets: Files that the text names, meshes for example, by the name it uses.
+        source: The text that the plan's mechanism was read from, where it is another one: see model.mjcf.driven.
+        curves: Torques that act beside what the text says: see planner.proof.curve_callback.
+    """
+
+    mjcf: str
+    to_x: np.ndarray
+    to_x_offset: np.ndarray
+    to_sim: np.ndarray
+    to_sim_offset: np.ndarray
+    assets: dict[str, bytes] = field(default_factory=dict)
+    source: str = ""
+    curves: tuple[ExponentialTorque, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, sizes in _MAPS.items():
+            object.__setattr__(self, name, array(f"Twin: {name}", getattr(self, name), sizes))
+        nx, nw = self.to_x.shape
+        K = self.to_sim.shape[0]
+        expected = {"to_x_offset": (nx,), "to_sim": (K, nw, nx), "to_sim_offset": (K, nw)}
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise PlannerError(f"Twin: {name} has shape {getattr(self, name).shape}, expected {shape}.")
+
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> Twin:
+        """The model that a mechanism was read from; the plan's state is MuJoCo's own, x = (qpos, qvel, act)."""
+        same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
+        return cls(mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), curves=mechanism.curves)
+
+    def x_of(self, w: np.ndarray) -> np.ndarray:
+        """The plan's state (..., nx) of simulator states w (..., nw)."""
+        return w @ self.to_x.T + self.to_x_offset
+
+    def sim_of(self, x: np.ndarray) -> np.ndarray:
+        """The simulator's state (..., nw) of plan states x (..., nx)."""
+        return np.min(np.einsum("kwx,...x->...kw", self.to_sim, x) + self.to_sim_offset, axis=-2)
+
+    @property
+    def planned(self) -> str:
+        """The text that the plan's mechanism was read from."""
+        return self.source or self.mjcf
+
+    def to_dict(self) -> dict[str, Any]:
+        """The maps (not the text and its files) as JSON values; source and curves where there are any."""
+        maps = {name: getattr(self, name).tolist() for name in _MAPS}
+        maps |= {"source": self.source} if self.source else {}
+        return maps | ({"curves": [curve.to_list() for curve in self.curves]} if self.curves else {})
+
+    @classmethod
+    def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
+        """A twin from its text, what to_dict() gave and its files.
+
+        Raises:
+            PlannerError: The maps or the text are missing, or do not fit together.
+        """
+        maps, source = dict(maps), maps.get("source", "")
+        maps.pop("source", None)
+        curves = maps.pop("curves", [])
+        if not (isinstance(curves, list) and all(isinstance(row, list) and len(row) == 4 for row in curves)):
+            raise PlannerError("a twin's curves are not rows of dof, amplitude, constant and slopes.")
+        if not (isinstance(mjcf, str) and isinstance(source, str)) or set(maps) != set(_MAPS):
+            raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
+        torques = tuple(ExponentialTorque(*row) for row in curves)
+        return cls(mjcf, **maps, assets=assets or {}, source=source, curves=torques)

@@ -1,0 +1,1 @@
+"""The paper beside us: its own methods, and a study for each of its parts."""

@@ -1,0 +1,134 @@
+"""The paper's gradient for direct methods on differential equations (section 2.2, Eq. 7).
+
+    minimize   J(P) = phi(z(t_f), w(t_f)) + integral of L(z, w) dt     w(t) = D(t) P, a spline and its derivatives
+    subject to dz/dt = f(z, w),  z(0) = z0                              (Eq. 1, 2)
+
+The states are integrated forward together with J, the costate backward, and the gradient with it:
+
+    dlambda/dt = -H_z = -(L_z + f_z' lambda),   lambda(t_f) = phi_z     (Eq. 4)
+    dJ/dP = phi_w D(t_f) + integral of (L_w + lambda' f_w) D dt         (Eq. 7; phi_w: the end may depend on w)
+
+Both integrations are adaptive (scipy's solve_ivp) to a tolerance. The states of the backward one are interpolated from
+the forward one. So the gradient is that of the exact J up to errors of the order of the tolerance, and it is not the
+gradient of the J that was computed: what the paper calls its numerical problem.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from planner.base.arguments import array, choice, number
+from planner.paper.methods.spline_basis import SplineBasis
+
+METHODS = ("RK45", "DOP853")  # of solve_ivp; RK45 is the pair of Matlab's ode45
+TIGHTEST = 3e-14  # solve_ivp refuses relative tolerances below 100 units of rounding
+
+
+class Partials(NamedTuple):
+    """Derivatives of f and L at one z, w."""
+
+    f_z: np.ndarray  # (nz, nz)
+    f_w: np.ndarray  # (nz, nw)
+    L_z: np.ndarray  # (nz,)
+    L_w: np.ndarray  # (nw,)
+
+
+class System(Protocol):
+    """What is optimised: w is (b P, b' P, b'' P), as many of them as the basis has orders, each (inputs,)."""
+
+    nz: int
+    inputs: int
+
+    def rates(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, float]:
+        """dz/dt (nz,) and L."""
+        ...
+
+    def partials(self, z: np.ndarray, w: np.ndarray) -> Partials:
+        """Derivatives of both."""
+        ...
+
+    def final(self, z: np.ndarray, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Phi, and its derivatives by z (nz,) and w (nw,)."""
+        ...
+
+
+class AdjointCost:
+    """J of amplitudes and its gradient by Eq. 7, integrated to a tolerance.
+
+    Args:
+        system: f, L and phi.
+        basis: Of the splines.
+        z0: (nz,) the state at t = 0.
+        tolerance: Relative and absolute, of both integrations.
+        method: "RK45" or "DOP853".
+
+    Attributes:
+        evaluations: How often J and its gradient were computed.
+
+    Raises:
+        PlannerError: An argument of a wrong shape or out of range.
+    """
+
+    def __init__(
+        self, system: System, basis: SplineBasis, z0: np.ndarray, tolerance: float = 1e-6, method: str = "RK45"
+    ) -> None:
+        self._system, self._basis = system, basis
+        self._z0 = array("z0", z0, (system.nz,))
+        tolerance = number("tolerance", tolerance, least=TIGHTEST, most=1.0)
+        self._options: dict[str, Any] = {
+            "rtol": tolerance, "atol": tolerance, "method": choice("method", method, METHODS)
+        }  # fmt: skip
+        self.evaluations = 0
+
+    def _w(self, t: float, P: np.ndarray) -> np.ndarray:
+        return (self._basis.at(t) @ P).ravel()
+
+    def forward(self, P: np.ndarray, times: np.ndarray | None = None) -> Any:
+        """solve_ivp's answer for (z, integral of L), with interpolation; at times (M,) where given."""
+        from scipy.integrate import solve_ivp
+
+        def rates(t: float, y: np.ndarray) -> np.ndarray:
+            zd, L = self._system.rates(y[:-1], self._w(t, P))
+            return np.append(zd, L)
+
+        end = self._basis.duration
+        return solve_ivp(
+            rates, (0.0, end), np.append(self._z0, 0.0), dense_output=True, t_eval=times, **self._options
+        )  # fmt: skip
+
+    def value(self, P: np.ndarray) -> float:
+        """J of amplitudes (n, inputs); infinite where the states run away."""
+        return self._ends(P, self.forward(P))[0]
+
+    def _ends(self, P: np.ndarray, states: Any) -> tuple[float, np.ndarray, np.ndarray]:
+        if not states.success or not np.all(np.isfinite(states.y)):
+            return np.inf, np.zeros(self._system.nz), np.zeros(self._basis.orders * self._system.inputs)
+        end = states.y[:, -1]
+        phi, phi_z, phi_w = self._system.final(end[:-1], self._w(self._basis.duration, P))
+        return float(phi + end[-1]), phi_z, phi_w
+
+    def __call__(self, P: np.ndarray) -> tuple[float, np.ndarray]:
+        """J and its gradient (n, inputs)."""
+        from scipy.integrate import solve_ivp
+
+        self.evaluations += 1
+        basis, system = self._basis, self._system
+        nz, shape = system.nz, (basis.orders, system.inputs)
+        states = self.forward(P)
+        J, phi_z, phi_w = self._ends(P, states)
+        if not np.isfinite(J):
+            return J, np.zeros_like(P)
+        direct = basis.at(basis.duration).T @ phi_w.reshape(shape)
+
+        def backward(t: float, y: np.ndarray) -> np.ndarray:
+            D, costate = basis.at(t), y[:nz]
+            p = system.partials(states.sol(t)[:-1], (D @ P).ravel())
+            H_z = p.L_z + costate @ p.f_z  # Eq. 3
+            H_w = p.L_w + costate @ p.f_w
+            return np.concatenate([-H_z, -(D.T @ H_w.reshape(shape)).ravel()])  # Eq. 4, 7
+
+        end = np.concatenate([phi_z, direct.ravel()])
+        found = solve_ivp(backward, (basis.duration, 0.0), end, **self._options)
+        return J, found.y[nz:, -1].reshape(P.shape)

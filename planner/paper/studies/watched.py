@@ -1,0 +1,63 @@
+"""The LQ problem of every iteration of a solve, seen from outside: dynamics that note what the search is handed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import CompiledDynamics, Dynamics, PenalisedDynamics
+from planner.model.space import space_of
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.solvers.slq import solve
+
+
+class Step(NamedTuple):
+    """What the compiled sweep made of one trajectory."""
+
+    xs: np.ndarray  # (N+1, nx)
+    us: np.ndarray  # (N, nu)
+    gradient: np.ndarray  # (N, nu), Eq. 19
+    K: np.ndarray  # (N, nu, ndx)
+    k: np.ndarray  # (N, nu)
+    slope: float  # of J along the direction
+    regularisation: float  # what was added to R
+
+
+class _Watched:
+    """Compiled dynamics that note workspace and slope whenever a line search begins."""
+
+    def __init__(self, dynamics: Any) -> None:
+        known = (Dynamics, CompiledDynamics, PenalisedDynamics)
+        kinds = known if isinstance(dynamics, PenalisedDynamics) else known[:2]
+        names = {name for kind in kinds for name in dir(kind) if not name.startswith("_")}
+        for name in names - {"search"}:
+            setattr(self, name, getattr(dynamics, name))
+        self.space = space_of(dynamics)
+        self._dynamics = dynamics
+        self.seen: list[Step] = []
+
+    def search(self, w: Any, memory: Any, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
+        """Line search from w.xs, w.us; see CompiledDynamics.search."""
+        if np.isfinite(cost):  # which is not so where the first guess is rolled out
+            K = w.K[:, :, w.first : w.first + w.ndx].copy()
+            self.seen.append(Step(w.xs.copy(), w.us.copy(), w.gradient.copy(), K, w.k.copy(), slope, 0.0))
+        return self._dynamics.search(w, memory, rule, feedback, cost, slope)
+
+
+def watched(problem: Problem, **options: Any) -> tuple[Plan, list[Step]]:
+    """Solve, and return with the plan the LQ problem of every step that was taken.
+
+    Args:
+        problem: With compiled dynamics and a cost whose R + B'PB is positive definite throughout.
+        options: Of solve().
+    """
+    if not isinstance(problem.dynamics, CompiledDynamics):
+        raise PlannerError("the problem's dynamics are not compiled, expected RigidBodyDynamics or HopperDynamics.")
+    dynamics = _Watched(problem.dynamics)
+    plan = solve(replace(problem, dynamics=dynamics, twin=None, requirements=None), **options)
+    lines = zip(plan.history, dynamics.seen, strict=False)  # the last line is the plan, where nothing is searched
+    return plan, [step._replace(regularisation=line.regularisation) for line, step in lines if line.step > 0.0]

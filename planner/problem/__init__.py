@@ -1,0 +1,1 @@
+"""The nouns: Problem, Plan, costs, limits, and how a machine is shown."""

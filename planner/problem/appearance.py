@@ -1,0 +1,152 @@
+"""Stage: how a machine is shown. Data only; the renderer knows no machine, a machine knows no renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from planner.problem.pictures import CasePicture
+    from planner.problem.plan import Plan
+    from planner.proof.replaying import Replay
+
+Point = tuple[float, float, float]
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Readout:
+    """A number written into every frame, e.g. the height.
+
+    Attributes:
+        label: What is written before the number.
+        index: Which entry of the plan's state x it is.
+        unit: The unit written behind it.
+    """
+
+    label: str
+    index: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class View:
+    """One of several cameras whose pictures stand side by side.
+
+    Attributes:
+        azimuth: Of the camera, degrees (MuJoCo's convention).
+        elevation: Of the camera, degrees (negative looks down).
+        distance: From the camera to its point; None takes the stage's.
+        look_at: The point it looks at; None takes the stage's.
+        label: Written into the picture, e.g. "front".
+    """
+
+    azimuth: float
+    elevation: float = -10.0
+    distance: float | None = None
+    look_at: Point | None = None
+    label: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Ghost:
+    """A given motion that is shown as the ghost in the plan's place: what the machine was asked to imitate.
+
+    Attributes:
+        states: (K, nx) states of the plan's kind at equal times over its duration, the first at its start and the last
+            at its end. Only positions are seen.
+        label: What the legend calls it.
+        colour: Red, green, blue, each 0..1.
+        opacity: 0..1; None leaves it to the picture: less for a ghost that stands in the machine.
+    """
+
+    states: np.ndarray
+    label: str
+    colour: Colour = (0.05, 0.62, 0.48)
+    opacity: float | None = None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a film of a plan shows beside the machine itself. Lengths are the model's.
+
+    Attributes:
+        title: Written in the corner of every frame.
+        readouts: Numbers written into every frame.
+        ghost_offset: Where the ghost stands, relative to the simulated machine.
+        ghost: A motion that is shown as the ghost; None shows the plan.
+        scenery: Names of bodies and tendons that move but are no part of the machine, a treadmill's belt for example:
+            the ghost is drawn without them, and no camera tries to see all of them. A body's name stands for all that
+            hangs on it.
+        goal_line: Two end points of a line that marks the goal, or None.
+        goal_label: Written beside that line.
+        look_at: The point the camera looks at.
+        follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
+        accompany: Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside
+            a machine that goes a long way; look_at is then relative to that place. None uses follow.
+        distance: From the camera to its point; None looks at the whole motion instead of look_at and follow.
+        azimuth: Of the camera, degrees (MuJoCo's convention).
+        elevation: Of the camera, degrees (negative looks down).
+        views: Cameras in place of the one: side by side in a film, one below the other in a strip. Of two films beside
+            each other, the second camera's pictures stand below the first's.
+        force_scale: Length of a contact force's arrow per unit of force; 0 draws none. There is one for each two shapes
+            that touch, friction included.
+        force_offset: From a contact's point to where its arrow begins, so that the machine does not hide it.
+        force_unit: Of the contact force, for plots.
+        speed: Playback speed; 0.25 is four times slow motion.
+        plots: Panels of the report.
+        pictures: Of a plan, and of the replay that was judged or None: what else the case shows, one of a kind.
+        trail: A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none.
+    """
+
+    title: str
+    readouts: tuple[Readout, ...] = ()
+    ghost_offset: Point = (0.0, 0.0, 0.0)
+    ghost: Ghost | None = None
+    scenery: tuple[str, ...] = ()
+    goal_line: tuple[Point, Point] | None = None
+    goal_label: str = "goal"
+    look_at: Point = (0.0, 0.0, 0.0)
+    follow: tuple[int, float] | None = None
+    accompany: tuple[int, int, int] | None = None
+    distance: float | None = None
+    azimuth: float = 90.0
+    elevation: float = -10.0
+    views: tuple[View, ...] = ()
+    force_scale: float = 0.0
+    force_offset: Point = (0.0, 0.0, 0.0)
+    force_unit: str = ""
+    speed: float = 1.0
+    plots: tuple[Panel, ...] = field(default=())
+    pictures: Callable[[Plan, Replay | None], Sequence[CasePicture]] | None = None
+    trail: str = ""
+
+    def seen_from(self, view: View) -> Stage:
+        """The stage with this camera alone."""
+        return replace(
+            self, azimuth=view.azimuth, elevation=view.elevation, views=(view,),
+            distance=self.distance if view.distance is None else view.distance,
+            look_at=self.look_at if view.look_at is None else view.look_at,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot of the report: some states or controls over time, plan against replay.
+
+    Attributes:
+        title: Of the panel.
+        ylabel: With the unit.
+        states: (index, label) of entries of x drawn in it.
+        controls: (index, label) of entries of u drawn in it.
+        difference: Also draw replay minus plan of the first state, on a second axis.
+    """
+
+    title: str
+    ylabel: str
+    states: tuple[tuple[int, str], ...] = ()
+    controls: tuple[tuple[int, str], ...] = ()
+    difference: bool = False

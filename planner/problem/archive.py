@@ -1,0 +1,197 @@
+"""The file of a plan: an .npz without pickle, arrays and one JSON string, read back with every check before use."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import FileError, ModelError
+from planner.base.files import printable, write_atomically
+from planner.base.jsonable import finite
+from planner.model.mjcf.bounds import check_stored
+from planner.model.space import StateSpace
+from planner.problem.digests import changed, digests
+
+FORMAT_VERSION = 4
+ARRAYS = ("t", "xs", "us", "K", "history")
+ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, as uint8
+HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
+PART = "problem:"  # and a name: an array of the problem, where it is no case
+
+_NUMBER = (int, float, type(None))
+_META = {
+    "case": (str, type(None)), "parameters": (dict,), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER,
+    "iterations": (int,), "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)),
+    "space": (dict,), "starts": (list,), "options": (dict,), "problem": (dict, type(None)), "digests": (dict,),
+    "limits": (dict, type(None)), "objective": (dict, type(None)),
+}  # fmt: skip
+_START = (int,), (str,), _NUMBER, (int,), _NUMBER
+
+# What reading a file that is no plan may raise. RuntimeError: an unknown compression, or JSON nested too deeply;
+# SyntaxError and TokenError: the header of an array, which NumPy reads as Python.
+_BROKEN = (
+    ValueError, KeyError, EOFError, TypeError, OverflowError, RuntimeError, MemoryError, SyntaxError,
+    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def plan_name(path: str | Path) -> Path:
+    """A name that a plan can be saved under.
+
+    Raises:
+        FileError: It does not end in .npz.
+    """
+    if not isinstance(path, (str, os.PathLike)) or Path(path).suffix != ".npz":
+        raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
+    return Path(path)
+
+
+def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
+    """Write arrays and meta, atomically; the same content gives the same bytes.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    meta = finite(meta)
+    meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
+    with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
+        contents: dict[str, Any] = dict(arrays)  # for the type checker: savez has flags of its own
+        np.savez(file, **contents, meta=np.array(json.dumps(meta, allow_nan=False)))
+
+
+def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and meta of a plan file, checked against each other.
+
+    Args:
+        path: The file.
+        columns: Of the history.
+
+    Raises:
+        FileError: No such file, not a plan, damaged, or written by a newer version.
+    """
+    if not os.path.isfile(path):  # but a folder, a pipe or a device, say
+        raise FileError(f"{printable(path)} is not a file, expected a plan.npz.")
+    named = printable(path)
+    foreign = FileError(f"{named} is not a plan: expected an .npz with {', '.join(ARRAYS)} and meta.")
+    try:
+        # Our own handle: np.load leaks its file when the archive is broken.
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
+            assets = [name for name in file.files if name.startswith(ASSET)]
+            parts = [name for name in file.files if name.startswith(PART)]
+            hinges = [name for name in file.files if name in HINGES]
+            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets, *parts, *hinges)}
+            meta = json.loads(str(file["meta"]))
+        version = meta["format_version"]
+    except OSError as error:
+        if error.errno is not None:
+            raise FileError(f"cannot read {named}: {error.strerror}.") from None
+        raise foreign from None
+    except _BROKEN as error:
+        raise foreign from error
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise foreign
+    if version > FORMAT_VERSION:
+        versions = meta.get("versions")
+        made = versions.get("planner") if isinstance(versions, dict) else None
+        made = printable(made) if isinstance(made, str) else "a newer version"
+        raise FileError(
+            f"{named} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
+        )
+    if version == 1:  # plain vectors, one start
+        meta |= {"space": {"ndx": arrays["xs"].shape[-1] if arrays["xs"].ndim else 0, "quaternions": []}, "starts": []}
+    if version < 3:  # no digests, and problems of cases alone
+        starts = meta.get("starts")
+        starts = [row + row[2:3] for row in starts if isinstance(row, list)] if isinstance(starts, list) else starts
+        meta |= {"options": {}, "problem": None, "digests": {}, "starts": starts}  # ranked by cost
+    if version < 4:
+        meta |= {"limits": None, "objective": None}
+    _check_meta(named, meta)
+    written = meta.pop("digests")
+    added = {"format_version"} if version >= 4 else {"format_version", "limits", "objective"}
+    content = {name: part for name, part in meta.items() if name not in added}
+    meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
+    meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
+    if meta["mjcf"] is not None:
+        texts = [meta["mjcf"], (meta["twin"] or {}).get("source", "")]
+        try:
+            for text in filter(None, map(str, texts)):
+                check_stored(text, {name.removeprefix(ASSET): arrays[name].tobytes() for name in assets})
+        except ModelError as error:
+            raise FileError(f"{named} is damaged: {error}") from None
+    return arrays, meta
+
+
+def _check_meta(named: str, meta: dict[str, Any]) -> None:
+    for name, kinds in _META.items():
+        value: Any = meta.get(name)
+        usable = name in meta and _is(value, kinds)
+        if usable and name == "versions":
+            usable = all(isinstance(version, str) for version in value.values())
+        if usable and name == "starts":
+            rows = (row if isinstance(row, list) else [] for row in value)
+            usable = all(len(row) == len(_START) and all(map(_is, row, _START)) for row in rows)
+        if not usable:
+            raise FileError(f"{named} is damaged: its meta has no usable {name!r}.")
+
+
+def _is(value: Any, kinds: tuple[type, ...]) -> bool:
+    """Whether a JSON value is of one of some kinds, and a number finite."""
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        return False
+    return not isinstance(value, (int, float)) or abs(value) <= sys.float_info.max
+
+
+def _space(named: str, nx: int, given: dict[str, Any]) -> StateSpace:
+    """The space of states of nx numbers: quaternions lie in order, none in another."""
+    ndx, pairs = given.get("ndx"), given.get("quaternions")
+    try:
+        pairs = tuple((int(i), int(j)) for i, j in pairs or ())
+        space = StateSpace(nx, nx - len(pairs), pairs)
+        end, end_of_deviation = 0, 0
+        for i, j in space.quaternions:
+            if not (end <= i and i - end == j - end_of_deviation):
+                raise ValueError(f"({i}, {j})")
+            end, end_of_deviation = i + 4, j + 3
+        if not isinstance(ndx, int) or ndx != space.ndx or end > nx:
+            raise ValueError(f"{ndx} numbers for {nx}")
+    except (TypeError, ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"{named} is damaged: its meta has no usable 'space' ({reason}).") from None
+    return space
+
+
+def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space: dict[str, Any]) -> StateSpace:
+    if arrays["us"].ndim != 2 or arrays["xs"].ndim != 2 or len(arrays["us"]) == 0:
+        raise FileError(f"{named} is damaged: xs and us are not tables, expected (N+1, nx) and (N, nu).")
+    (N, nu), nx = arrays["us"].shape, arrays["xs"].shape[1]
+    states = _space(named, nx, space)
+    rows = arrays["history"].shape[0] if arrays["history"].ndim else 0
+    shapes = {"t": (N + 1,), "xs": (N + 1, nx), "us": (N, nu), "K": (N, nu, states.ndx), "history": (rows, columns)}
+    for name, shape in shapes.items():
+        have = arrays[name]
+        if have.shape != shape or have.dtype != np.float64:
+            raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected float64 {shape}.")
+    hinges = [arrays[name] for name in HINGES if name in arrays]
+    if hinges and (len(hinges) < len(HINGES) or any(h.dtype != np.float64 or h.ndim != 2 for h in hinges)):
+        raise FileError(f"{named} is damaged: it has no usable {', '.join(HINGES)}.")
+    if hinges and any(h.shape != (N + 1, hinges[0].shape[1]) for h in hinges):
+        raise FileError(f"{named} is damaged: {', '.join(HINGES)} are not of one shape ({N + 1}, ...).")
+    for name, have in arrays.items():
+        if name.startswith(PART) and have.dtype != np.float64:
+            raise FileError(f"{named} is damaged: {name} is {have.dtype}, expected float64.")
+        if name.startswith(ASSET) and (have.ndim != 1 or have.dtype != np.uint8):
+            raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected uint8 (bytes,).")
+    t = arrays["t"]
+    if not (np.isfinite(t).all() and t[0] == 0.0 and np.all(np.diff(t) > 0.0)):
+        raise FileError(f"{named} is damaged: t does not rise from 0.")
+    if not np.isfinite(arrays["history"][:, 0]).all():
+        raise FileError(f"{named} is damaged: its history does not count its iterations.")
+    return states

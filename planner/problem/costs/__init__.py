@@ -1,0 +1,1 @@
+"""Costs, one file a family."""

@@ -1,0 +1,157 @@
+"""FrameCost: where a frame of a machine (its hand, its foot, its trunk) should be, and how it should be turned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array, numbers, shown
+from planner.base.errors import PlannerError
+from planner.dynamics.algorithms import frame_pose, jacobian
+from planner.model.mechanism import Frame
+from planner.model.space import conjugate, log_jacobian, log_quaternion, product
+from planner.problem.costs.tracking import Quadratic, Term, mechanism_of
+
+
+class FrameCost(Term):
+    """1/2 |p(q) - position|^2 + 1/2 |log(R_ref' R(q))|^2, weighted, summed over the stages: Gauss-Newton.
+
+    It says nothing of the control, so it is one term of a cost: TrackingCost(...) + FrameCost(...). Each weight is a
+    number, one per axis (3,), or one per stage and axis (N+1, 3): of the world for positions, per m^2, and of the
+    frame as it should be for rotations, per rad^2. Weights on the way are multiplied by dt, final ones are not.
+
+    Args:
+        machine: RigidBodyDynamics or a Mechanism.
+        frame: Name of a site or body, or a Frame.
+        position: (3,) or (N+1, 3) m, in the world.
+        orientation: (4,) or (N+1, 4) quaternion, w first; normalised.
+        position_weight: On the way.
+        final_position_weight: At the end; by default that of the way.
+        orientation_weight: On the way.
+        final_orientation_weight: At the end; by default that of the way.
+        dt: s; that of the dynamics by default.
+
+    Raises:
+        PlannerError: No such frame, a wrong shape, a negative weight, a target without weight or the other way round.
+    """
+
+    def __init__(
+        self, machine: Any, frame: str | Frame, *, position: Any = None, orientation: Any = None,
+        position_weight: Any = 0.0, final_position_weight: Any = None, orientation_weight: Any = 0.0,
+        final_orientation_weight: Any = None, dt: float | None = None,
+    ) -> None:  # fmt: skip
+        self.mechanism, dt = mechanism_of(machine, dt)
+        if not isinstance(frame, (str, Frame)):
+            raise PlannerError(f"frame is {shown(frame)}, expected a Frame or the name of a site or body.")
+        self.frame = self.mechanism.frame(frame) if isinstance(frame, str) else frame
+        self.space = self.mechanism.space
+        self.nx, self.ndx = self.space.nx, self.space.ndx
+        self.N: int | None = None  # any horizon, unless something is given per stage
+        # (1 or N+1, 3 or 4) each; weights of what has no target are zero
+        self._position = self._target("position", position, 3)
+        self._orientation = self._target("orientation", orientation, 4)
+        length = np.linalg.norm(self._orientation, axis=1, keepdims=True)
+        if length.min() < 1e-12:
+            raise PlannerError("orientation has length zero, expected a quaternion, e.g. 1, 0, 0, 0.")
+        self._orientation /= length
+        if position is None and orientation is None:
+            raise PlannerError("position and orientation are None, expected a target for the frame.")
+        weights = [
+            self._weights("position", position, position_weight, final_position_weight, dt),
+            self._weights("orientation", orientation, orientation_weight, final_orientation_weight, dt),
+        ]
+        self._running, self._final = (np.concatenate(_alike(parts), axis=1) for parts in zip(*weights, strict=True))
+
+    def _per_stage(self, name: str, given: np.ndarray) -> None:
+        if given.ndim == 2:
+            if self.N is not None and len(given) != self.N + 1:
+                raise PlannerError(f"{name} has {len(given)} rows, expected N+1 = {self.N + 1} as the others.")
+            self.N = len(given) - 1
+
+    def _target(self, name: str, value: Any, size: int) -> np.ndarray:
+        if value is None:
+            return np.eye(1, size)
+        given = numbers(name, value)
+        given = array(name, given, ("N+1", size) if given.ndim == 2 else (size,))
+        self._per_stage(name, given)
+        return np.atleast_2d(given)
+
+    def _weights(self, name: str, target: Any, way: Any, final: Any, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """(1 or N+1, 3) on the way and (1, 3) at the end."""
+        name = f"{name}_weight"
+        given = [numbers(name, way), numbers(f"final_{name}", 0.0 if final is None else final)]
+        for label, value in zip((name, f"final_{name}"), given, strict=True):
+            if value.ndim == 2 and label == name:
+                array(label, value, ("N+1", 3))
+                self._per_stage(label, value)
+            elif value.ndim:
+                array(label, value, (3,))
+            if not (np.isfinite(value).all() and value.min() >= 0.0):
+                raise PlannerError(f"{label} is {value.tolist()}, expected finite weights of at least 0.")
+        running, end = (np.atleast_2d(np.broadcast_to(v, v.shape if v.ndim else (3,))) for v in given)
+        end = dt * running[-1:] if final is None else end
+        weighs = bool(running.any() or end.any())
+        if weighs != (target is not None):
+            what = name.removesuffix("_weight")
+            missing = f"{what} has no weight, expected {name} or final_{name} above 0"
+            raise PlannerError(f"{missing}." if not weighs else f"{name} has no target, expected {what}=.")
+        return dt * running, end
+
+    def _residuals(self, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The stages with any weight, there the residuals r (n, 6) and weights (n, 6), and q (n, nq)."""
+        weights = np.array(np.broadcast_to(self._running, (len(xs), 6)))
+        weights[-1] = self._final[0]
+        stages = np.flatnonzero(weights.any(axis=1))
+        q = xs[stages, : self.mechanism.nq]
+        T = frame_pose(self.mechanism, q, self.frame)
+        target, turned = self._position, self._orientation
+        r = np.empty((len(stages), 6))
+        r[:, :3] = T[:, :3, 3] - (target if len(target) == 1 else target[stages])
+        r[:, 3:] = log_quaternion(
+            product(conjugate(turned if len(turned) == 1 else turned[stages]), quaternion_of(T[:, :3, :3]))
+        )
+        return stages, r, weights[stages], q
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        if not np.isfinite(xs).all():  # a candidate that ran away: there is no pose
+            return float("inf")
+        _, r, weights, _ = self._residuals(xs)
+        return 0.5 * float(np.sum(weights * r**2))
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Gradient J'W r and Hessian J'W J, J the derivative of the residuals; nothing of the control."""
+        (N, nu), nv = us.shape, self.mechanism.nv
+        model = Quadratic(
+            np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))
+        )
+        stages, r, weights, q = self._residuals(xs)
+        J = jacobian(self.mechanism, q, self.frame)
+        R = frame_pose(self.mechanism, q, self.frame)[:, :3, :3]
+        J[:, 3:] = log_jacobian(r[:, 3:]) @ np.swapaxes(R, 1, 2) @ J[:, 3:]  # log(R_ref' R exp(e)), e in R's own axes
+        WJ = weights[:, :, None] * J
+        model.Q[stages, :nv, :nv] = np.swapaxes(J, 1, 2) @ WJ
+        model.q[stages, :nv] = np.einsum("nri,nr->ni", WJ, r)
+        return model
+
+
+def _alike(parts: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+    """With as many rows as the longest has."""
+    rows = max(len(part) for part in parts)
+    return [np.broadcast_to(part, (rows, part.shape[1])) for part in parts]
+
+
+def quaternion_of(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion (..., 4), w first, of a rotation matrix (..., 3, 3)."""
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    # 4 q q', of which the row with the largest diagonal is far from zero
+    outer = np.empty((*R.shape[:-2], 4, 4))
+    outer[..., range(4), range(4)] = 1.0 + diagonal @ signs.T
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        outer[..., 0, i + 1] = outer[..., i + 1, 0] = R[..., k, j] - R[..., j, k]
+        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = R[..., i, j] + R[..., j, i]
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    return rows / np.linalg.norm(rows, axis=-1, keepdims=True)

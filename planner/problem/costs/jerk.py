@@ -1,0 +1,291 @@
+"""Jerk as a criterion: how fast the accelerations of the joints change, from stage to stage.
+
+    J = weight/2 sum dt |r_n|^2,     r_n = (a_n - a_{n-1}) / dt,     a_n = qdd(x_n, u_n)
+
+A machine that is at rest at its start was held there, so a_{-1} = 0; one that comes to rest at its goal is held there,
+so one more term has a_N = 0. Where it moves, that first or last term is left out.
+
+r_n belongs to two stages. So SLQ solves the same problem with an added state, which remembers the last acceleration:
+
+    y_n = (x_n, a_{n-1}),     y_{n+1} = (f(x_n, u_n), qdd(x_n, u_n)).
+
+`with_acceleration` makes that problem. `JerkCost` is the same cost on the machine's own states, for the plan that comes
+of it. Its gradient is exact. A Quadratic has no place for a Hessian that couples two stages: in its place stands the
+problem's own effort, so the gains of such a plan are those of a plan of least effort, along the motion of least jerk.
+
+Of joints whose acceleration is an input, that acceleration itself can be the added state, and its rate the control:
+
+    y = (x, a),     da/dt = u,     a continuous, linear over a stage.
+
+`driven_by_jerk` makes that machine. It is a mechanism like any other, with activations, in kernels and in MuJoCo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.arguments import array, number, shown
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import heavy_joints, twin_of
+from planner.model.space import StateSpace
+from planner.problem.costs.tracking import Cost, Quadratic, SumCost, Term, TrackingCost
+from planner.problem.problem import Problem
+
+
+class Accelerations:
+    """qdd(x, u) of a machine and its exact derivatives.
+
+    Raises:
+        PlannerError: It is no RigidBodyDynamics.
+    """
+
+    def __init__(self, dynamics: Any) -> None:
+        if not isinstance(dynamics, RigidBodyDynamics):
+            raise PlannerError(f"the machine is {shown(dynamics)}, expected RigidBodyDynamics: jerk is that of joints.")
+        self.dynamics, self.nv = dynamics, dynamics.mechanism.nv
+        # After one explicit Euler step of 1 s a velocity is v + qdd: its Jacobian less the identity is that of qdd.
+        self._euler = RigidBodyDynamics(dynamics.mechanism, 1.0, "euler", dynamics.prescribed)
+
+    def __call__(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K, nv) at xs (K, nx) with us (K, nu)."""
+        return self.dynamics.rates(xs, us)[:, self.nv : 2 * self.nv]
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
+        rows = slice(self.nv, 2 * self.nv)
+        A, B = self._euler.linearize(np.concatenate([xs, xs[:1]]), us)
+        by_x = A[:, rows].copy()
+        by_x[:, :, rows] -= np.eye(self.nv)
+        return by_x, B[:, rows]
+
+
+class JerkDynamics:
+    """A machine with the state (x, a): its own, then the accelerations (nv,) of the stage before.
+
+    Args:
+        dynamics: RigidBodyDynamics, with prescribed joints or without.
+
+    Raises:
+        PlannerError: Any other dynamics.
+    """
+
+    def __init__(self, dynamics: RigidBodyDynamics) -> None:
+        self.accelerations = Accelerations(dynamics)
+        self.own, self.mechanism, self.prescribed = dynamics, dynamics.mechanism, dynamics.prescribed
+        self.space = extended(dynamics.space, self.mechanism.nv)
+        self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
+        self.batched = True
+
+    def step(self, ys: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
+        """The ends (K, nx) of K stages from ys (K, nx) with us (K, nu); see Dynamics.step."""
+        xs = np.ascontiguousarray(ys[:, : self.own.nx])
+        return np.concatenate([self.own.step(xs, us, dt), self.accelerations(xs, us)], axis=1)
+
+    def linearize(self, ys: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, ndx, ndx) and B (N, ndx, nu) along ys (N+1, nx), us (N, nu), exact."""
+        xs, ndx = np.ascontiguousarray(ys[:, : self.own.nx]), self.own.ndx
+        A, B = np.zeros((len(us), self.ndx, self.ndx)), np.zeros((len(us), self.ndx, self.nu))
+        A[:, :ndx, :ndx], B[:, :ndx] = self.own.linearize(xs, us)
+        A[:, ndx:, :ndx], B[:, ndx:] = self.accelerations.derivatives(xs[: len(us)], us)
+        return A, B
+
+
+class JerkCost(Term):
+    """Jerk on a machine's own states; see the module for what its Hessian leaves out.
+
+    Args:
+        dynamics: RigidBodyDynamics.
+        horizon: N, number of stages.
+        weight: On the squared jerk / 2, per second; rad/s^3, m/s^3.
+        R: (N, nu, nu) control weights that stand for its Hessian where gains are made; none by default.
+        from_rest: Whether the machine was held before the start.
+        to_rest: Whether it is held after the end.
+
+    Raises:
+        PlannerError: Other dynamics, a negative weight, or joints that are driven by their jerk.
+    """
+
+    def __init__(
+        self, dynamics: Any, horizon: int, weight: float = 1.0, R: np.ndarray | None = None, *,
+        from_rest: bool = True, to_rest: bool = True,
+    ) -> None:  # fmt: skip
+        self.accelerations = Accelerations(dynamics)
+        if driven := heavy_joints(dynamics.mechanism):
+            raise PlannerError(
+                f"the jerk of {', '.join(driven)} is the control already, expected it to be weighed as such, not as an "
+                "objective."
+            )
+        self.weight, self.dt, self.N = number("the jerk's weight", weight, least=0.0), dynamics.dt, horizon
+        self.space, self.nu = dynamics.space, dynamics.nu
+        self.nx, self.ndx = dynamics.nx, dynamics.ndx
+        self.R = np.zeros((horizon, self.nu, self.nu)) if R is None else R
+        self.counts = np.ones(horizon + 1)  # which changes of acceleration count
+        self.counts[0], self.counts[-1] = from_rest, to_rest
+
+    def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(N+1, nv) r_n; zero where none counts."""
+        a = self.accelerations(xs[: len(us)], us)
+        still = np.zeros((1, a.shape[1]))
+        return self.counts[:, None] * np.diff(np.concatenate([still, a, still]), axis=0) / self.dt
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return 0.5 * self.weight * self.dt * float(np.sum(self.jerks(xs, us) ** 2))
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Exact gradients, and R for a Hessian."""
+        N, ndx = len(us), self.ndx
+        slope = -self.weight * np.diff(self.jerks(xs, us), axis=0)  # of J with respect to a_n
+        by_x, by_u = self.accelerations.derivatives(xs[:N], us)
+        q = np.zeros((N + 1, ndx))
+        q[:N] = np.einsum("nax,na->nx", by_x, slope)
+        r = np.einsum("nau,na->nu", by_u, slope)
+        return Quadratic(np.zeros((N + 1, ndx, ndx)), q, self.R, r)
+
+
+class RememberedJerkCost(Term):
+    """A JerkCost on states that remember the last acceleration: one stage each, Gauss-Newton.
+
+    Args:
+        cost: On the machine's own states.
+        space: Of the extended ones.
+    """
+
+    def __init__(self, cost: JerkCost, space: StateSpace) -> None:
+        self.cost, self.space, self.N = cost, space, cost.N
+        self.nx, self.ndx, self.nu = space.nx, space.ndx, cost.nu
+
+    def _jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(N+1, nv) r_n, weighted by what counts."""
+        own = self.cost
+        a = own.accelerations(np.ascontiguousarray(xs[: len(us), : own.nx]), us)
+        a = np.concatenate([a, np.zeros((1, a.shape[1]))])
+        return own.counts[:, None] * (a - xs[:, own.nx :]) / own.dt
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return 0.5 * self.cost.weight * self.cost.dt * float(np.sum(self._jerks(xs, us) ** 2))
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Exact gradients, and the Hessian of the linearised jerks."""
+        own, (N, nu), nv = self.cost, us.shape, self.cost.accelerations.nv
+        jerks, weight = self._jerks(xs, us), own.weight * own.dt
+        J, Ju = np.zeros((N + 1, nv, self.ndx)), np.zeros((N, nv, nu))
+        by_x, by_u = own.accelerations.derivatives(np.ascontiguousarray(xs[:N, : own.nx]), us)
+        J[:N, :, : own.ndx], J[:, :, own.ndx :] = by_x, -np.eye(nv)
+        J *= own.counts[:, None, None] / own.dt
+        Ju[:] = own.counts[:N, None, None] / own.dt * by_u
+        Jt, Jut = np.swapaxes(J, 1, 2), np.swapaxes(Ju, 1, 2)
+        q, r = np.einsum("naj,na->nj", J, jerks), np.einsum("naj,na->nj", Ju, jerks[:N])
+        return Quadratic(weight * (Jt @ J), weight * q, weight * (Jut @ Ju), weight * r, weight * (Jut @ J[:N]))
+
+
+class PartCost(Term):
+    """A cost of the first numbers of an extended state.
+
+    Args:
+        cost: Any, of the machine's own states.
+        nx: Numbers of these.
+        ndx: Numbers of their deviations.
+        space: Of the extended states.
+    """
+
+    def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:
+        self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
+        self.nx, self.ndx = space.nx, space.ndx
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return self.cost.value(xs[:, : self._nx], us)
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """The cost's own model, zero for what was added."""
+        model, more = self.cost.quadratize(xs[:, : self._nx], us), self.ndx - self._ndx
+        return Quadratic(
+            np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
+            None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),
+        )  # fmt: skip
+
+
+def extended(space: StateSpace, more: int) -> StateSpace:
+    """A space with `more` plain numbers at its end."""
+    return StateSpace(space.nx + more, space.ndx + more, space.quaternions)
+
+
+def remembering(cost: Cost, dynamics: JerkDynamics) -> Cost:
+    """A cost of a machine's own states as one of the extended ones.
+
+    A TrackingCost stays one, which weighs nothing of what was added: limits look for its goal.
+    """
+    own, space, nv = dynamics.own, dynamics.space, dynamics.mechanism.nv
+    if isinstance(cost, SumCost):
+        return SumCost(*(remembering(term, dynamics) for term in cost.costs))
+    if isinstance(cost, JerkCost):
+        return RememberedJerkCost(cost, space)
+    if type(cost) is TrackingCost:
+        Q = np.pad(cost.Q, ((0, 0), (0, nv), (0, nv)))
+        return TrackingCost(Q, cost.R, np.pad(cost.x_ref, ((0, 0), (0, nv))), cost.u_ref, space)
+    return PartCost(cost, own.nx, own.ndx, space)
+
+
+def with_acceleration(problem: Problem, **changes: Any) -> Problem:
+    """The same problem with the last acceleration as an added state, 0 at the start.
+
+    Args:
+        problem: Of RigidBodyDynamics.
+        changes: Of its other attributes.
+
+    Raises:
+        PlannerError: Other dynamics.
+    """
+    if not isinstance(problem.dynamics, RigidBodyDynamics):
+        raise PlannerError(f"the dynamics are {shown(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
+    dynamics = JerkDynamics(problem.dynamics)
+    x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(dynamics.mechanism.nv)])
+    return replace(
+        problem, dynamics=dynamics, cost=remembering(problem.cost, dynamics), x0=x0, twin=None, requirements=None,
+        case=None, parameters={}, **changes,
+    )  # fmt: skip
+
+
+def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
+    """A machine whose actuators change the accelerations of some of its joints: (joints' jerk) as a control.
+
+    It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see model.mjcf.driven),
+    with motors that integrate. What the rest of the machine does to such a joint is felt as that force over HEAVY.
+
+    Args:
+        mechanism: Read from an MJCF.
+        joints: Names, of those that are driven.
+
+    Returns:
+        The machine with one more activation for each degree of freedom of the joints, its acceleration, in the order
+        of qvel, and after its own actuators one control for each, m/s^3 or rad/s^3.
+
+    Raises:
+        PlannerError: No joint, or one that the machine does not have.
+        ModelError: As planner.model.mjcf.driven.twin_of.
+    """
+    if not isinstance(mechanism, Mechanism) or not mechanism.mjcf:
+        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism that was read from an MJCF.")
+    if isinstance(joints, str) or not isinstance(joints, Collection) or not joints:
+        raise PlannerError(f"joints is {shown(joints)}, expected names of at least one joint.")
+    from planner.model.mjcf.read import read  # the one module that needs MuJoCo's compiler
+
+    twin = twin_of(mechanism, joints)
+    root = ElementTree.fromstring(twin.mjcf)
+    motors = root.findall("actuator")[-1]  # the section that twin_of added
+    for motor in motors:
+        motor.tag = "general"
+        motor.attrib.update(dyntype="integrator", gainprm="1", biastype="none", actlimited="false")
+    for key in root.iterfind("keyframe/key"):
+        if "act" in key.attrib:
+            key.set("act", " ".join([key.attrib["act"], *["0"] * len(motors)]))
+    return read(ElementTree.tostring(root, encoding="unicode"), assets=twin.assets).with_curves(twin.curves)

@@ -1,0 +1,235 @@
+"""What a PenaltyCost weighs: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
+
+A term measures a value of the state and compares it, stage by stage, with what is wanted:
+
+    least     r = ramp(least - value; a) / tolerance        nothing above, a pull upwards below
+    most      r = ramp(value - most; a) / tolerance
+    target    r = (value - target) / tolerance
+
+    ramp(e; a) = 0, e^2 / 2a, e - a/2          for e < 0, 0..a, > a
+
+A tolerance is how much error weighs as much as one of another term; the ramp, by default of that length, makes the
+cost twice differentiable but for a jump, so that Gauss and Newton see a wall before it is steep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array, number, numbers, shown
+from planner.base.errors import PlannerError
+from planner.model.mechanism import Frame
+
+WANTED = ("least", "most", "target")
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point: share times the place of `offset` in `frame`, plus `world`.
+
+    Attributes:
+        frame: Name of a site or body, a Frame, or None for the world.
+        offset: (3,) m, in the frame.
+        share: How much of the frame's motion it has.
+        world: (3,) or (N+1, 3) m.
+    """
+
+    frame: str | Frame | None = None
+    offset: Any = (0.0, 0.0, 0.0)
+    share: float = 1.0
+    world: Any = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (self.frame is None or isinstance(self.frame, (str, Frame))):
+            raise PlannerError(f"frame is {shown(self.frame)}, expected a Frame, the name of a site or body, or None.")
+        world = numbers("world", self.world)
+        world = array("world", world, ("N+1", 3) if world.ndim == 2 else (3,))
+        _set(self, offset=array("offset", self.offset, (3,)), share=number("share", self.share), world=world)
+        for value in (self.offset, world):
+            value.flags.writeable = False
+
+    def __str__(self) -> str:
+        return self.frame if isinstance(self.frame, str) else "a point" if self.frame is None else "a frame"
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A straight line between two points, or a capsule about it.
+
+    Attributes:
+        start: One end.
+        end: The other.
+        radius: m; 0 for the line itself.
+    """
+
+    start: Point
+    end: Point
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("start", "end"):
+            _point(name, getattr(self, name))
+        _set(self, radius=number("radius", self.radius, least=0.0))
+
+    def __str__(self) -> str:
+        return f"{self.start} - {self.end}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Penalty:
+    """What is wanted of a value, and how much. Just one of least, most and target.
+
+    Attributes:
+        least: A number, or (N+1,) with NaN at stages where the term is off.
+        most: The same.
+        target: The same.
+        tolerance: Error that counts as one, m; of a velocity m/s.
+        ramp: a, as the tolerance, which it is by default.
+        weight: 1/s, a number or (N+1,), of r^2 / 2.
+        final_weight: Of r^2 / 2 at the end; by default dt times the last of `weight`.
+    """
+
+    least: Any = None
+    most: Any = None
+    target: Any = None
+    tolerance: float
+    ramp: float | None = None
+    weight: Any = 1.0
+    final_weight: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in WANTED if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise PlannerError(f"{' and '.join(given) or 'none'} of {', '.join(WANTED)} given, expected just one.")
+        tolerance = number("tolerance", self.tolerance, above=0.0)
+        ramp = tolerance if self.ramp is None else number("ramp", self.ramp, above=0.0)
+        bound = _per_stage(given[0], getattr(self, given[0]))
+        if np.isinf(bound).any():
+            raise PlannerError(f"{given[0]} is infinite at a stage, expected finite numbers, or NaN where it is off.")
+        weight = _per_stage("weight", self.weight)
+        if not (np.isfinite(weight).all() and weight.min(initial=0.0) >= 0.0):
+            raise PlannerError(f"weight is {shown(self.weight)}, expected finite weights of at least 0.")
+        if self.final_weight is not None:
+            _set(self, final_weight=number("final_weight", self.final_weight, least=0.0))
+        _set(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
+
+    @property
+    def wanted(self) -> str:
+        """Which of least, most and target it has."""
+        return next(name for name in WANTED if getattr(self, name) is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Height(Penalty):
+    """How far a point is along a direction of the world.
+
+    Attributes:
+        point: Which.
+        normal: (3,) the direction, of any length above 0; upwards by default.
+    """
+
+    point: Point
+    normal: Any = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _set(self, point=_point("point", self.point), normal=_direction("normal", self.normal))
+
+    def __str__(self) -> str:
+        return f"height of {self.point}"
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity(Penalty):
+    """How fast a point moves along a direction of the world, as the frames of both points move.
+
+    Attributes:
+        point: Which; what it has of `world` counts as at rest.
+        direction: (3,) of any length above 0.
+        relative: A Point relative to which it moves, of a belt for example; by default the world's.
+    """
+
+    point: Point
+    direction: Any
+    relative: Point = field(default_factory=Point)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _set(self, point=_point("point", self.point), relative=_point("relative", self.relative))
+        _set(self, direction=_direction("direction", self.direction))
+
+    def __str__(self) -> str:
+        return f"velocity of {self.point}"
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(Penalty):
+    """How far apart two points, lines or capsules are; negative where capsules overlap by less than their radii.
+
+    Lines that cross are 0 apart, and further in there is no way out: a distance has no inside. Where two lines are
+    parallel the gradient jumps as the nearest points do.
+
+    Attributes:
+        a: A Point or Segment.
+        b: The other.
+    """
+
+    a: Point | Segment
+    b: Point | Segment
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("a", "b"):
+            if not isinstance(getattr(self, name), (Point, Segment)):
+                raise PlannerError(f"{name} is {shown(getattr(self, name))}, expected a Point or a Segment.")
+
+    def __str__(self) -> str:
+        return f"distance of {self.a} and {self.b}"
+
+
+@dataclass(frozen=True, eq=False)
+class Gap(Penalty):
+    """The gap between the sphere and the plane of a contact that the mechanism has, negative where it is closed.
+
+    Attributes:
+        contact: Its name in mechanism.contacts; of "geom 'toe'" also toe.
+    """
+
+    contact: str
+
+    def __str__(self) -> str:
+        return f"gap of {self.contact}"
+
+
+def _point(name: str, value: Any) -> Point:
+    if not isinstance(value, Point):
+        raise PlannerError(f"{name} is {shown(value)}, expected a Point.")
+    return value
+
+
+def _direction(name: str, value: Any) -> np.ndarray:
+    """(3,) of length one, read-only."""
+    direction = array(name, value, (3,))
+    length = float(np.linalg.norm(direction))
+    if not length > 0.0:
+        raise PlannerError(f"{name} is (0, 0, 0), expected a direction.")
+    direction /= length
+    direction.flags.writeable = False
+    return direction
+
+
+def _per_stage(name: str, value: Any) -> np.ndarray:
+    """() or (N+1,), read-only; what is not finite is not yet refused."""
+    given = numbers(name, value)
+    if given.ndim:
+        given = array(name, given, ("N+1",), any_value=True)
+    given.flags.writeable = False
+    return given
+
+
+def _set(data: Any, **values: Any) -> None:
+    for name, value in values.items():
+        object.__setattr__(data, name, value)

@@ -1,0 +1,305 @@
+"""Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), and their quadratic models.
+
+A factor 1/2 stands on every quadratic term, also on the control's: Eq. 11 as printed has none there, but Eq. 16
+and 18 imply it. Gradients and Hessians of states are with respect to a deviation dx (ndx numbers, see space.py),
+which is the state's own difference where states are plain vectors.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, shown
+from planner.base.errors import PlannerError
+from planner.model.mechanism import Mechanism
+from planner.model.space import StateSpace, euclidean
+from planner.problem.costs.weights import diagonal, matrices, places
+
+
+class Quadratic(NamedTuple):
+    """Hessians and gradients of the stage costs; the last of Q and q belong to the end."""
+
+    Q: np.ndarray  # (N+1, ndx, ndx)
+    q: np.ndarray  # (N+1, ndx)
+    R: np.ndarray  # (N, nu, nu)
+    r: np.ndarray  # (N, nu)
+    S: np.ndarray | None = None  # (N, nu, ndx) of the mixed term du'S dx; None for none
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number is."""
+        return all(np.isfinite(part).all() for part in self if part is not None)
+
+
+class Cost(Protocol):
+    """What a user's own cost must offer."""
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        ...
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Gradients and positive semidefinite Hessians (R positive definite) along a trajectory."""
+        ...
+
+
+def check_cost(name: str, value: Any) -> None:
+    """That a value has the two methods of a cost; a PlannerError where it has not."""
+    if not (callable(getattr(value, "value", None)) and callable(getattr(value, "quadratize", None))):
+        raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
+
+
+class Term:
+    """A cost that can be added to any other: a + b is SumCost(a, b)."""
+
+    def __add__(self, other: Cost) -> SumCost:
+        return SumCost(self, other)
+
+    def __radd__(self, other: Cost) -> SumCost:
+        return SumCost(other, self)
+
+
+class SumCost(Term):
+    """The sum of any costs. Only the sum needs a positive definite R.
+
+    Args:
+        costs: TrackingCost, FrameCost or a user's own.
+
+    Raises:
+        PlannerError: Something that is no cost, or costs made for different sizes or states.
+    """
+
+    def __init__(self, *costs: Any) -> None:
+        self.costs: tuple[Cost, ...] = ()
+        for cost in costs:
+            check_cost("a term of a cost", cost)
+            self.costs += cost.costs if isinstance(cost, SumCost) else (cost,)
+        if not self.costs:
+            raise PlannerError("the sum has no costs, expected at least one.")
+        self.N, self.nx, self.ndx, self.nu, self.space = (
+            self._common(name) for name in ("N", "nx", "ndx", "nu", "space")
+        )
+
+    def _common(self, name: str) -> Any:
+        """What all costs that say so are made for; None when none does."""
+        said = [value for cost in self.costs if (value := getattr(cost, name, None)) is not None]
+        for value in said:
+            if value != said[0]:
+                raise PlannerError(f"the costs of a sum are made for {name} = {said[0]} and {value}: expected one.")
+        return said[0] if said else None
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return float(sum(cost.value(xs, us) for cost in self.costs))
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """The sums of the costs' models."""
+        models = [cost.quadratize(xs, us) for cost in self.costs]
+        for i, model in enumerate(models[1:], 1):  # a wrong shape could broadcast into a wrong gradient
+            for name, first, part in zip(Quadratic._fields[:4], models[0][:4], model[:4], strict=True):
+                if np.shape(part) != np.shape(first):
+                    raise PlannerError(
+                        f"cost {i} of a sum gives {name} of shape {np.shape(part)}, cost 0 of {np.shape(first)}: "
+                        f"expected the same."
+                    )
+        Q, q, R, r = (np.sum(parts, axis=0) for parts in zip(*(model[:4] for model in models), strict=True))
+        mixed = [model.S for model in models if model.S is not None]
+        return Quadratic(Q, q, R, r, np.sum(mixed, axis=0) if mixed else None)
+
+
+class TrackingCost(Term):
+    """The paper's quadratic cost (Eq. 11, 12): 1/2 |x - x_ref|^2_Q + 1/2 |u - u_ref|^2_R, summed over the stages.
+
+    Weights are per stage: what approximates an integral must hold the factor dt. With quaternions the difference is
+    that of the space, x (-) x_ref, and the Hessian is that of Gauss and Newton.
+
+    Args:
+        Q: (N+1, ndx, ndx) state weights, symmetric positive semidefinite; the last is the final one.
+        R: (N, nu, nu) control weights, symmetric positive definite.
+        x_ref: (N+1, nx), (nx,) or a number. Quaternions are normalised.
+        u_ref: (N, nu), (nu,) or a number.
+        space: Of the states; plain vectors by default.
+
+    Raises:
+        PlannerError: A wrong shape, or a weight that is not symmetric or not (semi)definite.
+    """
+
+    def __init__(self, Q: Any, R: Any, x_ref: Any = 0.0, u_ref: Any = 0.0, space: StateSpace | None = None) -> None:
+        self.Q, self.R = array("Q", Q, ("N+1", "ndx", "ndx")), array("R", R, ("N", "nu", "nu"))
+        self.N, self.nu = count("N, the number of stages in R", len(self.R)), self.R.shape[1]
+        self.space = euclidean(self.Q.shape[1]) if space is None else _space(space)
+        self.nx, self.ndx = self.space.nx, self.space.ndx
+        array("Q", self.Q, (self.N + 1, self.ndx, self.ndx))
+        array("R", self.R, (self.N, self.nu, self.nu))
+        self.x_ref = states("x_ref", _references("x_ref", x_ref, self.N + 1, self.nx), self.space)
+        self.u_ref = _references("u_ref", u_ref, self.N, self.nu)
+        for name, weight in (("Q", self.Q), ("R", self.R)):
+            if not np.allclose(weight, np.swapaxes(weight, 1, 2), rtol=1e-12, atol=0.0):
+                raise PlannerError(f"{name} is not symmetric, expected symmetric weights.")
+        smallest = np.linalg.eigvalsh(self.R).min()
+        if smallest <= 0.0:
+            raise PlannerError(f"R has the eigenvalue {smallest:.3g}, expected positive definite control weights.")
+        largest = np.abs(self.Q).max()
+        if np.linalg.eigvalsh(self.Q).min() < -1e-10 * largest:
+            raise PlannerError("Q has a negative eigenvalue, expected positive semidefinite state weights.")
+        for fixed in (self.Q, self.R, self.x_ref, self.u_ref):  # solves keep copies of their own
+            fixed.flags.writeable = False
+
+    @classmethod
+    def reach(
+        cls, goal: Any, horizon: int, *, final: Any, effort: Any, running: Any = 0.0, dt: float = 1.0,
+        nu: int | None = None, space: StateSpace | None = None,
+    ) -> TrackingCost:  # fmt: skip
+        """Reach a goal state at the end with little effort.
+
+        Args:
+            goal: (nx,) the state to reach.
+            horizon: N, number of stages.
+            final: Weight at the end: a number, a diagonal (ndx,) or a matrix (ndx, ndx).
+            effort: Weight of the control: a number, a diagonal (nu,) or a matrix (nu, nu).
+            running: Weight of the distance to the goal on the way.
+            dt: s; the running and effort weights are multiplied by it.
+            nu: Size of the control; needed when effort is a number and nu is not 1.
+            space: Of the states; plain vectors by default.
+        """
+        N = count("horizon", horizon, most=LONGEST_HORIZON)
+        x_ref = array("goal", goal, ("nx",) if space is None else (_space(space).nx,))
+        number("dt", dt, above=0.0)
+        ndx = len(x_ref) if space is None else space.ndx
+        size = (numbers("effort", effort).shape or (1,))[0] if nu is None else count("nu", nu)
+        Q = dt * matrices("running", running, N + 1, ndx)
+        Q[N] = matrices("final", final, 1, ndx)[0]
+        return cls(Q, dt * matrices("effort", effort, N, size), x_ref, 0.0, space)
+
+    @classmethod
+    def joints(
+        cls, machine: Any, goal: Any, horizon: int, *, effort: Any, final_position: Any = 0.0,
+        final_velocity: Any = 0.0, final_activation: Any = 0.0, position: Any = 0.0, velocity: Any = 0.0,
+        activation: Any = 0.0, reference: Any = None, control: Any = 0.0, dt: float | None = None,
+    ) -> TrackingCost:  # fmt: skip
+        """Bring a machine to a state, or along a motion, with weights by the names of its joints.
+
+        Every weight is a number, an array, or a dict by name: {"elbow": 3.0} for joints, the names of actuators for
+        effort (of joints, where they are prescribed) and activations. A joint with several degrees of freedom takes a
+        number or one for each; what is not named weighs nothing. All but the final ones are multiplied by dt.
+
+        Args:
+            machine: RigidBodyDynamics or a Mechanism.
+            goal: The state (nx,) at the end, or the name of a keyframe; None for the end of the reference.
+            horizon: N, number of stages.
+            effort: Weight of the controls, or (nu,); every control needs one.
+            final_position: Weight of joint positions at the end, or (nv,), per m^2 or rad^2.
+            final_velocity: Weight of joint velocities at the end, or (nv,).
+            final_activation: Weight of activations at the end, or (na,).
+            position: Weight of joint positions on the way, per second.
+            velocity: Weight of joint velocities on the way.
+            activation: Weight of activations on the way.
+            reference: (N+1, nx) the motion that the weights on the way refer to; the goal by default.
+            control: (nu,) or (N, nu) control that costs no effort; zero by default.
+            dt: s; that of the dynamics by default.
+
+        Raises:
+            PlannerError: A name that the machine does not have, a wrong shape, or a weight out of range.
+        """
+        mechanism, dt = mechanism_of(machine, dt)
+        N, nu = count("horizon", horizon, most=LONGEST_HORIZON), int(machine.nu)
+        if goal is None and reference is None:
+            raise PlannerError("goal is None and there is no reference, expected one of the two.")
+        space = mechanism.space
+        if isinstance(goal, str):
+            goal = mechanism.keyframe(goal)
+        if reference is None:
+            x_ref = np.tile(states("goal", goal, space, ()), (N + 1, 1))
+        else:
+            x_ref = states("reference", reference, space, (N + 1,))
+            x_ref[N] = x_ref[N] if goal is None else states("goal", goal, space, ())
+        joints, inputs, activations = places(mechanism, getattr(machine, "prescribed", ()))
+
+        def weights(prefix: str, p: Any, v: Any, a: Any) -> np.ndarray:
+            return np.concatenate(
+                [
+                    diagonal(f"{prefix}position", p, mechanism.nv, "joint", joints),
+                    diagonal(f"{prefix}velocity", v, mechanism.nv, "joint", joints),
+                    diagonal(f"{prefix}activation", a, mechanism.na, "actuator", activations),
+                ]
+            )
+
+        R = diagonal("effort", effort, nu, "control", inputs)
+        if R.min(initial=np.inf) <= 0.0:
+            least = int(R.argmin())
+            names = [repr(name) for name, place in inputs.items() if place.start <= least < place.stop]
+            raise PlannerError(f"effort of control {' '.join([str(least), *names])} is 0, expected a weight above 0.")
+        Q = np.tile(np.diag(dt * weights("", position, velocity, activation)), (N + 1, 1, 1))
+        Q[N] = np.diag(weights("final_", final_position, final_velocity, final_activation))
+        u_ref = _references("control", control, N, nu)
+        return cls(Q, np.tile(np.diag(dt * R), (N, 1, 1)), x_ref, u_ref, space)
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        ex, eu = self.space.difference(xs, self.x_ref), us - self.u_ref
+        state = np.einsum("ni,nij,nj->", ex, self.Q, ex)
+        return 0.5 * float(state + np.einsum("ni,nij,nj->", eu, self.R, eu))
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """The weights themselves, and q = Q (x - x_ref), r = R (u - u_ref).
+
+        With quaternions q = J'Q dx and the Hessian J'Q J (Gauss-Newton), J the derivative of dx = x (-) x_ref.
+        """
+        ex = self.space.difference(xs, self.x_ref)
+        Q, q = self.Q, np.einsum("nij,nj->ni", self.Q, ex)
+        if self.space.quaternions:
+            J = self.space.difference_jacobian(ex)
+            Jt = np.swapaxes(J, 1, 2)
+            Q, q = Jt @ Q @ J, np.einsum("nij,nj->ni", Jt, q)
+        return Quadratic(Q, q, self.R, np.einsum("nij,nj->ni", self.R, us - self.u_ref))
+
+
+def tracking_of(cost: Any) -> TrackingCost | None:
+    """The one TrackingCost with a final weight that a cost is, or has in its sum; None where there is not just one."""
+    terms = [term for term in getattr(cost, "costs", (cost,)) if isinstance(term, TrackingCost)]
+    if len(terms) > 1:
+        terms = [term for term in terms if np.any(term.Q[-1])]
+    return terms[0] if len(terms) == 1 else None
+
+
+def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:
+    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised.
+
+    Raises:
+        PlannerError: A wrong shape, a number that is not finite, or a quaternion of length zero.
+    """
+    x = array(name, value, (*leading, space.nx))
+    for i, _ in space.quaternions:
+        length = np.linalg.norm(x[..., i : i + 4], axis=-1, keepdims=True)
+        if length.min() < 1e-12:
+            raise PlannerError(f"{name} has a quaternion of length zero at {i} to {i + 3}, expected e.g. 1, 0, 0, 0.")
+        x[..., i : i + 4] /= length
+    return x
+
+
+def mechanism_of(machine: Any, dt: float | None) -> tuple[Mechanism, float]:
+    """The mechanism and the length of a stage of RigidBodyDynamics, or of a Mechanism with dt."""
+    mechanism = getattr(machine, "mechanism", machine)
+    if not isinstance(mechanism, Mechanism):
+        raise PlannerError(f"the machine is {shown(machine)}, expected RigidBodyDynamics or a Mechanism.")
+    dt = getattr(machine, "dt", None) if dt is None else dt
+    if dt is None:
+        raise PlannerError("dt is None, expected the length of a stage in s, since a Mechanism has none.")
+    return mechanism, number("dt", dt, above=0.0)
+
+
+def _space(value: Any) -> StateSpace:
+    if not isinstance(value, StateSpace):
+        raise PlannerError(f"space is {shown(value)}, expected a StateSpace, e.g. dynamics.space.")
+    return value
+
+
+def _references(name: str, value: Any, stages: int, size: int) -> np.ndarray:
+    given = numbers(name, value)
+    if given.ndim == 1:
+        given = array(name, given, (size,))
+    if given.ndim <= 1:
+        given = np.broadcast_to(given, (stages, size))
+    return array(name, given, (stages, size))

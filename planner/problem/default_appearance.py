@@ -1,0 +1,112 @@
+"""How a machine is shown that nobody wrote a Stage for: from the axes and the names of its joints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.model.mechanism import BALL, SCREW, Mechanism
+from planner.problem.appearance import Panel, Readout, Stage
+
+MOST = 8  # curves that can be told apart in one panel
+_READOUTS = 4
+_PARALLEL = 1e-6
+
+Curves = list[tuple[int, str]]
+
+
+def stage_of(problem: Any) -> Stage | None:
+    """The stage of a problem: its own, or what its mechanism says; None without either."""
+    stage = getattr(problem, "stage", None)
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    if stage is not None or not isinstance(mechanism, Mechanism):
+        return stage
+    return default_stage(mechanism, getattr(problem.dynamics, "prescribed", ()))
+
+
+def default_stage(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Stage:
+    """A camera across the plane of motion, the first joints as numbers, and plots of states and controls.
+
+    Args:
+        mechanism: The machine.
+        prescribed: Names of joints whose accelerations are controls too.
+    """
+    azimuth, elevation = _view(mechanism)
+    name = re.search(r"<mujoco[^>]*\bmodel=[\"']([^\"']+)[\"']", mechanism.mjcf)
+    angles, lengths, turning, moving = _curves(mechanism)
+    controls = [(i, name or f"control {i}") for i, name in enumerate(mechanism.actuators.names)]
+    for joint, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
+        if joint in prescribed:
+            controls += [(len(controls) + k, f"acceleration of {joint}") for k in range(links.stop - links.start)]
+    panels = (
+        ("Joint angles", "angle, rad", angles),
+        ("Positions", "position, m", lengths),
+        ("Angular velocities", "angular velocity, rad/s", turning),
+        ("Velocities", "velocity, m/s", moving),
+    )
+    plots = [
+        Panel(_title(title, curves), unit, states=tuple(curves[:MOST])) for title, unit, curves in panels if curves
+    ]
+    if controls:
+        plots.append(Panel(_title("Controls", controls), "control", controls=tuple(controls[:MOST])))
+    readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]
+    return Stage(
+        title=name[1] if name else "",
+        readouts=tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS]),
+        scenery=_belts(mechanism),
+        azimuth=azimuth,
+        elevation=elevation,
+        plots=tuple(plots),
+    )
+
+
+def _curves(mechanism: Mechanism) -> tuple[Curves, Curves, Curves, Curves]:
+    """Angles, lengths and the velocities of both: (index in the state, label). Quaternions are not drawn."""
+    found: tuple[Curves, Curves, Curves, Curves] = ([], [], [], [])
+    turns = np.any(mechanism.S[:, :3] != 0.0, axis=1)
+    for number, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
+        for k, i in enumerate(range(links.start, links.stop)):
+            label = name or f"joint {number}"
+            if links.stop - links.start > 1:
+                label += f" {'xyz'[k % 3]}"
+            if mechanism.kind[i] == SCREW:
+                found[0 if turns[i] else 1].append((int(mechanism.q_address[i]), label))
+            found[2 if turns[i] else 3].append((mechanism.nq + i, label))
+    return found
+
+
+def _belts(mechanism: Mechanism) -> tuple[str, ...]:
+    """Names of the bodies that carry the planes of contacts along."""
+    slides = {contact.plane.slide for contact in mechanism.contacts} - {-1}
+    if not slides:
+        return ()
+    named = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+    joints = {name for name, links in named if name and links.start in slides}
+    bodies = ElementTree.fromstring(mechanism.mjcf).iter("body")
+    carrying = [body for body in bodies if any(joint.get("name") in joints for joint in body.findall("joint"))]
+    return tuple(name for body in carrying if (name := body.get("name")))
+
+
+def _title(title: str, curves: Curves) -> str:
+    return title if len(curves) <= MOST else f"{title}, the first {MOST} of {len(curves)}"
+
+
+def _view(mechanism: Mechanism) -> tuple[float, float]:
+    """Azimuth and elevation of a camera: across the plane of a planar machine, else from ahead and above."""
+    R = np.empty((mechanism.nv, 3, 3))
+    for i, parent in enumerate(mechanism.parent):
+        R[i] = (np.eye(3) if parent < 0 else R[parent]) @ mechanism.T_home[i, :3, :3]
+    angular, linear = (np.einsum("iab,ib->ia", R, mechanism.S[:, part]) for part in (slice(3), slice(3, 6)))
+    turns = np.any(angular != 0.0, axis=1)
+    if not np.any(mechanism.kind == BALL):
+        for normal, view in ((1, (90.0, -8.0)), (0, (180.0, -8.0)), (2, (90.0, -89.0))):
+            across = np.eye(3)[normal]
+            if np.all(np.abs(np.cross(angular[turns], across)) < _PARALLEL) and np.all(
+                np.abs(linear[~turns] @ across) < _PARALLEL
+            ):
+                return view
+    return 130.0, -18.0

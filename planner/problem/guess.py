@@ -1,0 +1,92 @@
+"""First guesses of the controls: hold a pose, or follow a motion by inverse dynamics (Eq. 6)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.base.errors import PlannerError
+from planner.dynamics.algorithms import bias, rnea
+from planner.dynamics.statics import supported
+from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
+
+
+def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """Controls (nu,) that hold a pose against gravity and springs, as far as the actuators can.
+
+    Least squares, and of all least squares the smallest: zero for what no actuator reaches. An actuator whose
+    activation integrates its control holds what it has. Where contacts are near the ground it carries the machine as
+    far as it can (planner.dynamics.statics).
+
+    Args:
+        mechanism: The machine.
+        x: (nx,) the state whose pose is held.
+
+    Raises:
+        PlannerError: A state of the wrong shape or that is not finite.
+    """
+    x = array("x", x, (mechanism.space.nx,))
+    q, act = x[: mechanism.nq], x[mechanism.nq + mechanism.nv :]
+    actuators = mechanism.actuators
+    keeps = actuators.dynamics == INTEGRATOR
+    force = actuators.bias[:, 0] + actuators.bias[:, 1] * _lengths(mechanism, q)
+    force[keeps] += actuators.gain[keeps] * act[actuators.activation[keeps]]
+    missing = bias(mechanism, q, np.zeros(mechanism.nv)) - actuators.moment.T @ force
+    reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
+    if mechanism.contacts:
+        return supported(mechanism, q, reach, missing)
+    return np.linalg.lstsq(reach, missing, rcond=None)[0]
+
+
+def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
+
+    Args:
+        mechanism: The machine; its actuators have no activations and reach every joint.
+        q: (N, nq) positions.
+        qd: (N, nv) velocities.
+        qdd: (N, nv) accelerations.
+
+    Raises:
+        PlannerError: The actuators cannot give every force.
+    """
+    actuators = mechanism.actuators
+    reach = actuators.moment.T * actuators.gain
+    if np.any(actuators.dynamics != DIRECT) or np.linalg.matrix_rank(reach) < mechanism.nv:
+        raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
+    lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
+    force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
+    tau = rnea(mechanism, q, qd, qdd) - force @ actuators.moment
+    return np.linalg.lstsq(reach, tau.T, rcond=None)[0].T
+
+
+def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The motion from rest to rest of a polynomial of fifth order, in the middle of each of N stages.
+
+    The middle is where a control that is held over a stage is best taken: the guess is then of second order.
+
+    Args:
+        start: (n,) positions.
+        goal: (n,) positions.
+        duration: s.
+        N: Number of stages.
+
+    Returns:
+        Positions, velocities and accelerations, each (N, n).
+    """
+    s = (np.arange(N)[:, None] + 0.5) / N
+    way = goal - start
+    return (
+        start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * way,
+        (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
+        (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
+    )
+
+
+def _lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(..., nu) actuator lengths, over the hinge and slide joints."""
+    screws = np.zeros((mechanism.nu, mechanism.nq))
+    for i in range(mechanism.nv):
+        if mechanism.kind[i] == SCREW:
+            screws[:, mechanism.q_address[i]] += mechanism.actuators.moment[:, i]
+    return q @ screws.T

@@ -1,0 +1,91 @@
+"""Periodic motions: what of the state must come back at the end of a cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, count, number
+from planner.base.errors import PlannerError
+from planner.model.space import StateSpace
+
+STEPS = ("newton", "follow")
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """What of a motion's state is to be at the end what it was at the start, and how nearly.
+
+    Attributes:
+        tolerance: (ndx,) the largest difference of each component of the deviation; infinite where it need not come
+            back, like the travel of a belt. A number holds for all.
+        step: How solve_periodic changes the start: "newton" or "follow".
+        passes: Most solves of solve_periodic.
+        settled: Part of the cost: what changed it by less in a pass "newton" has done with, and only closes the gap.
+
+    Raises:
+        PlannerError: Negative, not numbers, or nothing that must come back.
+    """
+
+    tolerance: np.ndarray
+    step: str = "newton"
+    passes: int = 8
+    settled: float = 1e-3
+
+    def __post_init__(self) -> None:
+        try:
+            tolerance = np.array(self.tolerance, dtype=float)
+        except (TypeError, ValueError):
+            tolerance = np.array(np.nan)
+        if tolerance.ndim > 1 or not (tolerance > 0.0).all() or not np.isfinite(tolerance).any():
+            raise PlannerError(
+                "the tolerance of what is periodic has to be a number or one for each component of a deviation, above "
+                "0, infinite only for what need not come back."
+            )
+        choice("step", self.step, STEPS)
+        count("passes", self.passes)
+        number("settled", self.settled, least=0.0)
+        tolerance.flags.writeable = False
+        object.__setattr__(self, "tolerance", tolerance)
+
+    def of_size(self, ndx: int) -> Periodic:
+        """The same with a tolerance (ndx,).
+
+        Raises:
+            PlannerError: It is of another size.
+        """
+        if self.tolerance.shape not in ((), (ndx,)):
+            raise PlannerError(
+                f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."
+            )
+        return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
+
+    @property
+    def closes(self) -> np.ndarray:
+        """(ndx,) bool: what must come back."""
+        return np.isfinite(self.tolerance)
+
+    def gap(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
+        """(ndx,) how far the end of states (N+1, nx) is from their start; zero in what need not come back."""
+        return np.where(self.closes, space.difference(xs[-1], xs[0]), 0.0)
+
+    def miss(self, space: StateSpace, xs: np.ndarray) -> float:
+        """The largest gap, as a multiple of its tolerance: at most 1 when states (N+1, nx) are periodic."""
+        return float(np.max(np.abs(self.gap(space, xs)) / self.tolerance))
+
+    def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """State x (nx,) with what must come back taken from another state `end` (nx,)."""
+        return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values; what is infinite is None."""
+        tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
+        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "settled": self.settled}
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any]) -> Periodic:
+        """What to_dict made."""
+        tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
+        return cls(**{**table, "tolerance": tolerance})

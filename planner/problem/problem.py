@@ -1,0 +1,181 @@
+"""Problem: dynamics, cost, start and first guess (Eq. 9, 10). Every shape check lives here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from planner.base.arguments import LONGEST_HORIZON, array, count, number, shown
+from planner.base.errors import PlannerError
+from planner.base.measured import Section
+from planner.dynamics import Dynamics, RigidBodyDynamics
+from planner.model.mjcf.driven import twin_of
+from planner.model.space import space_of
+from planner.model.twin import Twin
+from planner.problem.appearance import Stage
+from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
+from planner.problem.limits import Limits
+from planner.problem.periodicity import Periodic
+from planner.problem.state_ranges import StateRanges
+
+if TYPE_CHECKING:
+    from planner.problem.objective import Objective
+    from planner.proof.replaying import Replay
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional.
+
+    Attributes:
+        equal_states: (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the
+            plan's dynamics do.
+        rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
+        start: Keyframe of the twin that must be the plan's own start.
+        no_same_step: Why a replay at the plan's own step says nothing here.
+        tracking: Replay -> the Section that judges it.
+        goal: Replay -> the Section that judges whether the goal was reached.
+        success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
+        follows: In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the
+            plan's (T, nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
+        perturbation: What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its
+            defaults.
+    """
+
+    equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    start: str = ""
+    no_same_step: str = ""
+    tracking: Callable[[Replay], Section] | None = None
+    goal: Callable[[Replay], Section] | None = None
+    success: Callable[[np.ndarray], np.ndarray] | None = None
+    follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    perturbation: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Minimize J = phi(x(N)) + sum L(x(n), u(n), n) subject to x(n+1) = f(x(n), u(n)), x(0) = x0.
+
+    Attributes:
+        dynamics: f and its Jacobians.
+        cost: phi and L.
+        x0: (nx,) start. Its quaternions are normalised; one of length zero is refused.
+        us: (N, nu) first guess of the controls; zero by default.
+        horizon: N; needed only when neither us nor the cost tells it.
+        twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
+            from, its prescribed joints driven (planner.model.mjcf.driven); None when there is none.
+        stage: How the machine is shown.
+        requirements: What a proof is held to; None for the general rules.
+        limits: Bounds of the controls, ranges of the states, exact goals; None for none.
+        objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
+        decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
+            digits of it are worth no iterations; None for solve's own.
+        gain_tolerance: The same, where a cost has kinks.
+        periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
+        case: Name in planner.cases, or None.
+        parameters: Every argument of the case by name.
+        bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
+        ranges: Of the states, of the limits; None for none.
+
+    Raises:
+        PlannerError: Shapes that do not fit together, or numbers that are not finite.
+    """
+
+    dynamics: Dynamics
+    cost: Cost
+    x0: np.ndarray
+    us: np.ndarray | None = None
+    horizon: int | None = None
+    twin: Twin | None = None
+    stage: Stage | None = None
+    requirements: Requirements | None = None
+    case: str | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+    limits: Limits | None = None
+    objective: Objective | None = None
+    periodic: Periodic | None = None
+    decrease_tolerance: float | None = None
+    gain_tolerance: float = 0.0
+    bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
+    ranges: StateRanges | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._check_parts()
+        nx, nu = self.dynamics.nx, self.dynamics.nu
+        space = space_of(self.dynamics)
+        object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
+        us = None if self.us is None else array("us", self.us, ("N", nu))
+        N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
+        if N is None and us is not None:
+            N = len(us)
+        if N is None:
+            raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
+        N = count("horizon", N, most=LONGEST_HORIZON)
+        us = np.zeros((N, nu)) if us is None else array("us", us, (N, nu))
+        object.__setattr__(self, "horizon", N)
+        object.__setattr__(self, "us", us)
+        sizes = (
+            ("N", N, "horizon"), ("nx", nx, "dynamics.nx"), ("ndx", space.ndx, "the dynamics' ndx"),
+            ("nu", nu, "dynamics.nu"),
+        )  # fmt: skip
+        for name, size, asked in sizes:
+            have = getattr(self.cost, name, None)
+            if have is not None and have != size:
+                hint = "; make it with space=dynamics.space" if space.ndx != nx and name in ("nx", "ndx") else ""
+                raise PlannerError(f"the cost is made for {name} = {have}, expected {asked} = {size}{hint}.")
+        have = getattr(self.cost, "space", None)
+        if have is not None and have != space:
+            raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.decrease_tolerance is not None:
+            number("decrease_tolerance", self.decrease_tolerance, least=0.0)
+        number("gain_tolerance", self.gain_tolerance, least=0.0)
+        if self.periodic is not None:
+            object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
+        if self.limits is not None:
+            goal = tracking_of(self.cost) or self.cost
+            object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
+            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
+        if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and self.dynamics.mechanism.mjcf:
+            object.__setattr__(self, "twin", twin_of(self.dynamics.mechanism, self.dynamics.prescribed))
+        if self.twin is not None and len(self.twin.to_x_offset) != nx:
+            raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
+
+    def _check_parts(self) -> None:
+        """That each part is of its kind, before it is asked for sizes."""
+        missing = [name for name in ("nx", "nu", "dt", "step", "linearize") if not hasattr(self.dynamics, name)]
+        if missing:
+            what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
+            raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
+        check_cost("cost", self.cost)
+        parts = (
+            ("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits), ("periodic", Periodic)
+        )  # fmt: skip
+        for name, kind in parts:
+            part = getattr(self, name)
+            if part is not None and not isinstance(part, kind):
+                raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")
+
+    @property
+    def N(self) -> int:
+        """Number of stages."""
+        assert self.horizon is not None  # set when the problem was made
+        return self.horizon
+
+    @property
+    def duration(self) -> float:
+        """N dt, s."""
+        return self.N * self.dynamics.dt
+
+    def clipped(self, us: np.ndarray) -> np.ndarray:
+        """Controls (..., N, nu) put back within their bounds."""
+        return us if self.bounds is None else np.clip(us, *self.bounds)
+
+    @property
+    def first_guess(self) -> np.ndarray:
+        """(N, nu) the controls that a solve starts from."""
+        assert self.us is not None  # set when the problem was made
+        return self.us

@@ -1,0 +1,88 @@
+"""Ranges of the states and exact goals, as a problem has them and as hinges of an augmented Lagrangian.
+
+A component e of the deviation x (-) reference is to stay in lower <= e <= upper. With a multiplier per bound and a
+weight w, what the cost gains is (Rockafellar; Nocedal & Wright, section 17.4)
+
+    1/2 w (max(0, e - (upper - multiplier / w))^2 + max(0, (lower + multiplier / w) - e)^2),
+
+a hinge at bounds that the multipliers have shifted; where lower = upper it is a parabola. The kernels compute the
+same (see kernels.quadratic).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.model.space import StateSpace
+from planner.problem.costs.tracking import Quadratic
+
+
+class Hinges(NamedTuple):
+    """Shifted bounds and weights of each component's range, as a plan keeps them."""
+
+    lower: np.ndarray  # (N+1, H)
+    upper: np.ndarray  # (N+1, H)
+    weight: np.ndarray  # (N+1, H)
+
+
+@dataclass(frozen=True, eq=False)
+class StateRanges:
+    """H components of the deviations from a reference, and their ranges.
+
+    Attributes:
+        space: Of the states.
+        reference: (N+1, nx).
+        component: (H,) of a deviation (ndx,).
+        lower: (N+1, H), of the deviation; -inf where there is none.
+        upper: (N+1, H).
+        at_end: How many of them, the last ones, are exact goals: for the end alone.
+        names: (H,) for a reader.
+    """
+
+    space: StateSpace
+    reference: np.ndarray
+    component: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    at_end: int
+    names: tuple[str, ...]
+
+    def free(self) -> Hinges:
+        """Hinges that weigh nothing."""
+        return Hinges(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
+
+    def deviations(self, xs: np.ndarray) -> np.ndarray:
+        """The components (N+1, H) of states xs (N+1, nx)."""
+        return self.space.difference(xs, self.reference)[:, self.component]
+
+    def beyond(self, xs: np.ndarray) -> np.ndarray:
+        """How far (N+1, H) states lie outside of their ranges; 0 within."""
+        e = self.deviations(xs)
+        return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
+
+    def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:
+        """Whether (N+1, H) states are at a bound or outside of it."""
+        e = self.deviations(xs)
+        return (e >= self.upper - tolerance) | (e <= self.lower + tolerance)
+
+    def value(self, hinges: Hinges, xs: np.ndarray) -> float:
+        """What hinges add to the cost of states xs (N+1, nx)."""
+        above, below = self._beyond(hinges, xs)
+        return 0.5 * float(np.sum(hinges.weight * (above**2 + below**2)))
+
+    def added(self, hinges: Hinges, model: Quadratic, xs: np.ndarray) -> Quadratic:
+        """The quadratic model of a cost along xs (N+1, nx) with that of the hinges."""
+        e = self.deviations(xs)
+        above, below = self._beyond(hinges, xs)
+        slope = hinges.weight * (above - below)  # (N+1, H)
+        curvature = hinges.weight * ((e >= hinges.upper).astype(float) + (e < hinges.lower))
+        rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
+        q = model.q + np.einsum("nhi,nh->ni", rows, slope)
+        return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
+
+    def _beyond(self, hinges: Hinges, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        e = self.deviations(xs)
+        return np.maximum(e - hinges.upper, 0.0), np.maximum(hinges.lower - e, 0.0)

@@ -1,0 +1,84 @@
+"""Torques of planner.model.joint_curves in MuJoCo, which has no such element: added to the passive forces it computes.
+
+MuJoCo asks its one global callback at every stage of its integrators, so a replay has no error of its own from it. The
+callback is there only inside `curves_acting`, and acts on the models named there alone: others that run meanwhile are
+left as they are.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.model.joint_curves import LARGEST, ExponentialTorque
+from planner.model.twin import Twin
+
+CALL = 15e-6  # s, about what one call of the callback takes
+
+_lock = threading.RLock()  # one owner of the callback at a time
+
+
+@contextmanager
+def curves_acting(twin: Twin, *models: Any, factors: np.ndarray | None = None) -> Iterator[None]:
+    """MuJoCo with the curves of a twin.
+
+    Args:
+        twin: Whose curves; without any nothing happens.
+        models: MuJoCo's, in which they act.
+        factors: (models, curves) of the torques; by default 1.
+
+    Raises:
+        ModelError: A model has no hinge or slide where a curve is.
+    """
+    if not twin.curves:
+        yield
+        return
+    mujoco = load_mujoco()
+    factors = np.ones((len(models), len(twin.curves))) if factors is None else factors
+    tables = {
+        model._address: _table(model, twin.curves, row) for model, row in zip(models, factors.tolist(), strict=True)
+    }
+    with _lock:
+        before = mujoco.get_mjcb_passive()
+
+        def passive(model: Any, data: Any) -> None:
+            if before is not None:
+                before(model, data)
+            table = tables.get(model._address)
+            if table is None:
+                return
+            q, force = data.qpos, data.qfrc_passive
+            for dof, amplitude, exponent, slopes in table:
+                for address, slope in slopes:
+                    exponent += slope * q[address]
+                force[dof] += amplitude * math.exp(min(max(exponent, -LARGEST), LARGEST))
+
+        mujoco.set_mjcb_passive(passive)
+        try:
+            yield
+        finally:
+            mujoco.set_mjcb_passive(before)
+
+
+def _table(model: Any, curves: Sequence[ExponentialTorque], factors: Sequence[float]) -> list[Any]:
+    """Of each curve: where it acts, amplitude, constant, and (address in qpos, slope) pairs."""
+    kinds = load_mujoco().mjtJoint
+    single = np.isin(model.jnt_type, [int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)])
+    for curve in curves:
+        if not all(dof < model.nv and single[model.dof_jntid[dof]] for dof in curve.dofs):
+            raise ModelError(
+                f"the model has no hinge or slide at one of dofs {', '.join(map(str, curve.dofs))}, expected the "
+                "joints of the plan's exponential torques."
+            )
+    address = model.jnt_qposadr[model.dof_jntid].tolist()
+    return [
+        (c.dof, factor * c.amplitude, c.constant, [(address[j], slope) for j, slope in c.slopes])
+        for c, factor in zip(curves, factors, strict=True)
+    ]

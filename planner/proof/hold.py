@@ -1,0 +1,227 @@
+"""Hold the goal after arriving: the infinite-horizon regulator there, and MuJoCo going on from a replay's end with it.
+
+A plan ends at its horizon, and most goals do not stand by themselves. Near one that is an equilibrium, x_g = f(x_g,
+u_g), the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and
+
+    u = u_g + K e,    K = -(R + B'P B)^-1 B'P A,    P = Q + A'P A - A'P B (R + B'P B)^-1 B'P A
+
+keeps it there with the least sum of e'Q e + (u - u_g)'R (u - u_g) for all time. The weights are those of the cost's
+last stage, and its final weight per second: no new numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.base.arguments import number
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Figure, Section
+from planner.model.space import StateSpace, space_of
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.problem import Problem
+from planner.proof.curve_callback import curves_acting
+from planner.proof.replaying import MOST_STEPS, RUNAWAY, Replay, matching_model, unstable_at, warnings_of
+
+BOUND = 0.01  # largest deviation over the last second, in rad, m, rad/s, m/s: what proofs ask of an end
+EQUILIBRIUM = 1e-3  # how far from the goal the nearest equilibrium may be, the same units: a tenth of the bound
+_WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
+_NEWTON = 20  # iterations
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """The regulator u = u_goal + K difference(x, x_goal).
+
+    Attributes:
+        x_goal: (nx,) the equilibrium that is held: the goal where the cost's final weight acts.
+        u_goal: (nu,) the control that keeps it.
+        K: (nu, ndx).
+        space: Of the states.
+    """
+
+    x_goal: np.ndarray
+    u_goal: np.ndarray
+    K: np.ndarray
+    space: StateSpace
+
+    def control(self, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) at a state (nx,)."""
+        return self.u_goal + self.K @ self.space.difference(x, self.x_goal)
+
+
+def hold_gain(problem: Problem) -> Hold:
+    """The regulator that holds the goal of a problem.
+
+    Args:
+        problem: With a TrackingCost, alone or in a sum, that has a final weight.
+
+    Raises:
+        PlannerError: The cost has no goal state, or the goal is no equilibrium, or cannot be made stable.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are  # a fifth of a second that `import planner` does not pay
+
+    x, free = _goal(problem)
+    x, u = _equilibrium(problem, x, free)
+    A, B, drift = _about(problem, x, u)
+    _check_equilibrium(A, B, drift, problem.dynamics.dt)
+    Q, R = _weights(problem, x, u)
+    try:
+        P = solve_discrete_are(A, B, Q, R)
+        K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        stable = np.abs(np.linalg.eigvals(A + B @ K)).max() < 1.0
+    except (LinAlgError, ValueError):
+        stable, K = False, np.empty((0, 0))
+    if not stable:
+        raise PlannerError(
+            "the goal cannot be held: no gains make the dynamics stable there, expected controls that reach every "
+            "motion that does not die out by itself."
+        )
+    return Hold(x, u, K, space_of(problem.dynamics))
+
+
+def _goal(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """The last reference (nx,) and which components (ndx,) of a deviation from it cost nothing at the end."""
+    costs = getattr(problem.cost, "costs", (problem.cost,))
+    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    if len(wanted) != 1:
+        raise PlannerError(
+            f"the cost has {len(wanted)} terms with a goal state, expected one TrackingCost with a final weight."
+        )
+    return wanted[0].x_ref[-1].copy(), ~np.any(wanted[0].Q[-1], axis=0)
+
+
+def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The state and control nearest to standing still: Gauss-Newton on f(x, u) (-) x, over u and what is free in x."""
+    space = space_of(problem.dynamics)
+    u = np.zeros(problem.dynamics.nu)
+    for _ in range(_NEWTON):
+        A, B, drift = _about(problem, x, u)
+        J = np.concatenate([(A - np.eye(len(A)))[:, free], B], axis=1)
+        step = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
+        if not np.isfinite(step).all():
+            break
+        dx = np.zeros(space.ndx)
+        dx[free] = step[: free.sum()]
+        x, u = space.integrate(x, dx), u + step[free.sum() :]
+        if np.abs(step).max(initial=0.0) < 1e-12:
+            break
+    return x, u
+
+
+def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dt: float) -> None:
+    """That something stands still near enough: z = (dx, du) with drift + (A - 1) dx + B du = 0 and dx small."""
+    J = np.concatenate([A - np.eye(len(A)), B], axis=1)
+    z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
+    stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
+    if not (stands and np.abs(z[: len(A)]).max() <= EQUILIBRIUM):
+        worst = int(np.abs(drift).argmax())
+        raise PlannerError(
+            f"the goal is no equilibrium: with the best control, component {worst} of the state changes by "
+            f"{drift[worst] / dt:.3g} per second there, expected a goal that some control keeps."
+        )
+
+
+def _about(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (ndx, ndx), B (ndx, nu) and the drift f(x, u) (-) x (ndx,) at one state and control."""
+    A, B = problem.dynamics.linearize(np.stack([x, x]), u[None])
+    drift = space_of(problem.dynamics).difference(problem.dynamics.step(x[None], u[None])[0], x)
+    return A[0], B[0], drift
+
+
+def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Q (ndx, ndx) and R (nu, nu) of one stage of holding."""
+    N = problem.N
+    model = problem.cost.quadratize(np.tile(x, (N + 1, 1)), np.tile(u, (N, 1)))
+    Q = problem.dynamics.dt * model.Q[N] + (model.Q[N - 1] if N > 1 else 0.0)
+    return Q + _WEAKEST * np.abs(Q).max() * np.eye(len(Q)), model.R[N - 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What MuJoCo did after a replay, with a regulator acting at every step.
+
+    Attributes:
+        hold: The regulator.
+        t: (M+1,) s; goes on from the replay's.
+        qpos: (M+1, nq).
+        qvel: (M+1, nv).
+        act: (M+1, na).
+        ctrl: (M, nu) what was applied.
+        xs: (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
+        warnings: What MuJoCo complained of, one sentence each.
+    """
+
+    hold: Hold
+    t: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    act: np.ndarray
+    ctrl: np.ndarray
+    xs: np.ndarray
+    warnings: tuple[str, ...]
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(M+1, ndx) from the goal."""
+        return self.hold.space.difference(self.xs, self.hold.x_goal)
+
+
+def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
+    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal.
+
+    Args:
+        replay: Of a plan that arrives.
+        hold: What holds the goal.
+        seconds: For so long.
+
+    Raises:
+        PlannerError: Too many steps, or a regulator of another machine.
+    """
+    mujoco = load_mujoco()
+    steps = round(number("seconds", seconds, above=0.0) / replay.timestep)
+    if not 1 <= steps <= MOST_STEPS:
+        raise PlannerError(f"{seconds:g} s are {steps} steps of the replay, expected 1 to {MOST_STEPS}.")
+    twin = replay.twin
+    if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):
+        raise PlannerError(f"the gains have shape {hold.K.shape}, expected those of the plan's machine.")
+    model = matching_model(twin, len(hold.K))
+    model.opt.timestep = replay.timestep
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{replay.integrator}")
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
+    data = mujoco.MjData(model)
+    w = np.full((steps + 1, model.nq + model.nv + model.na), np.nan)
+    ctrl = np.zeros((steps, model.nu))
+    w[0] = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])
+    data.qpos[:], data.qvel[:], data.act[:] = replay.qpos[-1], replay.qvel[-1], replay.act[-1]
+    for i in range(steps):
+        if not np.all(np.abs(w[i]) < RUNAWAY):
+            break
+        data.ctrl[:] = ctrl[i] = hold.control(twin.x_of(w[i]))
+        with curves_acting(twin, model):
+            mujoco.mj_step(model, data)
+        w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
+    qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+    t = replay.t[-1] + replay.timestep * np.arange(steps + 1)
+    warnings = (*unstable_at(model, w, replay.t[-1]), *warnings_of(mujoco, data))
+    return Held(hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
+
+
+def hold_section(held: Held) -> Section:
+    """Whether the goal was held: the largest deviation over the last second, beside its bound."""
+    error = np.abs(held.deviation).max(axis=1)
+    error = np.where(np.isfinite(error), error, np.inf)
+    last = held.t >= held.t[-1] - 1.0
+    note = "largest component of the deviation from the goal, rad, m, rad/s, m/s"
+    lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
+    return Section(
+        "hold",
+        (
+            Figure("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
+            Figure("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
+            Figure("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
+            Figure("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
+        ),
+    )

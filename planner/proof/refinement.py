@@ -1,0 +1,237 @@
+"""refine(): what a proof finds wrong with a plan's step, a finer step puts right.
+
+A plan is optimal for its own integrator, and an optimizer finds what an integrator gives away, energy for one. Then the
+plan is sound, its model is MuJoCo's, MuJoCo agrees at the plan's own step, and at a refined one it goes elsewhere.
+
+    until    the proof passes, or something else than the step is wrong
+    repeat   take the next finer problem: RK4 in place of Euler, then half the stage
+             its first guess: the plan followed there, or whatever else costs less
+             solve, prove.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import count, number, shown
+from planner.base.errors import PlannerError
+from planner.problem.finer import finer
+from planner.problem.plan import Plan, Status
+from planner.proof import Proof
+from planner.proof import prove as full_proof
+from planner.proof.growth import FACTOR
+from planner.proof.planned import reached_by_plan
+from planner.solvers.slq import solve
+from planner.solvers.warm_start import warm_start
+
+
+class Refinement(NamedTuple):
+    """One line of the path from a plan to one that holds.
+
+    Attributes:
+        integrator: Of the plan.
+        dt: Length of a stage, s.
+        horizon: N, number of stages.
+        iterations: The solve took.
+        cost: J of Eq. 9, the plan's.
+        status: How the solve ended.
+        verdict: "PASS" or "FAIL".
+        mode: In which it passed, or None.
+        end_state_error: Largest component of the deviation of MuJoCo's end from the plan's, in that mode, else in
+            the one that the proof shows.
+        seconds: Solve and proof took; nan for the plan that refine() was given.
+    """
+
+    integrator: str
+    dt: float
+    horizon: int
+    iterations: int
+    cost: float
+    status: Status
+    verdict: str
+    mode: str | None
+    end_state_error: float
+    seconds: float
+
+    def __str__(self) -> str:
+        verdict = f"{self.verdict} ({self.mode})" if self.mode else self.verdict
+        took = "" if math.isnan(self.seconds) else f"{self.seconds:.1f}"
+        return (
+            f"{self.integrator:>19}  {self.dt:9.4g}  {self.horizon:7d}  {self.iterations:10d}  {self.cost:13.6g}  "
+            f"{self.end_state_error:15.2e}  {took:>7}  {verdict:<16}  {self.status.name}"
+        )
+
+    @staticmethod
+    def header() -> str:
+        """The heading over the lines that str() makes."""
+        return (
+            f"{'integrator':>19}  {'stage, s':>9}  {'horizon':>7}  {'iterations':>10}  {'cost':>13}  "
+            f"{'end state error':>15}  {'seconds':>7}  {'verdict':<16}  status"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Where refine() arrived.
+
+    Attributes:
+        plan: The last plan that was proved.
+        proof: Its proof.
+        path: One Refinement per plan, the first of which is the one that refine() was given.
+        reason: Why it ended there, in a sentence.
+    """
+
+    plan: Plan
+    proof: Proof
+    path: tuple[Refinement, ...]
+    reason: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict on the plan is PASS."""
+        return self.proof.passed
+
+    def __str__(self) -> str:
+        return f"Refined({self.proof.verdict} after {_counted(len(self.path) - 1)}: {self.reason})"
+
+    __repr__ = __str__
+
+
+def refine(
+    plan: Plan,
+    proof: Proof,
+    *,
+    limit: int = 4,
+    seconds: float = 60.0,
+    prove: Callable[[Plan], Proof] | None = None,
+    callback: Callable[[Refinement], object] | None = None,
+    **options: Any,
+) -> Refined:
+    """Answer a FAIL that comes from a plan's step by finer steps, until PASS.
+
+    Args:
+        plan: A plan with its problem.
+        proof: What was found of it.
+        limit: Most refinements.
+        seconds: After which no other solve begins, and one that runs is ended; a proof is never cut.
+        prove: Judges the plans on the way; by default without perturbed rollouts.
+        callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
+            StopIteration to end.
+        options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance, decrease_tolerance,
+            gain_tolerance.
+
+    Returns:
+        The last plan that was proved, and why it is the last. That it never passed is its proof's verdict, not an
+        exception.
+
+    Raises:
+        PlannerError: A wrong argument; or a plan on the way cannot be replayed at all.
+    """
+    if not isinstance(plan, Plan) or plan.problem is None:
+        raise PlannerError(f"plan is {shown(plan)}, expected a Plan with its problem.")
+    if not isinstance(proof, Proof):
+        raise PlannerError(f"proof is {shown(proof)}, expected the Proof of the plan.")
+    count("limit", limit, least=0)
+    end = time.monotonic() + number("seconds", seconds, least=0.0)
+    prove = prove or partial(full_proof, rollouts=0)
+    path: list[Refinement] = []
+
+    def ended(line: Refinement) -> bool:
+        path.append(line)
+        try:
+            if callback is not None:
+                callback(line)
+        except StopIteration:
+            return True
+        return False
+
+    def heed(_: Any) -> None:
+        if time.monotonic() > end:
+            raise StopIteration
+
+    interrupted = ended(_line(plan, proof, math.nan))
+    while True:
+        reason = _done(proof, len(path) - 1, limit)
+        if not reason and interrupted:
+            reason = "It was interrupted."
+        if not reason and time.monotonic() > end:
+            reason = f"The time limit of {seconds:g} s was reached."
+        if reason:
+            break
+        began = time.monotonic()
+        assert plan.problem is not None
+        try:
+            problem = finer(plan.problem)
+        except PlannerError as error:
+            reason = f"It cannot be refined: {error}"
+            break
+        better = solve(replace(problem, us=warm_start(plan, problem)), callback=heed, **options)
+        if better.status is Status.NOT_FINITE:
+            reason = f"At a stage of {problem.dynamics.dt:.3g} s the plan's controls lead to infinite states."
+            break
+        interrupted = better.status is Status.INTERRUPTED and time.monotonic() <= end  # Ctrl-C
+        plan, proof = better, prove(better)
+        interrupted |= ended(_line(plan, proof, time.monotonic() - began))
+    return Refined(plan, proof, tuple(path), reason)
+
+
+def _done(proof: Proof, refinements: int, limit: int) -> str:
+    """Why a plan is the last one; "" when it is not."""
+    if proof.passed:
+        return f"It passed after {_counted(refinements)}." if refinements else "It passed as it was."
+    other = _from_discretisation(proof)
+    if other:
+        return other
+    if refinements >= limit:
+        return f"The limit of {_counted(limit)} was reached."
+    return ""
+
+
+def _counted(refinements: int) -> str:
+    return f"{refinements} refinement{'' if refinements == 1 else 's'}"
+
+
+def _from_discretisation(proof: Proof) -> str:
+    """Why a FAIL does not come from the plan's step, in a sentence; "" when it does.
+
+    It does where the plan is sound and its model MuJoCo's (steps 0 to 2), the plan itself gets where it should, and
+    still MuJoCo does something else at a refined step: then only the steps differ.
+    """
+    other = _other_cause(proof)
+    return f"A finer step does not help where {other}" if other else ""
+
+
+def _other_cause(proof: Proof) -> str:
+    reached = reached_by_plan(proof.replay)  # first: MuJoCo holds it there at its own step too
+    if reached:
+        return f"the plan itself goes where MuJoCo holds it: {reached[0]}"
+    for section in (proof.plan, proof.parity, proof.same_step):
+        if not section.passed:
+            return f"{section.title} fails: {section.failures[0]}."
+    missed = [figure for figure in proof.goal.failures if figure.name.startswith("planned")]
+    if missed:
+        return f"the plan itself misses its goal: {missed[0]}."
+    for mode, section in (("open-loop", proof.refined_open_loop), ("feedback", proof.refined_feedback)):
+        if section.passed:
+            return f"MuJoCo repeats the plan ({mode}): {proof.reason}"
+        ratio = proof.errors.ratio(mode)
+        if ratio is not None and ratio > FACTOR:
+            return f"the replay is {ratio:.3g} times worse than the step makes it ({mode})."
+    return ""
+
+
+def _line(plan: Plan, proof: Proof, seconds: float) -> Refinement:
+    assert plan.problem is not None
+    dynamics = plan.problem.dynamics
+    error = float(np.abs(proof.replay.error[-1]).max())  # NaN where MuJoCo ran away
+    return Refinement(
+        getattr(dynamics, "integrator", ""), dynamics.dt, plan.N, plan.nit, plan.cost, plan.status, proof.verdict,
+        proof.mode, error if error < math.inf else math.inf, seconds,
+    )  # fmt: skip

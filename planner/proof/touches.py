@@ -1,0 +1,139 @@
+"""Touches: what touches what while MuJoCo simulates, where, and with what force.
+
+A step costs a forward pass beside the simulation, so that forces belong to the state of that instant and not to a stage
+of the last step. The sum over all contacts is kept at every step. Of single contacts a long simulation keeps means over
+several steps, so that memory stays within bounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.refuse import named
+
+MOST_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
+MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
+
+
+@dataclass(frozen=True, eq=False)
+class Touches:
+    """Forces between shapes over a simulation; a pair of shapes may touch at several points, which count as one.
+
+    Attributes:
+        names: (C,) the two shapes of each pair that ever touched, e.g. "left heel on belt", in the order of the model.
+        t: (S,) s; each sample is the mean of as many steps of the simulator.
+        forces: (S, C, 3) on the shape named first, in the world, friction included.
+        points: (S, C, 3) where they act, in the world: the mean weighted by the normal force; NaN without contact.
+    """
+
+    names: tuple[str, ...]
+    t: np.ndarray
+    forces: np.ndarray
+    points: np.ndarray
+
+    @classmethod
+    def none(cls) -> Touches:
+        """Of a machine that touches nothing."""
+        return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
+
+
+class Touching:
+    """Looks at the contacts of a simulation, step by step.
+
+    Attributes:
+        force: (M+1,) sum of the normal contact forces.
+        point: (M+1, 3) where it acts; NaN without contact.
+        first: The two geoms of the first contact and its step, or None.
+    """
+
+    def __init__(self, model: Any, steps: int) -> None:
+        """Nothing seen yet.
+
+        Args:
+            model: MuJoCo's.
+            steps: M, of the simulation.
+        """
+        self._mujoco, self._model = load_mujoco(), model
+        self._probe = self._mujoco.MjData(model) if may_touch(model) else None
+        self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
+        # Of each pair of geoms, by sample: the force's impulse (3,), the normal force, and its moment (3,).
+        self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
+        self.force, self.point = np.zeros(steps + 1), np.full((steps + 1, 3), np.nan)
+        self.first: tuple[int, int, int] | None = None
+
+    def look(self, i: int, data: Any) -> None:
+        """At the state that the simulation has at step i."""
+        if (probe := self._probe) is None:
+            return
+        mujoco, model = self._mujoco, self._model
+        probe.qpos[:], probe.qvel[:], probe.act[:], probe.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
+        probe.qacc_warmstart[:] = data.qacc_warmstart
+        mujoco.mj_forward(model, probe)
+        total, moment, wrench = 0.0, np.zeros(3), np.zeros(6)
+        for c in range(probe.ncon):
+            contact = probe.contact[c]
+            mujoco.mj_contactForce(model, probe, c, wrench)
+            total += wrench[0]
+            moment += wrench[0] * contact.pos
+            one, other = (int(geom) for geom in contact.geom)
+            if self.first is None:
+                self.first = one, other, i
+            if wrench[0] > 0.0 and min(one, other) >= 0:  # a flex has no geom
+                self._add(i // self._each, one, other, contact.frame.reshape(3, 3).T @ wrench[:3], wrench[0], contact)
+        self.force[i] = total
+        if total > 0.0:
+            self.point[i] = moment / total
+
+    def touches(self, t: np.ndarray) -> Touches:
+        """All that was seen, at the times t (M+1,) of the steps."""
+        names = tuple(f"{self._name(one)} on {self._name(other)}" for one, other in sorted(self._seen))
+        if not names:
+            return Touches.none()
+        S, C = -(-len(t) // self._each), len(names)
+        sample = np.arange(len(t)) // self._each
+        steps = np.bincount(sample, minlength=S)
+        forces, points = np.zeros((S, C, 3)), np.full((S, C, 3), np.nan)
+        for c, pair in enumerate(sorted(self._seen)):
+            for s, sums in self._seen[pair].items():
+                forces[s, c] = sums[:3] / steps[s]
+                points[s, c] = sums[4:] / sums[3]
+        return Touches(names, np.bincount(sample, weights=t, minlength=S) / steps, forces, points)
+
+    def sentence(self, timestep: float) -> str:
+        """The first contact of a machine that was planned without any; "" for none."""
+        if self.first is None:
+            return ""
+        one, other, i = self.first
+        shapes = " and ".join(named(self._model, "geom", geom) for geom in (one, other))
+        return f"{shapes} touch from t = {i * timestep:.4g} s, of which the plan knows nothing."
+
+    def _add(self, sample: int, one: int, other: int, force: np.ndarray, normal: float, contact: Any) -> None:
+        """A contact's force on `other`."""
+        # It is told of the shape whose body comes later in the model: of a foot, not of the belt or world under it.
+        body = self._model.geom_bodyid
+        if body[one] > body[other]:
+            one, other, force = other, one, -force
+        if (other, one) not in self._seen and len(self._seen) >= MOST_PAIRS:
+            return
+        sums = self._seen.setdefault((other, one), {}).setdefault(sample, np.zeros(7))
+        sums += (*force, normal, *(normal * contact.pos))
+
+    def _name(self, geom: int) -> str:
+        model = self._model
+        return model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name or f"geom {geom}"
+
+
+def may_touch(model: Any) -> bool:
+    """Whether two geoms of a model could ever make contact, as far as its masks tell."""
+    bits = load_mujoco().mjtDisableBit
+    if model.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
+        return False
+    if model.npair or model.nflex:
+        return True
+    fits = (model.geom_contype[:, None] & model.geom_conaffinity[None]) != 0
+    body = model.body_weldid[model.geom_bodyid]
+    return bool(np.any((fits | fits.T) & (body[:, None] != body[None])))

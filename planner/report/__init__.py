@@ -1,5 +1,0 @@
-"""report.html: one page per plan that says everything and needs nothing beside it."""
-
-from planner.report.page import NAME, html, write_report
-
-__all__ = ["NAME", "html", "write_report"]

@@ -1,0 +1,1 @@
+"""Solvers: SLQ and what is built on it."""

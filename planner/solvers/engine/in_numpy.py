@@ -1,0 +1,196 @@
+"""The engine over the protocols of dynamics and cost, for a user's own Python; its line search is the kernels'."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.kernels.lq import search
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP
+from planner.kernels.numba.jit import announce
+from planner.kernels.numba.lanes import WIDTH
+from planner.model.space import space_of
+from planner.problem.costs.tracking import Quadratic
+from planner.problem.problem import Problem
+from planner.problem.state_ranges import Hinges
+from planner.solvers import lq
+from planner.solvers.engine.protocol import Outcome, promised
+
+
+class NumpyEngine:
+    """Any Dynamics and any Cost."""
+
+    def __init__(self, problem: Problem) -> None:
+        announce(search.choose)
+        self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
+        self._clipped, self._ranges = problem.clipped, problem.ranges
+        self._hinges: Hinges | None = None
+        # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
+        self._together = bool(getattr(problem.dynamics, "batched", True))
+        self._bracket = np.empty(3)
+        self.largest_control_weight = 1.0
+        self._sweep: lq.Sweep | None = None
+        self._exact, self._swept, self._second = False, False, None
+        self._space = space_of(problem.dynamics)
+        self._gains = (problem.N, problem.dynamics.nu, self._space.ndx)
+        # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
+        self._nominal = np.empty((0, problem.dynamics.nx)), np.empty((0, problem.dynamics.nu))
+
+    def hinge(self, hinges: Hinges | None) -> None:
+        """Have these hinges added to the cost from the next start on; None for none."""
+        self._hinges = hinges
+
+    def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        J = self._cost.value(xs, us)
+        return J if self._hinges is None or self._ranges is None else J + self._ranges.value(self._hinges, xs)
+
+    def _quadratized(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        model = self._cost.quadratize(xs, us)
+        return model if self._hinges is None or self._ranges is None else self._ranges.added(self._hinges, model, xs)
+
+    def _moves(self, us: np.ndarray) -> lq.Bounds | None:
+        """How far each control may change from us (N, nu)."""
+        return None if self._bounds is None else (self._bounds[0] - us, self._bounds[1] - us)
+
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+        """Roll out the first guess, within its bounds; its cost."""
+        if exact and not callable(getattr(self._dynamics, "second_order", None)):
+            raise PlannerError(
+                'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
+                "second_order(xs, us, costates) (see planner.Dynamics)."
+            )
+        self._exact = self._swept = exact
+        us = self._clipped(us)
+        xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
+        self._nominal = xs[:, 0].copy(), us.copy()
+        if np.isfinite(J[0]):
+            _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
+            self.largest_control_weight = float(np.abs(self._cost.quadratize(*self._nominal).R).max()) or 1.0
+        return float(J[0])
+
+    def _rollout(
+        self, x0: np.ndarray, us: np.ndarray, K: np.ndarray | None, nominal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Candidates us (N, c, nu), which feedback alters in place: xs (N+1, c, nx) and costs (c,)."""
+        N, candidates, _ = us.shape
+        xs = np.empty((N + 1, candidates, len(x0)))
+        xs[0] = x0
+        with np.errstate(all="ignore"):  # a candidate may run away: its cost says so
+            for n in range(N):
+                if K is not None:
+                    us[n] += self._space.difference(xs[n], nominal[n]) @ K[n].T
+                if self._bounds is not None:
+                    us[n] = np.clip(us[n], self._bounds[0][n], self._bounds[1][n])
+                xs[n + 1] = self._dynamics.step(xs[n], us[n])  # Eq. 10
+            J = np.array([self._value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
+        return xs, J
+
+    def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
+        """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
+        A, B = self._dynamics.linearize(xs, us)
+        model, moves = self._quadratized(xs, us), self._moves(us)
+        if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
+            K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
+        dx, total = np.zeros(self._space.ndx), 0.0
+        for n in range(len(us)):
+            du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
+            if moves is not None:  # what is clipped stays where it is
+                du = np.where(((moves[0][n] >= 0.0) & (du < 0.0)) | ((moves[1][n] <= 0.0) & (du > 0.0)), 0.0, du)
+            total += float(model.q[n] @ dx + model.r[n] @ du)
+            dx = A[n] @ dx + B[n] @ du
+        return total + float(model.q[-1] @ dx)
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms."""
+        self._swept = exact
+
+    def _second_order(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """The dynamics' second-order terms (N, ndx+nu, ndx+nu) for the costates of the trajectory."""
+        N, nu, ndx = self._gains
+        dynamics: Any = self._dynamics
+        T = np.asarray(dynamics.second_order(xs, us, lq.costates(self._A, self._model)))
+        if T.shape != (N, ndx + nu, ndx + nu):
+            expected = (N, ndx + nu, ndx + nu)
+            raise PlannerError(f"the dynamics' second_order gives an array of shape {T.shape}, expected {expected}.")
+        return T
+
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> Outcome:  # fmt: skip
+        """Linearise (if `fresh`), sweep, search, accept."""
+        xs0, us0 = self._nominal
+        if fresh:
+            self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
+            _check_jacobians(self._A, self._B, *self._gains)
+            self._model = self._quadratized(xs0, us0)
+            self._gradient = lq.gradient(self._A, self._B, self._model)
+            self._norm = float(np.linalg.norm(lq.projected(self._gradient, self._moves(us0))))
+            self._second = self._second_order(xs0, us0) if self._exact else None
+        moves = self._moves(us0)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second if self._swept else None)
+        if sweep is None:
+            return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
+        self._sweep, slope = sweep, sweep.slope
+        if self._norm <= gradient_tolerance or -sweep.value <= decrease_tolerance:
+            return Outcome(CONVERGED, self._norm, slope, 0.0, -sweep.value, cost)
+        if slope >= 0.0:  # clipping may undo a direction
+            return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+        self._dus = sweep.k if feedback else lq.direction(self._A, self._B, sweep, moves)[1]
+        alpha = np.empty(WIDTH if self._together or rule != search.ARMIJO else 1)
+        bracket = self._bracket
+        search.ladder(rule, alpha, bracket)
+        slopes = np.zeros_like(alpha)
+        # One candidate at a time must be allowed as many tries as several.
+        for _ in range(search.batches(rule) * (WIDTH // len(alpha))):
+            us = us0[:, None, :] + alpha[:, None] * self._dus[:, None, :]  # Eq. 36
+            xs, J = self._rollout(xs0[0], us, sweep.K if feedback else None, xs0)
+            if rule == search.WOLFE:
+                for c in np.flatnonzero(np.isfinite(J)):
+                    slopes[c] = self._slope(xs[:, c], us[:, c], sweep.K if feedback else None)
+            lane = search.choose(rule, alpha, J, slopes, cost, slope, bracket)
+            if lane >= 0:
+                self._nominal = xs[:, lane].copy(), us[:, lane].copy()
+                step = float(alpha[lane])
+                expected = promised(slope, sweep.value, step)
+                return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
+            search.refine(rule, alpha, bracket)
+        return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+
+    def sweep(self, mu: float, fresh: bool) -> Outcome:
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        return self._gradient.copy()
+
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of xs (N+1, nx) and us (N, nu)."""
+        xs, us = self._nominal
+        return xs.copy(), us.copy()
+
+    def gains(self) -> np.ndarray:
+        """A copy of K (N, nu, ndx)."""
+        return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
+
+
+def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:
+    """With quaternions a user's own derivatives are easily of the wrong size."""
+    for name, have, shape in (("A", np.shape(A), (N, ndx, ndx)), ("B", np.shape(B), (N, ndx, nu))):
+        if have != shape:
+            raise PlannerError(f"the dynamics' linearize gives {name} of shape {have}, expected {shape}.")
+
+
+def _check_shapes(model: Quadratic, N: int, nu: int, ndx: int) -> None:
+    """A wrong shape from a user's cost could broadcast into a wrong gradient."""
+    expected = {"Q": (N + 1, ndx, ndx), "q": (N + 1, ndx), "R": (N, nu, nu), "r": (N, nu)}
+    if getattr(model, "S", None) is not None:
+        expected["S"] = (N, nu, ndx)
+    for name, shape in expected.items():
+        have = np.shape(getattr(model, name))
+        if have != shape:
+            raise PlannerError(f"the cost's quadratize gives {name} of shape {have}, expected {shape}.")

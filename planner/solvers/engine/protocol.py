@@ -1,0 +1,73 @@
+"""Engine: the memory and the arithmetic of one solve. solve() drives it and decides."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from planner.problem.state_ranges import Hinges
+
+
+class Outcome(NamedTuple):
+    """What one iteration did."""
+
+    kind: int  # ACCEPTED, CONVERGED, INDEFINITE or NO_STEP
+    gradient_norm: float  # of Eq. 19, before the step
+    slope: float  # of J along the direction (Eq. 42), negative
+    step: float  # alpha of Eq. 36; 0 unless accepted
+    expected: float  # decrease that the LQ model promised for that step
+    cost: float  # J after the step
+
+
+class Engine(Protocol):
+    """One solve's memory. Not shared between threads.
+
+    Attributes:
+        largest_control_weight: The largest magnitude in R, the measure of what regularises R + B'PB.
+    """
+
+    largest_control_weight: float
+
+    def hinge(self, hinges: Hinges | None) -> None:
+        """Have these hinges added to the cost from the next start on; None for none."""
+        ...
+
+    def use_second_order(self, exact: bool) -> None:
+        """Whether the next sweeps have the second-order terms, after start(exact=True)."""
+        ...
+
+    def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
+        """Roll out the first guess, within its bounds; its cost.
+
+        With `exact` the Hessians have the dynamics' second-order terms.
+        """
+        ...
+
+    def iterate(
+        self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
+        gradient_tolerance: float, decrease_tolerance: float,
+    ) -> Outcome:  # fmt: skip
+        """Linearise (if `fresh`), sweep, search, accept."""
+        ...
+
+    def sweep(self, mu: float, fresh: bool) -> Outcome:
+        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
+        ...
+
+    def gradient(self) -> np.ndarray:
+        """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
+        ...
+
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of xs (N+1, nx) and us (N, nu)."""
+        ...
+
+    def gains(self) -> np.ndarray:
+        """A copy of K (N, nu, ndx)."""
+        ...
+
+
+def promised(slope: float, value: float, step: float) -> float:
+    """The decrease that a parabola promises for a step: its slope at 0 and its value at 1 are given."""
+    return -step * (slope + step * (value - slope))

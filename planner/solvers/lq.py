@@ -1,0 +1,138 @@
+"""The LQ subproblem for the reader, in NumPy: it drives a user's own dynamics and is the twin of the kernels.
+
+Around a trajectory (3.2, 3.3):
+
+    minimize    sum 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + du'S dx  + the same at the end
+    subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
+
+with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
+only differences of states know whether these are plain vectors (see space.py). The paper has no S: it stands beside
+B'PA wherever that does, and the gradient (Eq. 18) never sees it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.kernels.lq.bounded import AT_BOUND
+from planner.problem.costs.tracking import Quadratic
+from planner.solvers.box import box_minimum
+
+Bounds = tuple[np.ndarray, np.ndarray]  # of the change of each control, (N, nu) each: at most 0, at least 0
+
+
+class Sweep(NamedTuple):
+    """The solution of the LQ problem: du = k + K dx, its value 1/2 dx'P dx + s'dx + ..., and its slope."""
+
+    K: np.ndarray  # (N, nu, ndx)
+    k: np.ndarray  # (N, nu)
+    P: np.ndarray  # (N+1, ndx, ndx)
+    s: np.ndarray  # (N+1, ndx)
+    slope: float  # of J along the direction (Eq. 42); without bounds minus twice the decrease promised
+    value: float  # of the LQ model at its minimum: minus the decrease promised
+
+
+def costates(A: np.ndarray, quadratic: Quadratic) -> np.ndarray:
+    """Lambda (N+1, ndx) of Eq. 16, 17."""
+    costate = np.empty_like(quadratic.q)
+    costate[-1] = quadratic.q[-1]  # Eq. 17
+    for n in reversed(range(len(A))):
+        costate[n] = quadratic.q[n] + A[n].T @ costate[n + 1]  # Eq. 16
+    return costate
+
+
+def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
+    """Gradient (N, nu) of J with respect to the controls, Eq. 18, 19."""
+    return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
+
+
+def projected(gradient: np.ndarray, bounds: Bounds | None) -> np.ndarray:
+    """A gradient (N, nu) without what pushes against a bound that the control is at: zero at a minimum."""
+    if bounds is None:
+        return gradient
+    lower, upper = bounds
+    return np.where(((lower >= -AT_BOUND) & (gradient > 0.0)) | ((upper <= AT_BOUND) & (gradient < 0.0)), 0.0, gradient)
+
+
+def riccati(
+    A: np.ndarray,
+    B: np.ndarray,
+    quadratic: Quadratic,
+    mu: float = 0.0,
+    bounds: Bounds | None = None,
+    second: np.ndarray | None = None,
+) -> Sweep | None:
+    """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
+
+    With bounds each stage's k is the minimum over its box; clamped controls have no gains (see kernels.bounded).
+
+    Args:
+        A: (N, ndx, ndx).
+        B: (N, ndx, nu).
+        quadratic: Of the cost.
+        mu: Regularisation, added to R.
+        bounds: Of k.
+        second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
+
+    Returns:
+        The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
+    """
+    N, ndx, nu = B.shape
+    K, k = np.empty((N, nu, ndx)), np.empty((N, nu))
+    P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
+    P[N], s[N] = quadratic.Q[N], quadratic.q[N]  # Eq. 29
+    slope, value, none = 0.0, 0.0, np.zeros((ndx + nu, ndx + nu))
+    for n in reversed(range(N)):
+        BtP = B[n].T @ P[n + 1]
+        T = none if second is None else second[n]
+        H, H_ux = quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu), BtP @ A[n] + T[ndx:, :ndx]
+        h = quadratic.r[n] + B[n].T @ s[n + 1]
+        if quadratic.S is not None:
+            H_ux = H_ux + quadratic.S[n]
+        s_x = quadratic.q[n] + A[n].T @ s[n + 1]
+        try:
+            if bounds is not None:
+                k[n], clamped = box_minimum(H, h, bounds[0][n], bounds[1][n])
+                value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
+                kc = np.where(clamped, k[n], 0.0)  # a constant to what is left
+                h, s_x = np.where(clamped, 0.0, h + H @ kc), s_x + H_ux.T @ kc
+                H_ux = np.where(clamped[:, None], 0.0, H_ux)
+                H = np.where(clamped[:, None] | clamped, np.diag(clamped.astype(float)), H)
+            U = np.linalg.cholesky(H).T
+        except np.linalg.LinAlgError:
+            return None
+        if np.isnan(U).any():  # NumPy lets a NaN through
+            return None
+        Y = np.linalg.solve(U.T, H_ux)
+        y = np.linalg.solve(U.T, h)
+        K[n] = -np.linalg.solve(U, Y)
+        if bounds is None:
+            k[n] = -np.linalg.solve(U, y)
+        P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
+        P[n] = 0.5 * (P[n] + P[n].T)
+        s[n] = s_x - Y.T @ y  # Eq. 34
+        slope -= float(y @ y)  # Eq. 42
+    if bounds is None:
+        return Sweep(K, k, P, s, slope, 0.5 * slope)
+    _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
+    return Sweep(K, k, P, s, float(np.sum(gradient(A, B, quadratic) * dus)), value)
+
+
+def direction(
+    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Bounds | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
+
+    With bounds, what leads out of one that the control is at becomes zero: so the clipped controls set out.
+    """
+    N, ndx, nu = B.shape
+    dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
+    for n in range(N):
+        dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
+        if bounds is not None:
+            outward = ((bounds[0][n] >= -AT_BOUND) & (dus[n] < 0.0)) | ((bounds[1][n] <= AT_BOUND) & (dus[n] > 0.0))
+            dus[n, outward] = 0.0
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
+    return dxs, dus

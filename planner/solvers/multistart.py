@@ -1,0 +1,136 @@
+"""Several starts: SLQ ends in the local minimum that its first guess leads to, so it is asked from more than one.
+
+Start 0 is the problem's own first guess; start k adds a smooth random change, drawn from (seed, k) alone:
+
+    u(n) = guess(n) + spread scale sum over m < 6 of a_m cos(pi m (n + 1/2) / N),   a_m normal, sd falling as 1/(1 + m)
+
+with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
+it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
+Starts run on threads, and which of them wins does not depend on when each ends. Plans are ranked one at a time, in
+the caller's thread.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from threading import Event
+
+import numpy as np
+
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.problem.plan import Iteration, Plan, Start, Status
+from planner.problem.problem import Problem
+
+MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
+_MODES = 6  # cosines: from a constant to two and a half waves over the horizon
+_PILOT = 5  # iterations after which controls have their size
+
+
+# One solve from a first guess (N, nu), with an iteration limit and a callback.
+Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan]
+
+
+def best_of(
+    problem: Problem, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
+    callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
+) -> Plan:  # fmt: skip
+    """The plan of least rank among the converged of several starts, else among all.
+
+    Args:
+        problem: What to solve.
+        descend: One solve from a first guess.
+        max_iterations: Limit of each solve.
+        starts: Number of starts.
+        seed: Of the random changes.
+        spread: Their size relative to that of the controls.
+        callback: Called with each Start, in order, as soon as it and those before it have ended.
+        rank: Of a Plan, the less the better; its cost by default.
+    """
+    guess = problem.first_guess
+    pilot = descend(guess, min(_PILOT, max_iterations), None)
+    if pilot.status is Status.INTERRUPTED:
+        return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
+    scale = spread * _sizes(guess, pilot.us)
+
+    stop = Event()
+
+    def heed(_: Iteration) -> None:
+        if stop.is_set():
+            raise StopIteration
+
+    def run(number: int) -> Plan:
+        first = guess if number == 0 else guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape)
+        return descend(first, max_iterations, heed)
+
+    ended: list[Start] = []
+    best: Plan | None = None
+    waiting: deque[tuple[int, Future[Plan]]] = deque()
+    submitted, interrupted = 0, False
+    with ThreadPoolExecutor(min(starts, _processors())) as pool:
+        try:
+            while waiting or (submitted < starts and not interrupted):
+                try:
+                    while submitted < starts and not interrupted:
+                        waiting.append((submitted, pool.submit(run, submitted)))
+                        submitted += 1
+                    number, plan = waiting[0][0], waiting[0][1].result()
+                    summary = _summary(number, plan, _score(rank, plan))
+                    waiting.popleft()
+                    if best is None or summary.rank < min(start.rank for start in ended):
+                        best = plan
+                    ended.append(summary)
+                    if callback is not None and not interrupted:
+                        callback(ended[-1])
+                except (KeyboardInterrupt, StopIteration):
+                    interrupted = True
+                    stop.set()  # those that run end with their next iteration; the others never begin
+                    waiting = deque((k, future) for k, future in waiting if not future.cancel())
+        finally:  # also on an error, the user's own for example
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+    if best is None:  # interrupted before any start began
+        best, ended = pilot, [_summary(0, pilot, pilot.cost)]
+    return replace(best, starts=tuple(ended), status=Status.INTERRUPTED if interrupted else best.status)
+
+
+def smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """A smooth random function of time (N, nu) with an expected RMS of 1."""
+    N, nu = shape
+    m = np.arange(min(_MODES, N))
+    cosines = np.cos(np.pi * m * (np.arange(N)[:, None] + 0.5) / N)
+    deviations = 1.0 / (1.0 + m)
+    power = np.sum(deviations**2 * np.mean(cosines**2, axis=0))
+    return cosines @ (deviations[:, None] * rng.normal(size=(len(m), nu))) / np.sqrt(power)
+
+
+def _sizes(guess: np.ndarray, later: np.ndarray) -> np.ndarray:
+    """The size (nu,) of each control; a control that stays zero is given that of the others, or 1."""
+    sizes = np.sqrt(np.maximum(np.mean(guess**2, axis=0), np.mean(later**2, axis=0)))
+    return np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
+
+
+def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
+    """What a plan is ranked by; infinite where it is not finite."""
+    try:
+        value = plan.cost if rank is None else rank(plan)
+    except StopIteration:  # which here would mean an interruption, and be asked again
+        raise PlannerError("rank raised StopIteration, expected a number.") from None
+    try:
+        return float(value) if math.isfinite(value) else math.inf
+    except (TypeError, ValueError):
+        raise PlannerError(f"rank gave {shown(value)}, expected a number.") from None
+
+
+def _summary(number: int, plan: Plan, score: float) -> Start:
+    return Start(number, plan.status, plan.cost, plan.nit, score)
+
+
+def _processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

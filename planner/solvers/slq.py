@@ -1,0 +1,260 @@
+"""SLQ, the paper's sequential linear quadratic algorithm (section 3.3), told top to bottom.
+
+    minimize J(U) of Eq. 9 over the controls U = [u(0) ... u(N-1)], the states being functions of U (Eq. 10):
+
+    repeat   linearise the dynamics along the trajectory of U_k                         Eq. 35
+             solve the LQ problem by the Riccati sweep; its controls are the direction  Eq. 31-34
+             search along the direction                                                 Eq. 36
+    until    the gradient (Eq. 19) or the decrease that the LQ problem promises (Eq. 42) is small.
+
+Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
+direction to first order, and it stays near the trajectory where the dynamics are unstable.
+
+With limits (see limits) the controls stay within their bounds all along, and for ranges of the states this is done
+several times over (see augmented).
+
+It ends in a local minimum, the one its first guess leads to; with several starts solve() looks for a better one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, count, number, shown
+from planner.base.errors import PlannerError
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
+from planner.model.space import space_of
+from planner.problem.objective import iterated
+from planner.problem.plan import Iteration, Plan, Status
+from planner.problem.problem import Problem
+from planner.problem.state_ranges import Hinges
+from planner.solvers.augmented import within_ranges
+from planner.solvers.engine import Engine, Outcome, borrow, give_back
+from planner.solvers.multistart import MOST_STARTS, best_of
+
+UPDATES = ("feedback", "open-loop")
+HESSIANS = ("gauss-newton", "exact")
+LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
+
+DECREASE = 1e-10  # of solve, where neither it nor the problem has a decrease_tolerance
+
+# Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
+# fails, lowered tenfold after a full step, zero below its least value.
+_MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
+_SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
+# With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
+_MU_AGAIN = 1e8
+
+
+def solve(
+    problem: Problem,
+    *,
+    update: str = "feedback",
+    line_search: str = "armijo",
+    hessian: str = "gauss-newton",
+    max_iterations: int = 1000,
+    gradient_tolerance: float = 1e-8,
+    decrease_tolerance: float | None = None,
+    gain_tolerance: float | None = None,
+    callback: Callable[[Any], object] | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    spread: float = 1.0,
+    rank: Callable[[Plan], float] | None = None,
+) -> Plan:
+    """Optimize a motion.
+
+    Args:
+        problem: What to solve.
+        update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
+        line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
+        hessian: "gauss-newton" (default, the paper's) or "exact": with the second derivatives of the dynamics, which
+            makes it differential dynamic programming. Far fewer iterations where the end is hard to reach and the
+            cost is small against the curvature; each takes longer, and many sweeps of it are indefinite.
+        max_iterations: Limit.
+        gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
+        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
+            own, where it has none 1e-10.
+        gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J): at the
+            kinks of contact the model goes on to promise what no step along it brings. Beside any decrease_tolerance;
+            iterations with regularisation do not count. By default the problem's own, where it has none 0: never.
+        callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
+            It may raise StopIteration to end the solve.
+        starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
+            processors; which plan comes out does not depend on how many there are.
+        seed: Of the random changes.
+        spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
+            make of it where these are larger.
+        rank: What of a Plan decides among starts, less is better: its cost by default; planner.proven_cost is what it
+            costs in MuJoCo. A number that is not finite comes last.
+
+    Returns:
+        A Plan; of several starts the one of least rank among the converged, else of all, which lists the others in
+        `starts`. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
+
+    Raises:
+        PlannerError: An argument that is none of the choices or out of range.
+    """
+    if not isinstance(problem, Problem):
+        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+    feedback = choice("update", update, UPDATES) == "feedback"
+    rule = LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES))
+    exact = choice("hessian", hessian, HESSIANS) == "exact"
+    count("max_iterations", max_iterations)
+    number("gradient_tolerance", gradient_tolerance, least=0.0)
+    if decrease_tolerance is None:
+        decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
+    number("decrease_tolerance", decrease_tolerance, least=0.0)
+    gain_tolerance = number(
+        "gain_tolerance", problem.gain_tolerance if gain_tolerance is None else gain_tolerance, least=0.0
+    )
+    count("starts", starts, most=MOST_STARTS)
+    count("seed", seed, least=0)
+    number("spread", spread, above=0.0)
+    if callback is not None and not callable(callback):
+        raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
+    if rank is not None and not callable(rank):
+        raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
+    core = iterated(problem)
+    descend = partial(_descend, core, feedback, rule, exact, (gradient_tolerance, decrease_tolerance, gain_tolerance))
+    options: dict[str, Any] = {
+        "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
+        "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
+        "gain_tolerance": gain_tolerance, "starts": starts,
+    }  # fmt: skip
+    if starts > 1:
+        ranking = rank if rank is None or core is problem else lambda plan: rank(settled(problem, plan))
+        plan = settled(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
+        ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
+        return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
+    return replace(settled(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+
+
+def settled(problem: Problem, plan: Plan) -> Plan:
+    """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
+    if plan.problem is problem:
+        return plan
+    own = _minimise(problem, True, 0, False, (0.0, 0.0, 0.0), None, plan.us, plan.hinges, 0, 0)
+    more = own.cost - plan.cost  # what no control changes
+    history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
+    return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
+
+
+def _descend(
+    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
+    first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
+) -> Plan:  # fmt: skip
+    """One solve from one first guess (N, nu)."""
+    minimise = partial(_minimise, problem, feedback, rule, exact, tolerances, callback)
+    if problem.ranges is None or problem.limits is None:
+        return minimise(first_guess, None, max_iterations, 0)
+    return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
+
+
+def _minimise(
+    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
+    callback: Callable[[Iteration], object] | None, first_guess: np.ndarray, hinges: Hinges | None,
+    max_iterations: int, first_line: int,
+) -> Plan:  # fmt: skip
+    """A minimum of the cost, and of hinges where there are any; tolerances of gradient, decrease and gain."""
+    gradient_tolerance, decrease_tolerance, gain_tolerance = tolerances
+    engine = borrow(problem)
+    if problem.ranges is not None:
+        engine.hinge(hinges)
+    history: list[Iteration] = []
+    cost = engine.start(problem.x0, first_guess, exact)
+    if not math.isfinite(cost):
+        return _not_finite(problem, engine, cost)
+
+    largest = engine.largest_control_weight
+    mu, fresh, status, asked, slow = 0.0, True, Status.MAX_ITERATIONS, False, 0
+    second = exact
+    try:
+        for i in range(first_line, first_line + max_iterations):
+            # A regularised model promises too little: only the plain one may say that nothing is left to gain.
+            promise = decrease_tolerance * max(1.0, abs(cost)) if mu == 0.0 else -1.0
+            done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance, promise)
+
+            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest)
+            history.append(line)
+            little = mu == 0.0 and done.kind == ACCEPTED and line.actual < gain_tolerance * max(1.0, abs(cost))
+            slow = slow + 1 if little else 0
+            cost = done.cost
+            if callback is not None:
+                callback(line)
+            if done.kind == CONVERGED or slow == _SLOW:
+                status = Status.CONVERGED
+                break
+            fresh = done.kind == ACCEPTED
+            flat = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
+            if fresh and not flat:
+                asked = False
+            if exact and flat and mu > 0.0 and not asked:
+                mu, asked = 0.0, True  # Newton steps get to the end before mu does: ask the plain model, once
+            elif not fresh:
+                mu = max(_MU_LEAST, _MU_FACTOR * mu)
+                if mu > _MU_MOST and second:  # no amount of it helps: one iteration of Gauss and Newton
+                    second, mu = False, 0.0
+                    engine.use_second_order(second)
+                elif mu > _MU_MOST:
+                    status = Status.NO_DESCENT
+                    break
+            elif exact and not second:
+                second, mu = True, _MU_AGAIN
+                engine.use_second_order(second)
+            elif done.step >= 1.0:
+                mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
+            elif problem.limits is not None and done.expected <= decrease_tolerance * max(1.0, abs(cost)):
+                mu = 0.0  # bounds and hinges have kinks, where full steps may never come: ask the plain model
+    except (KeyboardInterrupt, StopIteration):
+        status = Status.INTERRUPTED
+
+    xs, us = engine.trajectory()
+    gradient_norm = history[-1].gradient_norm if history else math.nan
+    if status is not Status.CONVERGED or slow == _SLOW:  # the last line and the gains belong to an earlier trajectory
+        cost = problem.cost.value(xs, us)
+        last = _sweep(engine, largest)
+        gradient_norm = last.gradient_norm
+        history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
+    elif exact or mu > 0.0:  # the gains of a plan are those of the plain model of Eq. 31
+        _sweep(engine, largest)
+    if hinges is not None:  # the cost of a plan is that of its problem
+        cost = problem.cost.value(xs, us)
+    plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
+    give_back(problem, engine)
+    return plan
+
+
+def _sweep(engine: Engine, largest: float) -> Outcome:
+    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes."""
+    engine.use_second_order(False)  # whose gains need no minimum to be those of a stable loop
+    mu, fresh = 0.0, True
+    while True:
+        done = engine.sweep(mu * largest, fresh)
+        if done.kind == CONVERGED or mu > _MU_MOST:
+            return done
+        mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
+
+
+def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:
+    """The plan of a first guess that runs away: no gains, no gradient."""
+    xs, us = engine.trajectory()
+    K = np.zeros((*us.shape, space_of(problem.dynamics).ndx))
+    return _plan(problem, xs, us, K, cost, math.nan, Status.NOT_FINITE, [])
+
+
+def _plan(
+    problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray, cost: float, gradient_norm: float,
+    status: Status, history: list[Iteration],
+) -> Plan:  # fmt: skip
+    t = problem.dynamics.dt * np.arange(len(xs))
+    return Plan(
+        t, xs, us, K, cost, gradient_norm, status, tuple(history), problem,
+        problem.case, problem.parameters, problem.twin,
+    )  # fmt: skip

@@ -1,0 +1,76 @@
+"""First controls from a plan of another discretisation: the motion is known, only the controls that make it are new.
+
+Where a motion is unstable, controls of another integrator lead elsewhere within a second, and SLQ from there ends in
+another local minimum, if in any. So the old motion is followed in the new dynamics, u = us + K (x - xs), with the
+plan's gains or with those that the Riccati sweep gives along the old motion in the new dynamics, and the least cost
+of all ways tells which is taken.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planner.model.space import space_of
+from planner.problem.costs.tracking import Quadratic
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.replaying import between_knots
+from planner.solvers import lq
+
+_WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
+
+
+def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
+    """First controls (N, nu): the problem's own guess, the plan's, or those that follow the plan; of least cost.
+
+    Args:
+        plan: Of the same motion over fewer stages, or as many.
+        problem: The new one; a whole number of its stages is one of the plan's.
+    """
+    parts = problem.N // plan.N
+    us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
+    xs = plan.xs if parts == 1 else between_knots(plan, parts)  # a discrete map has nothing between
+    tries = [roll_out(problem, problem.first_guess), roll_out(problem, us), roll_out(problem, us, K, xs)]
+    retuned = _gains(problem, xs, us)
+    if retuned is not None:
+        tries.append(roll_out(problem, us, retuned, xs))
+    return min(tries, key=lambda one: one[0])[1]
+
+
+def roll_out(
+    problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
+) -> tuple[float, np.ndarray]:
+    """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about).
+
+    Args:
+        problem: Whose dynamics, start and cost.
+        us: (N, nu).
+        K: (N, nu, ndx); none by default.
+        about: (N+1, nx) what K refers to.
+    """
+    space = space_of(problem.dynamics)
+    xs, us = np.empty((len(us) + 1, problem.dynamics.nx)), us.copy()
+    xs[0] = problem.x0
+    with np.errstate(all="ignore"):  # one of the ways may run away
+        for n in range(len(us)):
+            if K is not None and about is not None:
+                us[n] += K[n] @ space.difference(xs[n], about[n])
+            if problem.bounds is not None:
+                us[n] = np.clip(us[n], problem.bounds[0][n], problem.bounds[1][n])
+            xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+            if not np.isfinite(xs[n + 1]).all():
+                return math.inf, us
+        cost = problem.cost.value(xs, us)
+    return (cost if math.isfinite(cost) else math.inf), us
+
+
+def _gains(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | None:
+    """Gains (N, nu, ndx) that follow a motion: the cost's weights, and its final one per second on every stage."""
+    model = problem.cost.quadratize(xs, us)
+    Q = model.Q + problem.dynamics.dt * model.Q[-1]
+    Q = Q + _WEAKEST * np.abs(Q).max() * np.eye(Q.shape[1])
+    A, B = problem.dynamics.linearize(xs, us)
+    sweep = lq.riccati(A, B, Quadratic(Q, np.zeros_like(model.q), model.R, np.zeros_like(model.r)))
+    return None if sweep is None else sweep.K

@@ -1,0 +1,215 @@
+"""check(): prove stored plans again and compare with the figures stored beside them, a user's fidelity regression test.
+
+A plan.npz has its figures in proof.json, any other NAME.npz in NAME.proof.json; `planner run` writes both. What is
+asked of the proof (seed, rollouts, perturbation) is in that file, so the same is measured again.
+
+    regressed   a verdict or mode that was better, a figure that passed its bound and does not,
+                or one that is worse by more than the tolerance
+    moved       any other figure that changed by more than the tolerance: shown, no regression
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from planner.base.arguments import number
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import read_text, write_atomically
+from planner.base.jsonable import json_text
+from planner.problem.plan import Plan
+from planner.proof import Proof, prove
+from planner.proof.perturbation import Perturbation
+
+TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
+_ROUNDING = 1e-9  # figures without a bound that are smaller are rounding
+_OF_BOUND = 1e-3  # changes below this part of a figure's bound do not count
+_RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
+
+
+class Change(NamedTuple):
+    """A figure that is not what was stored.
+
+    Attributes:
+        step: Of the proof, e.g. "refined_feedback"; "verdict" for the verdict itself.
+        figure: Its name.
+        stored: Value in the file, None when it was not there.
+        now: Value now, None when it is gone.
+        bound: What passes, None where nothing is judged.
+        regressed: Whether it is worse.
+    """
+
+    step: str
+    figure: str
+    stored: float | str | None
+    now: float | str | None
+    bound: float | None
+    regressed: bool
+
+    def __str__(self) -> str:
+        word = "regressed" if self.regressed else "moved"
+        return f"{self.step} {self.figure} {word} from {_shown(self.stored)} to {_shown(self.now)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """One stored plan proved again.
+
+    Attributes:
+        plan: The file.
+        changes: What is not as stored.
+        problem: Why nothing could be compared, "" when it could.
+        proof: The new proof, None when there is none.
+        updated: Whether the new figures were stored.
+    """
+
+    plan: Path
+    changes: tuple[Change, ...] = ()
+    problem: str = ""
+    proof: Proof | None = None
+    updated: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing regressed, or what did was accepted."""
+        return not self.problem and (self.updated or not any(change.regressed for change in self.changes))
+
+    def __str__(self) -> str:
+        what = self.problem or "; ".join(map(str, self.changes)) or "as stored"
+        return f"{self.plan}: {'ok' if self.passed else 'REGRESSED'}, {what}"
+
+
+def check(
+    *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
+    callback: Callable[[Checked], object] | None = None,
+) -> list[Checked]:  # fmt: skip
+    """Prove stored plans again and compare.
+
+    Args:
+        paths: Folders, searched with all below them, or plan files.
+        tolerance: Relative change of a figure that counts.
+        update: Store the new figures where they differ.
+        callback: Called with each Checked as it is done.
+
+    Returns:
+        One Checked per plan, in the order of their names.
+
+    Raises:
+        PlannerError: A path that does not exist, or nowhere a plan.
+    """
+    number("tolerance", tolerance, above=0.0)
+    done = []
+    for plan in _plans(paths):
+        found = _checked(plan, tolerance, update)
+        done.append(found)
+        if callback is not None:
+            callback(found)
+    return done
+
+
+def stored_proof(plan: Path) -> Path:
+    """Where the figures of a plan file lie."""
+    return plan.with_name("proof.json" if plan.name == "plan.npz" else f"{plan.stem}.proof.json")
+
+
+def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
+    plans: dict[Path, None] = {}
+    for given in map(Path, paths):
+        if not given.exists():
+            raise FileError(f"{given} does not exist, expected a folder of plans or a plan.npz.")
+        inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]
+        own = [path for path in inside if not any(part.startswith(".") for part in path.relative_to(given).parts)]
+        if not own:
+            raise FileError(f"{given} holds no plans, expected *.npz files as planner run and solve write them.")
+        plans.update(dict.fromkeys(own))
+    if not plans:
+        raise PlannerError("check was given nothing, expected folders of plans or plan files.")
+    return list(plans)
+
+
+def _checked(path: Path, tolerance: float, update: bool) -> Checked:
+    file = stored_proof(path)
+    try:
+        plan = Plan.load(path)
+        stored = _read(file) if file.exists() else None
+        proof = _proved_as(plan, stored)
+    except PlannerError as error:
+        return Checked(path, problem=str(error))
+    now = proof.to_dict()
+    if stored is None:
+        problem = f"it has no stored figures, expected {file.name} beside it (--update)."
+        if update:
+            _store(file, now)
+        return Checked(path, problem="" if update else problem, proof=proof)
+    changes = tuple(_changes(stored, now, tolerance))
+    if update and changes:
+        _store(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
+    return Checked(path, changes, proof=proof, updated=update and bool(changes))
+
+
+def _store(file: Path, proof: dict[str, Any]) -> None:
+    with write_atomically(file) as unfinished:
+        unfinished.write_text(json_text(proof), encoding="utf-8")
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        stored = json.loads(read_text(file, "the proof"))
+    except (ValueError, RecursionError):
+        stored = None
+    if not isinstance(stored, dict) or "verdict" not in stored:
+        raise FileError(f"{file} is not a proof: expected the JSON of planner prove or planner run.")
+    return stored
+
+
+def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
+    """The proof that was asked for when the figures were stored."""
+    asked = (stored or {}).get("asked", {})
+    try:
+        if asked.get("another_model"):
+            raise FileError("its figures are of another model (prove --mjcf), expected those of its own.")
+        perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
+        wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
+    except (TypeError, AttributeError):
+        raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
+    return prove(plan, perturbation=perturbation, **wanted)
+
+
+def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[Change]:
+    verdicts = [f"{one['verdict']} ({one.get('mode')})" for one in (stored, now)]
+    ranks = [_RANK.get((one["verdict"], str(one.get("mode"))), 0) for one in (stored, now)]
+    if verdicts[0] != verdicts[1]:
+        yield Change("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
+    for step, section in now.items():
+        before = stored.get(step)
+        if not (isinstance(section, dict) and "applicable" in section and isinstance(before, dict)):
+            continue
+        new, old = section.get("figures", {}), before.get("figures", {})
+        for name in {**old, **new}:
+            yield from _change(step, name, old.get(name), new.get(name), tolerance)
+
+
+def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[Change]:
+    """What became of one figure. A value that is no number is stored as null."""
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        before, now = (one.get("value") if isinstance(one, dict) else None for one in (old, new))
+        yield Change(step, name, before, now, None, regressed=not isinstance(new, dict))
+        return
+    bound = new.get("bound")
+    a, b = (math.inf if one.get("value") is None else float(one["value"]) for one in (old, new))
+    if a == b:
+        return
+    least = _ROUNDING if bound is None else _OF_BOUND * bound
+    failed = bool(old.get("passed")) and not new.get("passed")
+    if not failed and abs(b - a) <= max(tolerance * abs(a), least):
+        return
+    worse = b < a if any(word in name for word in ("success", "margin")) else b > a and bound is not None
+    yield Change(step, name, old.get("value"), new.get("value"), bound, failed or worse)
+
+
+def _shown(value: float | str | None) -> str:
+    return "nothing" if value is None else value if isinstance(value, str) else f"{value:.5g}"

@@ -1,0 +1,299 @@
+"""A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
+
+Which states and controls are drawn is the machine's to say (`Stage.plots`); nothing here knows a machine. The
+plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all can
+still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from planner.base.files import PathLike
+from planner.problem.appearance import Panel
+from planner.problem.default_appearance import stage_of
+from planner.problem.plan import Plan
+from planner.proof.replaying import Replay
+from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
+from planner.view.plots.solver import draw_convergence
+from planner.view.plots.style import (
+    GREYS,
+    HUES,
+    INK,
+    MINUS,
+    MODE_WORDS,
+    RED,
+    drawable,
+    dress,
+    figure_of,
+    right_axis,
+    save,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
+
+    from planner.proof import Proof
+
+STANCE = "#ece7dc"
+
+# More curves than this in one panel can no longer be told apart.
+_MOST_CURVES = len(HUES)
+
+# How far a replay that runs away may widen an axis, in parts of the range of what does not.
+_ASTRAY = 1.5
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One quantity over time: (t, values) of the plan and of each replay."""
+
+    label: str
+    plan: tuple[np.ndarray, np.ndarray]
+    replays: tuple[tuple[np.ndarray, np.ndarray], ...]
+    held: bool  # constant over a stage: drawn as steps
+    index: int  # of the state or control
+
+
+def plot_plan(plan: Plan, shown: Proof | Replay | None, path: PathLike) -> None:
+    """Write the figure of a plan, and of its replays, to `path`.
+
+    Args:
+        plan: What was planned. Its problem's stage lists the panels; without one, all states and controls.
+        shown: What MuJoCo did with it: a proof for both replays, one replay, or None.
+        path: The file to write; its suffix chooses the format (png, pdf, svg).
+
+    Raises:
+        FileError: `path` cannot be written, or its suffix names no format.
+    """
+    save(draw_plan(plan, shown), path)
+
+
+def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
+    """The figure that plot_plan() writes."""
+    replays = _replays(shown)
+    panels = _panels(plan)
+    touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
+    figure, cells = figure_of(len(panels) + bool(touched) + 1)
+    timed: list[Axes] = []
+    for panel, cell in zip(panels, cells, strict=False):
+        timed += _draw_panel(figure, cell, panel, plan, replays)
+    if touched:
+        timed.append(_draw_force(figure, cells[len(panels)], replays, plan))
+    for axes in timed:
+        axes.set_xlim(0.0, float(plan.t[-1]))
+        if touched:
+            _shade_stance(axes, _judged(shown) or touched[0])
+    draw_convergence(figure.add_subplot(cells[-1]), plan)
+    _head(figure, plan, replays, bool(touched))
+    return figure
+
+
+def _replays(shown: Proof | Replay | None) -> list[Replay]:
+    """What is drawn, the widest line first."""
+    if shown is None:
+        return []
+    return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
+
+
+def _judged(shown: Proof | Replay | None) -> Replay | None:
+    """The replay that the verdict is about."""
+    return shown if shown is None or isinstance(shown, Replay) else shown.replay
+
+
+def _panels(plan: Plan) -> tuple[Panel, ...]:
+    """The panels that the plan's stage lists; for a plan without any, its states and its controls."""
+    stage = stage_of(plan.problem)
+    if stage is not None and stage.plots:
+        return stage.plots
+    nx, nu = min(plan.xs.shape[1], _MOST_CURVES), min(plan.us.shape[1], _MOST_CURVES)
+    return (
+        Panel("States", "x", states=tuple((index, f"x[{index}]") for index in range(nx))),
+        Panel("Controls", "u", controls=tuple((index, f"u[{index}]") for index in range(nu))),
+    )
+
+
+def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
+    curves = []
+    for index, label in panel.states:
+        planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
+        simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
+        curves.append(_Curve(label, planned, simulated, held=False, index=index))
+    for index, label in panel.controls:
+        simulated = tuple((replay.t, _to_the_end(replay.ctrl[:, index])) for replay in replays)
+        curves.append(_Curve(label, (plan.t, _to_the_end(plan.us[:, index])), simulated, held=True, index=index))
+    return curves
+
+
+def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
+    """One panel of the stage; with `difference`, replays minus plan on an axis of its own beneath."""
+    curves = _curves(panel, plan, replays)
+    first = next((curve for curve in curves if not curve.held), None)
+    beneath = None
+    if panel.difference and first is not None and replays:
+        inner = cell.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.0)
+        axes = figure.add_subplot(inner[0])
+        beneath = figure.add_subplot(inner[1], sharex=axes)
+    else:
+        axes = figure.add_subplot(cell)
+    dress(axes, panel.title, panel.ylabel)
+    # Controls seldom have the unit of the states: they get the right-hand axis, named by their labels.
+    right = None
+    if panel.states and panel.controls:
+        right = right_axis(axes, ", ".join(label for _, label in panel.controls))
+
+    room = 0.18 if len(curves) > 1 else 0.05  # for the names
+    _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
+    if right is not None:
+        _keep_in_view(right, [curve for curve in curves if curve.held], room)
+    for curve, hue in zip(curves, _cycled(len(curves)), strict=True):
+        steps = "steps-post" if curve.held else "default"
+        on = right if curve.held and right is not None else axes
+        for replay, (t, values) in zip(replays, curve.replays, strict=True):
+            shown = _until_astray(values, on.get_ylim())
+            on.plot(t, shown, **_line(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
+        on.plot(
+            curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=(0, (4, 2)), drawstyle=steps,
+            label=curve.label, zorder=3, scaley=False,
+        )  # fmt: skip
+        (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
+    if len(curves) > 1:
+        _name_curves(right or axes, [curve.label for curve in curves])
+    if beneath is None or first is None:
+        axes.set_xlabel("time (s)")
+        return [axes]
+    axes.tick_params(labelbottom=False)
+    _draw_difference(beneath, first, replays, panel.ylabel)
+    return [axes, beneath]
+
+
+def _line(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
+    """How a replay is drawn."""
+    return {"color": hue[1], "lw": 2.2, "zorder": 2} if replay.feedback else {"color": hue[2], "lw": 4.0, "zorder": 1.9}
+
+
+def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
+    """Limits that a replay which runs away cannot stretch until nothing else is seen."""
+    planned = [curve.plan[1] for curve in curves]
+    low, high = _range(planned)
+    if low == high:  # then it does not say what is far; the replay with gains, which is the last one, does
+        low, high = _range(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
+    lowest, highest = _range(planned + [values for curve in curves for _, values in curve.replays])
+    reach = _ASTRAY * (high - low)
+    bottom, top = max(lowest, low - reach), min(highest, high + reach)
+    if not top > bottom:
+        bottom, top = bottom - 1.0, bottom + 1.0
+    axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
+
+
+def _until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """The values until they first leave the view: those of a replay that ran away would hide the others."""
+    shown = drawable(values)
+    outside = np.flatnonzero((shown < limits[0]) | (shown > limits[1]))
+    if len(outside):
+        shown[outside[0] + 1 :] = np.nan
+    return shown
+
+
+def _range(values: list[np.ndarray]) -> tuple[float, float]:
+    """Least and largest of what can be drawn; (0, 0) of nothing."""
+    shown = np.concatenate([drawable(part) for part in values] or [np.empty(0)])
+    shown = shown[np.isfinite(shown)]
+    return (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
+
+
+def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: str) -> None:
+    """Replays minus plan, in a power of a thousand of its unit."""
+    t, planned = curve.plan
+    differences = [drawable(values) - drawable(planned) for _, values in curve.replays]
+    power = _power_of_thousand(np.concatenate(differences))
+    dress(axes, "", "")
+    for replay, difference in zip(replays, differences, strict=True):
+        style = _line(replay, HUES[5])
+        color = RED if replay.feedback or len(replays) == 1 else style["color"]
+        axes.plot(t, difference / 1000.0**power, color=color, lw=0.5 * style["lw"], zorder=3)
+    axes.axhline(0.0, color=INK, lw=0.6, zorder=1)
+    axes.locator_params(axis="y", nbins=3)
+    axes.margins(y=0.25)
+    unit = re.search(r"[(\[,]\s*([^()\[\],]+?)\s*[)\]]?$", ylabel)
+    scale = f"$10^{{{3 * power}}}$" if power else ""
+    shown = " ".join(part for part in (scale, unit[1] if unit else "") if part)
+    axes.set_title(
+        f"{curve.label}, replay {MINUS} plan" + (f" ({shown})" if shown else ""), fontsize=8, loc="left",
+        color=RED, pad=3,
+    )  # fmt: skip
+    axes.set_xlabel("time (s)")
+
+
+def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: Plan) -> Axes:
+    stage = stage_of(plan.problem)
+    unit = "" if stage is None else stage.force_unit
+    axes = figure.add_subplot(cell)
+    dress(axes, "Contact force in the replay", f"normal force, {unit or 'model units'}")
+    for replay in replays:
+        light = len(replays) > 1 and not replay.feedback
+        color, width = ("#f2a3a8", 3.0) if light else (RED, 1.3)
+        axes.plot(replay.t, drawable(replay.contact_force), color=color, lw=width, zorder=3)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("time (s)")
+    return axes
+
+
+def _shade_stance(axes: Axes, replay: Replay) -> None:
+    axes.fill_between(
+        replay.t, 0.0, 1.0, where=replay.contact_force > 0, transform=axes.get_xaxis_transform(),
+        color=STANCE, lw=0, zorder=0,
+    )  # fmt: skip
+
+
+def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> None:
+    """The title, and one legend for what is the same in every panel."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    stage = stage_of(plan.problem)
+    title = stage.title if stage is not None else (plan.case or "Plan")
+    figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)), label="plan")]
+    for replay in replays:
+        words = MODE_WORDS["feedback" if replay.feedback else "open-loop"]
+        handles.append(Line2D([], [], **_line(replay, GREYS), label=f"replay in MuJoCo, {words}"))
+    if touched:
+        handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
+    if limited(plan):
+        handles.append(Patch(facecolor=INK, alpha=SHADE, label=LABEL))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5)
+
+
+def _name_curves(axes: Axes, labels: list[str]) -> None:
+    """A legend by colour: each curve's plan and replay share a hue."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=dark, lw=2.0) for dark, _, _ in _cycled(len(labels))]
+    legend = axes.legend(
+        handles, labels, fontsize=8, loc="upper left", ncols=min(len(labels), 3), framealpha=0.85,
+        edgecolor="none", borderpad=0.3, handlelength=1.4,
+    )  # fmt: skip
+    legend.set_zorder(5)
+
+
+def _power_of_thousand(values: np.ndarray) -> int:
+    """The k for which values / 1000**k are numbers of one to three digits."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    return math.floor(math.log10(largest) / 3) if largest > 0 else 0
+
+
+def _cycled(count: int) -> list[tuple[str, str, str]]:
+    return [HUES[index % len(HUES)] for index in range(count)]
+
+
+def _to_the_end(us: np.ndarray) -> np.ndarray:
+    """Controls (N,) with the last one repeated, so that its stage is drawn too: (N+1,)."""
+    return np.append(us, us[-1:])

@@ -1,0 +1,43 @@
+"""Points of space on paper, as a camera far away sees them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.dynamics.algorithms import frame_pose
+from planner.model.mechanism import Frame, Mechanism
+from planner.problem.appearance import View
+
+# x is ahead and y to the left: how one looks at who walks along x.
+SIDE, FRONT, TOP = View(90.0, 0.0, label="side"), View(180.0, 0.0, label="front"), View(90.0, -90.0, label="top")
+
+
+def projected(points: np.ndarray, view: View) -> np.ndarray:
+    """Points (..., 3) as seen from a view: to the right and up, (..., 2)."""
+    return np.asarray(points) @ np.stack(axes_of(view)).T
+
+
+def axes_of(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The directions (3,) of space that are right and up in a view."""
+    a, e = np.radians([view.azimuth, view.elevation])
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
+    return np.cross(ahead, up), up
+
+
+def frame_points(mechanism: Mechanism, q: Any, frames: tuple[str | Frame, ...]) -> np.ndarray:
+    """Where some frames are at positions q (K, nq): (K, P, 3) m.
+
+    Args:
+        mechanism: The machine.
+        q: (K, nq) positions, or (K, nx) states, which begin with them.
+        frames: P names of sites or bodies, or frames.
+
+    Raises:
+        PlannerError: A shape that does not fit, or a name that the machine does not have.
+    """
+    q = array("q", np.asarray(q)[..., : mechanism.nq], ("K", mechanism.nq))
+    return np.stack([frame_pose(mechanism, q, frame)[:, :3, 3] for frame in frames], axis=1)

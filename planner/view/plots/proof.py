@@ -1,0 +1,201 @@
+"""What a proof measured, in one figure: how errors grow, the order of the replay, and the Monte Carlo.
+
+Open loop and with gains keep their colours throughout. Panels that do not apply are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.files import PathLike
+from planner.problem.default_appearance import stage_of
+from planner.problem.plan import Plan
+from planner.proof import Proof
+from planner.proof.growth import Growth
+from planner.proof.order import Order
+from planner.proof.perturbed import Perturbed
+from planner.proof.scales import STATE_BOUND
+from planner.view.plots import style
+from planner.view.plots.style import INK, MODE_COLOURS, MODE_WORDS, RED, SOFT, drawable, dress, positive, say
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ERROR = "largest component: rad, m, rad/s, m/s"
+_DASHED = (0, (4, 2))
+_DECADES = 16  # of an error; what is farther below the largest is rounding
+_HIGHEST = 1e6  # beyond, a replay has long left the plan
+_BINS = 36
+_LINEAR = 1e3  # a fan that opens wider is drawn on a symmetric log scale
+
+
+def plot_proof(proof: Proof, path: PathLike) -> None:
+    """Write the figure of a proof to `path`.
+
+    Args:
+        proof: What prove() found.
+        path: The file to write; its suffix chooses the format (png, pdf, svg).
+
+    Raises:
+        FileError: `path` cannot be written, or its suffix names no format.
+    """
+    style.save(draw_proof(proof), path)
+
+
+def draw_proof(proof: Proof) -> Figure:
+    """The figure that plot_proof() writes."""
+    plan, rollouts = proof.replay.plan, proof.monte_carlo
+    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=_bound(plan))]
+    if proof.convergence is not None:
+        panels.append(partial(_draw_order, order=proof.convergence))
+    if rollouts is not None and rollouts.done:
+        panels += [partial(_draw_fan, rollouts=rollouts, mode=mode, plan=plan) for mode in rollouts.fans]
+        panels.append(partial(_draw_ends, rollouts=rollouts))
+    figure, cells = style.figure_of(len(panels))
+    for draw, cell in zip(panels, cells, strict=True):
+        draw(figure.add_subplot(cell))
+    figure.suptitle("What the proof measured", fontsize=12, fontweight="bold", color=INK)
+    return figure
+
+
+def _bound(plan: Plan) -> float | None:
+    """What the general rules ask of the end state; None where the case has rules of its own."""
+    own = getattr(getattr(plan.problem, "requirements", None), "tracking", None)
+    return STATE_BOUND if own is None else None
+
+
+def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
+    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", ERROR)
+    axes.set_xlabel("time (s)")
+    drawn = []
+    for mode, colour in MODE_COLOURS.items():
+        for values, line, words in (
+            (errors.measured[mode], "-", MODE_WORDS[mode]),
+            (errors.predicted[mode], _DASHED, f"{MODE_WORDS[mode]}, predicted"),
+        ):
+            shown = positive(values)
+            if np.isfinite(shown).any():
+                axes.plot(errors.t, shown, color=colour, ls=line, lw=1.5 if line == "-" else 1.1, label=words)
+                drawn.append(shown)
+    axes.set_xlim(0.0, float(errors.t[-1]))
+    if not drawn:
+        say(axes, "no error above zero at any knot")
+        return
+    axes.set_yscale("log")
+    if bound is not None:
+        axes.axhline(bound, color=RED, lw=0.9, label=f"bound at the end, {bound:g}", zorder=1)
+    values = np.concatenate(drawn)
+    top = min(float(np.nanmax(values)), _HIGHEST)
+    bottom = max(float(np.nanmin(values)), top / 10.0**_DECADES)
+    bottom, top = min(bottom, bound or bottom), 2.0 * max(top, bound or top)
+    axes.set_ylim(bottom / max(3.0, (top / bottom) ** 0.35), top)  # room for the legend
+    axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none", ncols=2)
+
+
+def _draw_order(axes: Axes, order: Order) -> None:
+    """The change of the end state from each step to half of it, beside the slope of the integrator."""
+    dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state")
+    axes.set_xlabel("step h (s), halved to h/2\n" + _order_words(order))
+    axes.xaxis.label.set_fontsize(7.5)
+    steps, changes = order.steps[: len(order.changes)], positive(order.changes)
+    seen = np.isfinite(changes)
+    if not seen.any():
+        say(axes, "no change above zero")
+        return
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks(list(steps), [f"{step:.2g}" for step in steps])
+    axes.minorticks_off()
+    axes.plot(steps, changes, color=MODE_COLOURS["open-loop"], lw=1.3, marker="o", ms=4.5, label="measured", zorder=3)
+    first = int(np.argmax(seen))
+    line = changes[first] * (steps / steps[first]) ** order.nominal
+    low, high = np.nanmin(changes), np.nanmax(changes)
+    axes.plot(steps, line, color=SOFT, lw=1.1, ls=_DASHED, label=f"order {order.nominal:g}, the integrator's", zorder=2)
+    axes.set_ylim(0.2 * max(low, high / 10.0**_DECADES), 5.0 * high)
+    axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none")
+
+
+def _order_words(order: Order) -> str:
+    """The extrapolation to a step of zero (Richardson) and its uncertainty (grid convergence index)."""
+    seen = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
+    with np.errstate(all="ignore"):
+        return (
+            f"observed order {seen}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
+            f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
+        )
+
+
+def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
+    """Percentiles over time of the component that strays farthest in this mode."""
+    fan = drawable(rollouts.fans[mode].astype(float))
+    reach = np.nan_to_num(np.abs(fan), nan=0.0).max(axis=(0, 1), initial=0.0)  # of each component
+    worst = int(np.argmax(reach)) if reach.size else 0
+    dress(axes, f"Monte Carlo, {MODE_WORDS[mode]}: the component that strays farthest", _component(plan, worst))
+    axes.set_xlabel("time (s)")
+    if fan.size == 0 or not np.isfinite(fan).any():
+        say(axes, "no rollout is left")
+        return
+    low, low_half, median, high_half, high = fan[:, :, worst]
+    colour = MODE_COLOURS[mode]
+    axes.fill_between(rollouts.t, low, high, color=colour, alpha=0.18, lw=0, label="90 % of rollouts")
+    axes.fill_between(rollouts.t, low_half, high_half, color=colour, alpha=0.35, lw=0, label="50 %")
+    axes.plot(rollouts.t, median, color=colour, lw=1.3, label="median")
+    axes.axhline(0.0, color=INK, lw=0.6, zorder=1)
+    if reach[worst] > _LINEAR:
+        axes.set_yscale("symlog", linthresh=1.0)
+    elif reach[worst] == 0.0:
+        axes.set_ylim(-1.0, 1.0)
+    axes.set_xlim(float(rollouts.t[0]), float(rollouts.t[-1]))
+    axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none", ncols=3)
+
+
+def _component(plan: Plan, index: int) -> str:
+    """What a component of a deviation is called in the plots of its machine."""
+    stage = stage_of(plan.problem)
+    if stage is not None and plan.space.ndx == plan.xs.shape[1]:  # else a deviation has other components than a state
+        for panel in stage.plots:
+            for state, label in panel.states:
+                if state == index:
+                    same = panel.ylabel.startswith(label)
+                    return f"deviation of {panel.ylabel if same else f'{label}, {panel.ylabel}'}"
+    return f"deviation, component {index}"
+
+
+def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
+    """A histogram of the end errors in each mode, beside the tolerance."""
+    dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts")
+    axes.set_xlabel(f"end error, {ERROR}")
+    ends = {mode: positive(errors) for mode, errors in rollouts.end_error.items()}
+    found = np.concatenate([*ends.values(), [rollouts.tolerance], [1.0] if math.isnan(rollouts.tolerance) else []])
+    found = found[np.isfinite(found)]
+    low = max(float(found.min()), float(found.max()) / 10.0**_DECADES)
+    bins = np.geomspace(0.8 * low, 1.25 * float(found.max()), _BINS + 1)
+    for mode, errors in ends.items():
+        exact = int(np.sum(rollouts.end_error[mode] == 0.0))
+        shown = np.concatenate([np.clip(errors[np.isfinite(errors)], bins[0], bins[-1]), np.full(exact, bins[0])])
+        rate = rollouts.rates[mode]
+        lowest, highest = rate.interval
+        words = (
+            f"{MODE_WORDS[mode]}: {100.0 * rate.value:.1f} % succeed ({rate.successes} of {rate.of}, "
+            f"95 % interval {100.0 * lowest:.1f} to {100.0 * highest:.1f} %)"
+        )
+        exploded = rate.of - len(shown)
+        words += f", {exploded} exploded" if exploded else ""
+        colour = MODE_COLOURS[mode]
+        axes.hist(shown, bins=list(bins), color=colour, alpha=0.35, label=words)
+        axes.hist(shown, bins=list(bins), histtype="step", color=colour, lw=1.2)
+    if math.isfinite(rollouts.tolerance):
+        axes.axvline(rollouts.tolerance, color=RED, lw=1.1, label=f"tolerance {rollouts.tolerance:g}")
+    else:
+        axes.plot([], [], " ", label="success by the machine's own rule")
+    axes.set_xscale("log")
+    axes.locator_params(axis="y", integer=True)
+    _, highest_bar = axes.get_ylim()
+    axes.set_ylim(0.0, max(1.0, 1.35 * highest_bar if math.isfinite(highest_bar) else 1.0))  # room for the legend
+    axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none")

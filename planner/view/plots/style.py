@@ -1,0 +1,119 @@
+"""What all plots share: a figure without pyplot, quiet axes, colours, and gaps where a value cannot be drawn."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.errors import FileError
+from planner.base.files import PathLike, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
+
+DPI = 130
+MINUS = "\N{MINUS SIGN}"
+INK = "#222222"
+SOFT = "#7d8590"
+RED = "#b2182b"
+
+# Plan, replay with gains and open-loop replay in one hue each.
+HUES = (
+    ("#08306b", "#4292c6", "#b3d4ea"),
+    ("#7f2704", "#f47d2b", "#fdd0a2"),
+    ("#00441b", "#41ab5d", "#bce4b5"),
+    ("#3f007d", "#9a6fc9", "#d9c9ec"),
+    ("#164e5c", "#3fb0c4", "#b9e3ea"),
+    ("#67001f", "#e377a0", "#f9cfdd"),
+    ("#4f4300", "#bda31f", "#ece19b"),
+    ("#252525", "#8a8a8a", "#d0d0d0"),
+)
+GREYS = ("#222222", "#8a8a8a", "#cccccc")
+# Beside each other they are told apart by the colour-blind as well (after Okabe and Ito).
+MODE_COLOURS = {"open-loop": "#c1570a", "feedback": "#0b5aa6"}
+MODE_WORDS = {"open-loop": "open loop", "feedback": "with gains"}
+
+DRAWABLE = 1e60  # values beyond are not drawn: what ran away must not break the axes of the others
+
+_COLUMN, _ROW, _HEAD = 5.4, 3.1, 0.5  # inches
+
+
+def figure_of(panels: int) -> tuple[Figure, list[SubplotSpec]]:
+    """A figure of two columns, and a cell for each panel; an odd last one takes the whole width."""
+    # Agg objects of its own and no pyplot: neither a display nor a caller's figures are touched.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = 1 if panels == 1 else 2
+    rows = math.ceil(panels / columns)
+    figure = Figure(figsize=(_COLUMN * columns, _HEAD + _ROW * rows), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(w_pad=0.08, h_pad=0.08)  # type: ignore[call-arg]
+    grid = figure.add_gridspec(rows, columns)
+    cells = [grid[index // columns, index % columns] for index in range(panels - 1)]
+    return figure, [*cells, grid[rows - 1, (panels - 1) % columns :]]
+
+
+def save(figure: Figure, path: PathLike) -> None:
+    """Write a figure; the suffix of `path` chooses the format.
+
+    Raises:
+        FileError: `path` cannot be written, or its suffix names no format.
+    """
+    kind = Path(path).suffix.lstrip(".").lower()
+    known = figure.canvas.get_supported_filetypes()
+    if kind not in known:
+        names = ", ".join(sorted(known))
+        raise FileError(f"Cannot write {str(path)!r}: no picture format {kind!r}; expected one of {names}.")
+    with write_atomically(path) as hidden:
+        figure.savefig(hidden, dpi=DPI, format=kind)
+
+
+def dress(axes: Axes, title: str, ylabel: str) -> None:
+    """Title, label and quiet lines."""
+    if title:
+        axes.set_title(title, fontsize=9.5, loc="left", color=INK)
+    axes.set_ylabel(ylabel, fontsize=8.5)
+    axes.xaxis.label.set_fontsize(8.5)
+    axes.tick_params(labelsize=8, color="#999999", length=3)
+    axes.grid(True, color="#d9d9d9", lw=0.5)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color("#999999")
+
+
+def right_axis(axes: Axes, ylabel: str) -> Axes:
+    """A second axis at the right."""
+    right = axes.twinx()
+    dress(right, "", ylabel)
+    right.grid(False)
+    right.spines["right"].set(visible=True, color="#999999")
+    return right
+
+
+def say(axes: Axes, words: str) -> None:
+    """A sentence in place of curves."""
+    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, fontsize=8.5, color=SOFT)
+    axes.set_yticks([])
+
+
+def drawable(values: np.ndarray) -> np.ndarray:
+    """The values with gaps where one cannot be drawn."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < DRAWABLE, values, np.nan)
+
+
+def positive(values: np.ndarray) -> np.ndarray:
+    """The values with gaps where a log scale has no place for one."""
+    shown = drawable(values)
+    with np.errstate(invalid="ignore"):
+        return np.where(shown > 0.0, shown, np.nan)

@@ -1,0 +1,122 @@
+"""Where a camera must stand to see a whole motion: the box that the moving shapes sweep, and the distance to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.problem.appearance import Stage
+from planner.view.render.film import Film
+
+_MARGIN = 1.12  # the picture's half sizes over the motion's
+_ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
+
+
+class Box(NamedTuple):
+    """Corners of a box along the world's axes."""
+
+    low: np.ndarray  # (3,)
+    high: np.ndarray  # (3,)
+
+    def beside(self, offset: np.ndarray) -> Box:
+        """The box of this one and of the same, displaced."""
+        return Box(np.minimum(self.low, self.low + offset), np.maximum(self.high, self.high + offset))
+
+    def joined(self, other: Box, most: float) -> Box:
+        """The box of this one and of another, at most so much larger on every side."""
+        low = np.maximum(np.minimum(self.low, other.low), self.low - most)
+        return Box(low, np.minimum(np.maximum(self.high, other.high), self.high + most))
+
+
+def whole_motion(
+    films: Sequence[Film], model: Any, stage: Stage, aspect: float, ghost: bool, room: float = 1.0
+) -> tuple[np.ndarray, float]:
+    """Where to look, and from how far, to see all of some films of one plan; of a replay that runs away, its start.
+
+    Args:
+        films: What to see.
+        model: Their MuJoCo model.
+        stage: From where.
+        aspect: Width of the picture over its height.
+        ghost: Whether the plan is drawn too.
+        room: The part of the picture's height that words leave free.
+    """
+    scenery = scenery_of(model, stage)[0]
+    plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
+    for film in films:
+        swept = swept_box(model, film.path_qpos, scenery)
+        box = box.joined(plan.joined(swept, _ASTRAY * float(np.max(plan.high - plan.low))), np.inf)
+    if ghost:
+        box = box.beside(np.asarray(stage.ghost_offset))
+    distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect, room)
+    return 0.5 * (box.low + box.high), distance
+
+
+def scenery_of(model: Any, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    """Which bodies (nbody,) and which tendons (ntendon,) of a model are a stage's scenery.
+
+    Raises:
+        PlannerError: The stage names what the model does not have.
+    """
+    bodies, tendons = np.zeros(model.nbody, bool), np.zeros(model.ntendon, bool)
+    named = {model.body(i).name: (bodies, i) for i in range(1, model.nbody)}
+    named |= {model.tendon(i).name: (tendons, i) for i in range(model.ntendon)}
+    for name in stage.scenery:
+        if name not in named:
+            known = ", ".join(filter(None, named)) or "none"
+            raise PlannerError(f"the stage's scenery is {name!r}, expected a body or tendon of the model: {known}.")
+        mask, i = named[name]
+        mask[i] = True
+    for i in range(1, model.nbody):
+        bodies[i] |= bodies[model.body_parentid[i]]
+    return bodies, tendons
+
+
+def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
+    """The box around everything that moves, but for the bodies (nbody,) of the scenery, over the poses path (P, nq)."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(model)
+    moving = np.flatnonzero((model.body_weldid[model.geom_bodyid] != 0) & ~scenery[model.geom_bodyid])
+    shown = np.flatnonzero(~scenery)[1:]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for qpos in path:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        R = data.geom_xmat[moving].reshape(-1, 3, 3)
+        centre = data.geom_xpos[moving] + np.einsum("gij,gj->gi", R, model.geom_aabb[moving, :3])
+        half = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[moving, 3:])
+        points = np.concatenate([centre - half, centre + half, data.xpos[shown]])
+        if len(points):
+            low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    if not np.isfinite(low).all():  # nothing but a world
+        low, high = model.stat.center - model.stat.extent / 2, model.stat.center + model.stat.extent / 2
+    least = 0.05 * max(float(np.max(high - low)), 1e-3)
+    return Box(low - least, high + least)
+
+
+def standing_back(
+    box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0
+) -> float:  # fmt: skip
+    """The distance from the box's centre at which a camera sees all of it.
+
+    Args:
+        box: What to see.
+        azimuth: Of the camera, degrees (MuJoCo's convention).
+        elevation: Of the camera, degrees.
+        fovy: Vertical field of view, degrees.
+        aspect: Width of the picture over its height.
+        room: The part of the picture's height to be used.
+    """
+    a, e = np.radians([azimuth, elevation])
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
+    right = np.cross(ahead, up)
+    half = 0.5 * (box.high - box.low)
+    corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    tangent = np.tan(0.5 * np.radians(fovy))
+    needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
+    return float(np.max(_MARGIN * needed - corners @ ahead))

@@ -1,0 +1,115 @@
+"""Frames into an H.264 file that a browser plays, one frame at a time, by the ffmpeg that imageio-ffmpeg brings.
+
+ffmpeg is driven directly, not through imageio's writer: that one does not look at ffmpeg's exit code, and a disk
+that fills up while the index is written at the end would leave a broken file and no error.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from planner.base.errors import FileError
+from planner.base.files import PathLike, file_error
+
+
+class Encoder:
+    """A video being written; a context manager. Memory does not grow with the number of frames."""
+
+    def __init__(self, path: Path, width: int, height: int, fps: float, shown: PathLike) -> None:
+        """Start ffmpeg.
+
+        Args:
+            path: The file to write, replaced if it exists.
+            width: Pixels, even.
+            height: Pixels, even.
+            fps: Frames per second.
+            shown: The path that an error names, where `path` is a temporary one.
+
+        Raises:
+            FileError: There is no ffmpeg to start.
+        """
+        self._shown = shown
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
+        command = [
+            _ffmpeg(shown), "-loglevel", "error", "-y",
+            "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
+            # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
+            "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709",
+            "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
+            "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p",
+            # The index in front lets a browser start before it has everything.
+            "-movflags", "+faststart", "-f", "mp4", str(path),
+        ]  # fmt: skip
+        try:
+            self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
+        except OSError as error:
+            self._log.close()
+            raise FileError(f"Cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
+
+    def write(self, frame: np.ndarray) -> None:
+        """Append a frame (height, width, 3), uint8.
+
+        Raises:
+            FileError: ffmpeg gave up, e.g. because the disk is full.
+        """
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.write(frame.tobytes())
+        except OSError as error:
+            raise self._complaint() from error
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            FileError: ffmpeg could not.
+        """
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.close()
+        except OSError as error:
+            raise self._complaint() from error
+        if self._ffmpeg.wait() != 0:
+            raise self._complaint()
+
+    def __enter__(self) -> Encoder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self.close()
+        finally:
+            self._ffmpeg.kill()  # does nothing to a finished process
+            self._ffmpeg.wait()
+            if self._ffmpeg.stdin is not None:
+                with suppress(OSError):  # what could not be written to a dead ffmpeg
+                    self._ffmpeg.stdin.close()
+            self._log.close()
+
+    def _complaint(self) -> FileError:
+        self._ffmpeg.wait()
+        self._log.seek(0)
+        said = self._log.read().decode(errors="replace").strip().splitlines()
+        # The last line is ffmpeg's summary, the first one the cause. Without a number in it, file_error looks
+        # whether the disk is full.
+        return file_error(OSError(f"ffmpeg says: {said[0]}" if said else "ffmpeg died"), self._shown)
+
+
+def _ffmpeg(shown: PathLike) -> str:
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise FileError(
+            f"Cannot write {str(shown)!r}: there is no ffmpeg; install it with: pip install imageio-ffmpeg."
+        ) from error

@@ -1,0 +1,256 @@
+"""Film: everything a renderer needs to know about a replay, as plain arrays, one row per frame.
+
+Made here from a Replay, drawn elsewhere, perhaps in another process: a film goes into an .npz without pickle. A replay
+that ran away stays in the last pose that it had.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.base.errors import PlannerError
+from planner.problem.appearance import Ghost, Readout, Stage, View
+from planner.problem.archive import ASSET
+from planner.problem.default_appearance import stage_of
+
+if TYPE_CHECKING:
+    from planner.proof.replaying import Replay
+    from planner.proof.touches import Touches
+
+# A frame shows the mean force over this time, s, as a camera's exposure would: a light foot rings with each
+# simulator step, and one sample out of that would make the arrow flicker.
+_EXPOSURE = 0.01
+
+# Poses along the whole motion, for what is seen of it at once: trails and the place of the camera.
+_PATH = 240
+
+_ARRAYS = (
+    "t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift",
+    "path_t", "path_qpos", "path_ghost_qpos",
+)  # fmt: skip
+
+
+class Caption(NamedTuple):
+    """What is written under a film that is shown beside another.
+
+    Attributes:
+        mode: Which of the two it is.
+        verdict: "PASS", "FAIL" or "".
+        detail: How it ended.
+    """
+
+    mode: str
+    verdict: str
+    detail: str
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames of a replay, not yet drawn.
+
+    Attributes:
+        mjcf: The model's XML text.
+        stage: How it is shown; None shows the whole motion, the plan in the same place.
+        t: (F,) s.
+        qpos: (F, nq) of the simulated machine.
+        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the stage gives.
+        forces: (F, C, 3) contact forces, in the world.
+        points: (F, C, 3) where they act; NaN without contact.
+        readings: (F, R, 2) the readouts, in the simulation and in the plan.
+        largest: (R,) largest magnitude of each readout in the whole replay.
+        shift: (F, 3) how far the camera's point is moved.
+        path_t: (P,) s, times along the whole replay, whatever the frames are.
+        path_qpos: (P, nq) of the simulated machine.
+        path_ghost_qpos: (P, nq) of the ghost.
+        unstable: s, when the simulation ran away; infinite when it did not.
+        caption: What is written under it, or None.
+        assets: Files that the model's text names.
+    """
+
+    mjcf: str
+    stage: Stage | None
+    t: np.ndarray
+    qpos: np.ndarray
+    ghost_qpos: np.ndarray
+    forces: np.ndarray
+    points: np.ndarray
+    readings: np.ndarray
+    largest: np.ndarray
+    shift: np.ndarray
+    path_t: np.ndarray
+    path_qpos: np.ndarray
+    path_ghost_qpos: np.ndarray
+    unstable: float = math.inf
+    caption: Caption | None = None
+    assets: dict[str, bytes] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, replay: Replay, t: np.ndarray, caption: Caption | None = None) -> Film:
+        """The frames of a replay at the times t.
+
+        Positions are interpolated linearly between the simulator's steps, which are far shorter than a frame.
+
+        Args:
+            replay: What to show.
+            t: (F,) s, within the replay.
+            caption: What is written under it.
+
+        Raises:
+            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the stage's ghost
+                is no motion of this machine.
+        """
+        known = _known(replay)
+        if known == 0 or not np.all(np.isfinite(replay.plan_xs)):
+            name = "plan_xs" if known else "its first state"
+            raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
+        stage = stage_of(replay.plan.problem)
+        shown = stage or Stage(title="")
+        sampled = replay.t[:known]  # beyond, the last pose stays
+        xs = _interpolate(t, sampled, replay.xs[:known])
+        plan_xs = _interpolate(t, replay.t, replay.plan_xs)
+        indices = [readout.index for readout in shown.readouts]
+        path = np.linspace(replay.t[0], replay.t[-1], _PATH)
+        ghost_t, ghost = _ghost(replay, shown.ghost)
+        forces, points = _arrows(replay.touches, t)
+        return cls(
+            mjcf=replay.twin.mjcf,
+            stage=stage,
+            t=t,
+            qpos=_interpolate(t, sampled, replay.qpos[:known]),
+            ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
+            forces=forces,
+            points=points,
+            readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
+            largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
+            shift=_shift(shown, xs),
+            path_t=path,
+            path_qpos=_interpolate(path, sampled, replay.qpos[:known]),
+            path_ghost_qpos=_positions(replay, _interpolate(path, ghost_t, ghost)),
+            unstable=float(replay.t[known]) if known < len(replay.t) else math.inf,
+            caption=caption,
+            assets=replay.twin.assets,
+        )
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def views(self) -> tuple[Film, ...]:
+        """The film once for each of the stage's cameras."""
+        views = () if self.stage is None else self.stage.views
+        return tuple(replace(self, stage=self.stage.seen_from(view)) for view in views if self.stage) or (self,)
+
+    def save(self, path: Path, **extra: Any) -> None:
+        """Write the film, and JSON values beside it, to an .npz file."""
+        stage = None if self.stage is None else _stage_values(self.stage)
+        unstable = self.unstable if math.isfinite(self.unstable) else None
+        meta = json.dumps(
+            {"mjcf": self.mjcf, "stage": stage, "unstable": unstable, "caption": self.caption, "extra": extra}
+        )
+        contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
+        contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
+        np.savez(path, meta=np.array(meta), **contents)
+
+    @classmethod
+    def load(cls, path: Path) -> tuple[Film, dict[str, Any]]:
+        """The film in a file that save() wrote, and what was beside it."""
+        with np.load(path, allow_pickle=False) as file:
+            meta = json.loads(str(file["meta"]))
+            arrays = {name: file[name] for name in _ARRAYS}
+            named = [name for name in file.files if name.startswith(ASSET)]
+            assets = {name.removeprefix(ASSET): file[name].tobytes() for name in named}
+        stage = meta["stage"]
+        if stage is not None:
+            stage = _stage_of_values(stage)
+        unstable = math.inf if meta["unstable"] is None else meta["unstable"]
+        caption = None if meta["caption"] is None else Caption(*meta["caption"])
+        film = cls(mjcf=meta["mjcf"], stage=stage, **arrays, unstable=unstable, caption=caption, assets=assets)
+        return film, meta["extra"]
+
+
+def _stage_values(stage: Stage) -> dict[str, Any]:
+    """What a film needs of a stage, as JSON values: of its ghost, the states are already in the film."""
+    ghost = stage.ghost and {"label": stage.ghost.label, "colour": stage.ghost.colour, "opacity": stage.ghost.opacity}
+    return {**asdict(replace(stage, plots=(), pictures=None, ghost=None)), "ghost": ghost}
+
+
+def _stage_of_values(values: dict[str, Any]) -> Stage:
+    ghost = values["ghost"] and Ghost(states=np.zeros((0, 0)), **values["ghost"])
+    readouts = tuple(Readout(**readout) for readout in values["readouts"])
+    views = tuple(View(**view) for view in values["views"])
+    names = {"readouts": readouts, "views": views, "ghost": ghost, "scenery": tuple(values["scenery"])}
+    return Stage(**{**values, **names})
+
+
+def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:
+    """Times (K,) and states (K, nx) of what is shown as the ghost."""
+    if ghost is None:
+        return replay.t, replay.plan_xs
+    states = array("the ghost's states", ghost.states, ("K", replay.plan_xs.shape[1]))
+    if len(states) < 2:
+        raise PlannerError(f"the ghost has {len(states)} states, expected two or more: a motion.")
+    return np.linspace(replay.t[0], replay.t[-1], len(states)), states
+
+
+def _positions(replay: Replay, xs: np.ndarray) -> np.ndarray:
+    """(F, nq) of states (F, nx)."""
+    return replay.twin.sim_of(xs)[:, : replay.qpos.shape[1]]
+
+
+def _arrows(touches: Touches, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces and points (F, C, 3) of the contacts at each t."""
+    forces, points = np.zeros((len(t), len(touches.names), 3)), np.full((len(t), len(touches.names), 3), np.nan)
+    for c in range(len(touches.names)):
+        exposure = max(_EXPOSURE, float(touches.t[1] - touches.t[0]))  # the samples of a long replay are longer
+        points[:, c] = _last_known(t, touches.t, touches.points[:, c], exposure)
+        for axis in range(3):
+            forces[:, c, axis] = _exposed(t, touches.t, touches.forces[:, c, axis], exposure)
+    return forces, points
+
+
+def _shift(stage: Stage, xs: np.ndarray) -> np.ndarray:
+    """How far the camera's point is moved, (F, 3), at states (F, nx)."""
+    if stage.accompany is not None:
+        return xs[:, list(stage.accompany)]
+    index, fraction = stage.follow or (0, 0.0)
+    return fraction * xs[:, [index]] * np.array([0.0, 0.0, 1.0])
+
+
+def _known(replay: Replay) -> int:
+    """How many samples there are before the first that is not finite."""
+    finite = np.isfinite(replay.qpos).all(axis=1) & np.isfinite(replay.xs).all(axis=1)
+    return finite.size if finite.all() else int(np.argmin(finite))
+
+
+def _interpolate(t: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The values (M+1, k) at the knots (M+1,), linearly at t (F,): (F, k)."""
+    columns = [np.interp(t, knots, column) for column in values.T]
+    return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
+
+
+def _exposed(t: np.ndarray, knots: np.ndarray, force: np.ndarray, exposure: float) -> np.ndarray:
+    """The force (S,) at the knots, averaged over the exposure around each t: (F,)."""
+    impulse = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(knots))])
+    middle = np.clip(t, knots[0], knots[-1])
+    start, end = np.maximum(middle - exposure / 2, knots[0]), np.minimum(middle + exposure / 2, knots[-1])
+    return (np.interp(end, knots, impulse) - np.interp(start, knots, impulse)) / (end - start)
+
+
+def _last_known(t: np.ndarray, knots: np.ndarray, point: np.ndarray, exposure: float) -> np.ndarray:
+    """The point (S, 3) at each t: the nearest sample within the exposure that is not NaN, (F, 3)."""
+    known = np.flatnonzero(np.all(np.isfinite(point), axis=1))
+    if len(known) == 0:
+        return np.full((len(t), 3), np.nan)
+    after = np.clip(np.searchsorted(knots[known], t), 1, max(len(known) - 1, 1))
+    pair = np.stack([known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]], axis=-1)  # (F, 2)
+    distance = np.abs(knots[pair] - t[:, None])
+    nearest = np.take_along_axis(pair, np.argmin(distance, axis=1)[:, None], axis=1)[:, 0]
+    seen = np.min(distance, axis=1) <= exposure
+    return np.where(seen[:, None], point[nearest], np.nan)

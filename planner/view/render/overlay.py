@@ -1,0 +1,246 @@
+"""The words on a picture: title, readouts, legend, speed, and labels at points of the scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from planner.problem.appearance import Stage
+from planner.view.render.film import Caption
+from planner.view.render.scene import FORCE, ghost_paint
+
+Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
+_Words = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
+
+_INK = (28, 32, 40)
+_QUIET = (92, 99, 112)
+_PAPER = (255, 255, 255)
+_PAPER_ALPHA = 205
+_SOLID = (24, 84, 176)
+_GOOD, _BAD = (20, 113, 58), (179, 38, 30)
+_MINUS = "\N{MINUS SIGN}"
+_LONG = 1e7
+
+
+class Overlay:
+    """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
+
+    def __init__(
+        self, stage: Stage, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
+        legend: bool = True, caption: Caption | None = None, unstable: float = math.inf, numbers: bool = True,
+        label: str = "",
+    ) -> None:  # fmt: skip
+        """Lay out the panels, once for all frames.
+
+        Args:
+            stage: What to write.
+            width: Of the pictures, pixels.
+            height: Of the pictures, pixels.
+            largest: (R,) largest magnitude of each readout: it decides the decimals.
+            speed: Playback speed; None writes none.
+            legend: Say what is solid and what is a ghost.
+            caption: Written at the bottom, or None.
+            unstable: s, when the simulation ran away: said from then on.
+            numbers: Write title, time and readouts.
+            label: Written in the upper right corner: where it is seen from.
+        """
+        self._stage, self._numbers = stage, numbers
+        self._width, self._height = width, height
+        unit = min(height / 720, width / 900)
+        self._unit = unit
+        self._text = _font("DejaVuSans.ttf", 18 * unit)
+        self._title = _font("DejaVuSans-Bold.ttf", 21 * unit)
+        self._small = _font("DejaVuSans.ttf", 15 * unit)
+        # Numbers with the same unit are compared by eye: they get the same decimals.
+        scales: dict[str, float] = {}
+        for readout, value in zip(stage.readouts, largest, strict=True):
+            scales[readout.unit] = max(scales.get(readout.unit, 0.0), value)
+        self._decimals = [decimals(scales[readout.unit]) for readout in stage.readouts]
+        self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
+        self._columns = self._lay_out_columns(largest)
+        self._panels = [*([self._readout_panel()] if numbers else []), *self._legend_panels(speed, legend)]
+        if label:
+            self._panels.append(self._right_panel(label, round(self._margin)))
+        self._unstable, self._warning = unstable, self._warning_panel(unstable, 1.0 if caption is None else 2.3)
+        if caption is not None:
+            self._panels.append(self._caption_panel(caption))
+
+    def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
+        """The picture (height, width, 3) with everything written on it, a new array.
+
+        Args:
+            picture: (height, width, 3) uint8.
+            t: s.
+            readings: (R, 2) in the simulation and in the plan.
+            marks: Labels and where they stand.
+        """
+        image = Image.fromarray(picture)
+        draw = ImageDraw.Draw(image)
+        for (x, y), words, anchor in marks:
+            inmost = self._width - self._margin - self._small.getlength(words)
+            if anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
+                x, y = inmost, y - 0.6 * self._line
+            draw.text(
+                (x, y), words, _INK, self._small, anchor=anchor,
+                stroke_width=max(1, round(2 * self._unit)), stroke_fill=(240, 243, 247),
+            )  # fmt: skip
+        for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
+            image.paste(panel, corner, panel)
+        if not self._numbers:
+            return np.asarray(image)
+        x, y = self._margin + self._padding, self._margin + self._padding
+        if self._stage.title:
+            y += self._line * 1.15
+        sim, plan, _ = self._columns
+        y += self._line * 0.8
+        draw.text((x, y), f"time {t:.2f} s", _INK, self._text, anchor="ls")
+        for (value, wanted), places in zip(readings, self._decimals, strict=True):
+            y += self._line
+            draw.text((sim, y), number(value, places), _INK, self._text, anchor="rs")
+            draw.text((plan, y), number(wanted, places), _QUIET, self._text, anchor="rs")
+        return np.asarray(image)
+
+    def _lay_out_columns(self, largest: np.ndarray) -> tuple[float, float, float]:
+        """Right ends of the two columns of numbers, and where the units begin."""
+        labels = [readout.label for readout in self._stage.readouts]
+        left = max([self._text.getlength(words) for words in [*labels, "time 00.00 s"]])
+        numbers = [number(-value, places) for value, places in zip(largest, self._decimals, strict=True)]
+        wide = max([self._text.getlength(words) for words in [*numbers, "MuJoCo"]]) + 16 * self._unit
+        sim = self._margin + self._padding + left + wide
+        return sim, sim + wide, sim + wide + 8 * self._unit
+
+    def _readout_panel(self) -> tuple[Image.Image, tuple[int, int]]:
+        """Title, column heads, labels and units: what stays the same from frame to frame."""
+        stage, m, p = self._stage, self._margin, self._padding
+        sim, plan, units = self._columns
+        unit_width = max([self._text.getlength(readout.unit) for readout in stage.readouts], default=0.0)
+        right = units + unit_width if stage.readouts else m + p + self._text.getlength("time 00.00 s")
+        right = max(right, m + p + self._title.getlength(stage.title))
+        lines = (1.15 if stage.title else 0.0) + 1.0 + len(stage.readouts)
+        panel, draw = _panel(right + p - m, 2 * p + lines * self._line, 8 * self._unit)
+        y = p
+        if stage.title:
+            draw.text((p, y + 0.8 * self._line), stage.title, _INK, self._title, anchor="ls")
+            y += self._line * 1.15
+        y += self._line * 0.8
+        if stage.readouts:
+            draw.text((sim - m, y), "MuJoCo", _INK, self._small, anchor="rs")
+            draw.text((plan - m, y), "plan", _QUIET, self._small, anchor="rs")
+        for readout in stage.readouts:
+            y += self._line
+            draw.text((p, y), readout.label, _INK, self._text, anchor="ls")
+            draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
+        return panel, (round(m), round(m))
+
+    def _caption_panel(self, caption: Caption) -> tuple[Image.Image, tuple[int, int]]:
+        """Which film it is and how it ends, at the bottom in the middle."""
+        parts: list[_Words] = [(f"{caption.mode}  ", self._title, _INK)]
+        if caption.verdict:
+            parts.append((f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
+        return self._bottom_panel([*parts, (caption.detail, self._text, _INK)], 1.0)
+
+    def _warning_panel(self, unstable: float, above: float) -> tuple[Image.Image, tuple[int, int]]:
+        words = f"unstable at t = {unstable:.2f} s"
+        return self._bottom_panel([(words, self._title, _BAD)], above)
+
+    def _bottom_panel(self, parts: Sequence[_Words], above: float) -> tuple[Image.Image, tuple[int, int]]:
+        """Words in a row in the middle, so many lines above the legend."""
+        p, height = self._padding, 40 * self._unit
+        panel, draw = _panel(2 * p + sum(font.getlength(words) for words, font, _ in parts), height, 8 * self._unit)
+        x = p
+        for words, font, ink in parts:
+            draw.text((x, 0.67 * height), words, ink, font, anchor="ls")
+            x += font.getlength(words)
+        y = self._height - self._margin - 34 * self._unit - above * (height + 8 * self._unit)
+        return panel, (round((self._width - panel.width) / 2), round(y))
+
+    def _legend_panels(self, speed: float | None, legend: bool) -> list[tuple[Image.Image, tuple[int, int]]]:
+        """What is solid and what is a ghost, bottom left; how fast it plays, bottom right."""
+        ghost = "plan" if self._stage.ghost is None else self._stage.ghost.label
+        paint = _bytes(ghost_paint(self._stage))
+        entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
+        if self._stage.force_scale > 0:
+            entries.append(("contact force", _bytes(FORCE)))
+        p, box, height = self._padding, 13 * self._unit, 34 * self._unit
+        gaps = [self._small.getlength(words) + 1.6 * box for words, _ in entries]
+        panel, draw = _panel(2 * p + sum(gaps) + 1.6 * box * (len(entries) - 1), height, 8 * self._unit)
+        x = p
+        for (words, colour), gap in zip(entries, gaps, strict=True):
+            top = (height - box) / 2
+            draw.rectangle((x, top, x + box, top + box), fill=colour, outline=colour[:3])
+            draw.text((x + 1.6 * box, height / 2), words, _INK, self._small, anchor="lm")
+            x += gap + 1.6 * box
+        bottom = round(self._height - self._margin - height)
+        panels = [(panel, (round(self._margin), bottom))] if legend else []
+        if speed is not None:
+            panels.append(self._right_panel(speed_words(speed), bottom))
+        return panels
+
+    def _right_panel(self, words: str, y: int) -> tuple[Image.Image, tuple[int, int]]:
+        p, height = self._padding, 34 * self._unit
+        panel, draw = _panel(2 * p + self._small.getlength(words), height, 8 * self._unit)
+        draw.text((p, height / 2), words, _INK, self._small, anchor="lm")
+        return panel, (round(self._width - self._margin - panel.width), y)
+
+
+def decimals(largest: float) -> int:
+    """How many decimals give about four digits to a number as large as `largest`, at most four."""
+    return 4 if largest == 0 else int(np.clip(3 - math.floor(math.log10(largest)), 0, 4))
+
+
+def number(value: float, places: int) -> str:
+    """A number with a true minus sign and no negative zero; one that ran away in few digits."""
+    if abs(value) >= _LONG:
+        return f"{value:.0e}".replace("e+", "e").replace("-", _MINUS)
+    words = f"{value + 0.0:.{places}f}"
+    return words.lstrip("-") if float(words) == 0 else words.replace("-", _MINUS)
+
+
+def speed_words(speed: float) -> str:
+    """A playback speed in words, e.g. "1/4 speed"."""
+    if speed == 1:
+        return "real time"
+    ratio = Fraction(speed).limit_denominator(100)
+    if ratio.numerator == 1 and math.isclose(ratio, speed):
+        return f"1/{ratio.denominator} speed"
+    return f"{speed:.3g}\N{MULTIPLICATION SIGN} speed"
+
+
+def write_time(picture: np.ndarray, t: float, band: int, unit: float, *, unstable: bool = False) -> np.ndarray:
+    """A pose of a strip with its time in a band under it, where it hides nothing: (height + band, width, 3)."""
+    height, width, _ = picture.shape
+    image = Image.new("RGB", (width, height + band), _PAPER)
+    image.paste(Image.fromarray(picture), (0, 0))
+    words, ink = (f"{t:.2f} s, unstable", _BAD) if unstable else (f"{t:.2f} s", _INK)
+    font = _font("DejaVuSans.ttf", 18 * unit)
+    ImageDraw.Draw(image).text((width / 2, height + band / 2), words, ink, font, anchor="mm")
+    return np.asarray(image)
+
+
+def _panel(width: float, height: float, radius: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    """A translucent sheet with round corners to write on. The corners are smooth: drawn large, then shrunk."""
+    size = (max(1, math.ceil(width)), max(1, math.ceil(height)))
+    large = Image.new("L", (4 * size[0], 4 * size[1]), 0)
+    corners = (0, 0, large.width - 1, large.height - 1)
+    ImageDraw.Draw(large).rounded_rectangle(corners, 4 * radius, fill=_PAPER_ALPHA)
+    panel = Image.new("RGBA", size, (*_PAPER, 0))
+    panel.putalpha(large.resize(size, Image.Resampling.LANCZOS))
+    return panel, ImageDraw.Draw(panel)
+
+
+def _bytes(rgba: tuple[float, ...]) -> tuple[int, ...]:
+    return tuple(round(255 * value) for value in rgba)
+
+
+@cache
+def _font(name: str, size: float) -> ImageFont.FreeTypeFont:
+    """A font that matplotlib brings, so that pictures look the same on every machine."""
+    import matplotlib
+
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), max(6, round(size)))

@@ -1,0 +1,278 @@
+"""The three-dimensional part of a picture: the machine, the ghost, trails, force arrows, goal line, camera.
+
+Only kinematics is computed here. What a picture adds to the model is drawn as loose shapes; a model without a sky or
+lights of its own gets both.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from PIL import Image
+
+from planner.base import gl
+from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.problem.appearance import Stage
+from planner.proof.replaying import compile_model
+from planner.view.render.camera import scenery_of, whole_motion
+from planner.view.render.film import Film
+from planner.view.render.shapes import Paint, Shapes, without_shadow
+
+GHOST = (0.05, 0.62, 0.48)
+_ASIDE = 0.34  # opacity of a ghost beside the machine
+_IN_PLACE = 0.16  # of one that stands in the machine, which must be seen through it
+FORCE = (0.89, 0.12, 0.14, 1.0)
+GOAL = (0.16, 0.17, 0.20, 1.0)
+TRAIL = (0.80, 0.25, 0.10, 1.0)
+_GHOST_TRAIL = 0.8  # opacity
+_THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
+
+_SKY = {"name": "planner_sky", "type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88",
+        "rgb2": "0.93 0.95 0.97", "width": "64", "height": "384"}  # fmt: skip
+_FLOOR = 2.0  # camera distances: a shape as large as that is a floor
+_SHADOWS = 1024  # pixels of the shadow map of a picture beside another
+_ROOM = 0.7  # of the height of a picture beside another is free of words
+_SHOWN_GROUPS = 3  # geom groups that MuJoCo draws unless told otherwise
+
+
+class Scene:
+    """Draws the frames of a film, without any text. A context manager: it holds an OpenGL context."""
+
+    def __init__(
+        self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
+        beside: Sequence[Film] = (), narrow: bool = False,
+    ) -> None:  # fmt: skip
+        """Open the model and an OpenGL context.
+
+        Args:
+            film: What to draw.
+            width: Pixels.
+            height: Pixels.
+            ghost: Draw the ghost beside the machine. Without it, the camera looks at the machine alone.
+            oversize: Draw so many times larger in both directions, then shrink. In software this costs no more than
+                OpenGL's own multisampling, and smooths the edges of shadows too.
+            beside: Other films of the same plan that the camera must suit as well.
+            narrow: The picture is a part of a larger one, as it is with films beside it.
+
+        Raises:
+            ModelError: MuJoCo refuses the model's text.
+            PlannerError: The stage names what the model does not have.
+            RenderingUnavailable: The OpenGL library is there but does not work.
+        """
+        mujoco = gl.load_mujoco()
+        self._mujoco = mujoco
+        self._film = film
+        self._stage = film.stage or Stage(title="")
+        self._ghost = ghost
+        self._width, self._height = width, height
+        model = visible_model(film)
+        # The frame buffer that the model asks for may be smaller than the picture.
+        columns, rows = round(oversize * width), round(oversize * height)
+        model.vis.quality.offsamples = 0
+        narrow = narrow or bool(beside)
+        if narrow:  # in software, the shadows of a picture half as wide would cost as much as all the rest
+            model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOWS)
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
+        self._model = model
+        self._ghost_model = _without_scenery(model, self._stage)
+        self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
+        self._option, self._perturb = _option(model), mujoco.MjvPerturb()
+        self._camera = mujoco.MjvCamera()
+        # A stage's own camera is for wide pictures, unless it goes with the machine or is one of several.
+        placed = not beside or self._stage.accompany is not None or bool(self._stage.views)
+        self._fixed = self._stage.distance is not None and placed
+        self._look_at, self._distance = self._place(width / height, beside, narrow)
+        # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
+        is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+        self._ground = is_plane | (model.geom_rbound > _FLOOR * self._distance)
+        self._trails = self._paths()
+        try:
+            self._renderer: Any = mujoco.Renderer(model, rows, columns)
+        except (mujoco.FatalError, RuntimeError, ImportError) as error:
+            raise RenderingUnavailable(f"OpenGL refuses to draw: {str(error).splitlines()[0]}.") from error
+        self._pixels = np.empty((rows, columns, 3), np.uint8)
+
+    def __enter__(self) -> Scene:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._renderer.close()
+
+    def draw(self, frame: int) -> np.ndarray:
+        """Frame number `frame` of the film: (height, width, 3) uint8."""
+        self._pose(self._model, self._data, self._film.qpos[frame])
+        self._aim(self._film.shift[frame])
+        self._renderer.update_scene(self._data, self._camera, self._option)
+        scene = self._renderer.scene
+        for geom in scene.geoms[: scene.ngeom]:
+            if geom.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and self._ground[geom.objid]:
+                without_shadow(geom)
+        if self._ghost:
+            self._add_ghost(self._film.ghost_qpos[frame])
+        shapes = Shapes(scene, self._camera.distance)
+        self._add_trails(shapes, self._film.t[frame])
+        for force, point in zip(self._film.forces[frame], self._film.points[frame], strict=True):
+            vector = self._stage.force_scale * force
+            shapes.arrow(point + np.asarray(self._stage.force_offset), vector, FORCE)
+        if self._stage.goal_line is not None:
+            start, end = np.asarray(self._stage.goal_line, dtype=float)
+            shapes.dashes(start, end, GOAL)
+        large = Image.fromarray(self._renderer.render(out=self._pixels))
+        return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
+
+    def project(self, point: np.ndarray) -> tuple[float, float] | None:
+        """Where a point of the scene is in the last drawn picture: (column, row), or None behind the camera."""
+        camera, other = self._renderer.scene.camera  # two eyes; the picture is of their middle
+        eye = 0.5 * (np.asarray(camera.pos) + np.asarray(other.pos))
+        ahead, up = np.asarray(camera.forward), np.asarray(camera.up)
+        x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)
+        if depth <= camera.frustum_near:
+            return None
+        scale = self._height / 2 * camera.frustum_near / (camera.frustum_top * depth)
+        return self._width / 2 + scale * x, self._height / 2 - scale * y
+
+    def _pose(self, model: Any, data: Any, qpos: np.ndarray) -> None:
+        """Put a machine into a pose, as far as drawing needs it."""
+        data.qpos[:] = qpos
+        self._mujoco.mj_kinematics(model, data)
+        self._mujoco.mj_comPos(model, data)
+        self._mujoco.mj_camlight(model, data)
+        self._mujoco.mj_tendon(model, data)
+
+    def _place(self, aspect: float, beside: Sequence[Film], narrow: bool) -> tuple[np.ndarray, float]:
+        """The point the camera looks at, before it rises, and its distance from there."""
+        stage = self._stage
+        if self._fixed and stage.distance is not None:
+            # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
+            aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
+            return np.asarray(stage.look_at) - aside, stage.distance
+        room = _ROOM if narrow else 1.0
+        look_at, distance = whole_motion([self._film, *beside], self._model, stage, aspect, self._ghost, room)
+        extent, planes = self._model.stat.extent, self._model.vis.map
+        planes.zfar = max(planes.zfar, 4.0 * distance / extent)
+        planes.znear = min(planes.znear, 0.05 * distance / extent)
+        return look_at, distance
+
+    def _aim(self, shift: np.ndarray) -> None:
+        stage = self._stage
+        self._camera.lookat[:] = self._look_at
+        if self._fixed:
+            self._camera.lookat[:] += shift
+        self._camera.distance = self._distance
+        self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
+
+    def _paths(self) -> list[tuple[np.ndarray, Paint, float]]:
+        """The path (P, 3) of the stage's site in the simulation and in the ghost, their colours and thickness."""
+        name, mujoco = self._stage.trail, self._mujoco
+        if not name:
+            return []
+        site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
+        if site < 0:
+            known = ", ".join(self._model.site(i).name for i in range(self._model.nsite)) or "none"
+            raise PlannerError(f"the stage's trail is {name!r}, expected a site of the model: {known}.")
+
+        def path(poses: np.ndarray, offset: np.ndarray) -> np.ndarray:
+            points = np.empty((len(poses), 3))
+            for point, qpos in zip(points, poses, strict=True):
+                self._data.qpos[:] = qpos
+                mujoco.mj_kinematics(self._model, self._data)
+                point[:] = self._data.site_xpos[site] + offset
+            return points
+
+        trails: list[tuple[np.ndarray, Paint, float]] = [(path(self._film.path_qpos, np.zeros(3)), TRAIL, 1.0)]
+        if self._ghost:
+            points = path(self._film.path_ghost_qpos, np.asarray(self._stage.ghost_offset))
+            trails.append((points, (*ghost_paint(self._stage)[:3], _GHOST_TRAIL), _THINNER))
+        return trails
+
+    def _add_trails(self, shapes: Shapes, t: float) -> None:
+        for path, paint, part in self._trails:
+            now = [[np.interp(t, self._film.path_t, column) for column in path.T]]
+            shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
+
+    def _add_ghost(self, qpos: np.ndarray) -> None:
+        mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._stage)
+        self._pose(self._ghost_model, self._ghost_data, qpos)
+        first = scene.ngeom
+        mujoco.mjv_addGeoms(
+            self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
+        )
+        for geom in scene.geoms[first : scene.ngeom]:
+            geom.pos[:] += self._stage.ghost_offset
+            geom.matid = -1
+            geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
+            geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
+            without_shadow(geom)
+
+
+def visible_model(film: Film) -> Any:
+    """The film's model with a sky and light, its own or ours.
+
+    Raises:
+        ModelError: MuJoCo refuses the model's text.
+    """
+    mujoco = gl.load_mujoco()
+    model = compile_model(film.mjcf, film.assets)
+    if not np.any(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
+        root = ElementTree.fromstring(film.mjcf)
+        ElementTree.SubElement(ElementTree.SubElement(root, "asset"), "texture", _SKY)
+        model = compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets)
+    if not model.nlight:
+        model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.55
+    return model
+
+
+def best_rows(film: Film, width: int, height: int) -> int:
+    """In how many rows the poses of a strip are largest; one where the stage has a camera of its own."""
+    stage = film.stage or Stage(title="")
+    if stage.distance is not None:
+        return 1
+    model = visible_model(film)
+
+    def size(rows: int) -> float:
+        columns, high = -(-len(film) // rows), height / rows
+        return high / whole_motion([film], model, stage, width / columns / high, ghost=False)[1]
+
+    return max(range(1, 1 + min(3, len(film))), key=size)
+
+
+def _option(model: Any) -> Any:
+    """MuJoCo's own choice of what is drawn; more where that would leave nothing of a machine to see."""
+    mujoco = gl.load_mujoco()
+    option = mujoco.MjvOption()
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    if not np.any(moving):
+        option.flags[mujoco.mjtVisFlag.mjVIS_INERTIA] = True
+    elif not np.any(model.geom_group[moving] < _SHOWN_GROUPS):
+        option.geomgroup[:] = 1
+    return option
+
+
+def ghost_paint(stage: Stage) -> Paint:
+    """Colour and opacity of a stage's ghost."""
+    opacity = _ASIDE if any(stage.ghost_offset) else _IN_PLACE
+    if stage.ghost is None:
+        return (*GHOST, opacity)
+    return (*stage.ghost.colour, opacity if stage.ghost.opacity is None else stage.ghost.opacity)
+
+
+def _without_scenery(model: Any, stage: Stage) -> Any:
+    """The model with nothing to see of the stage's scenery."""
+    if not stage.scenery:
+        return model
+    bodies, tendons = scenery_of(model, stage)
+    bare = copy.copy(model)
+    for kind in ("geom", "site"):
+        hidden = bodies[getattr(bare, f"{kind}_bodyid")]
+        getattr(bare, f"{kind}_matid")[hidden] = -1  # or its colour would be the material's
+        getattr(bare, f"{kind}_rgba")[hidden] = 0.0
+    bare.tendon_matid[tendons], bare.tendon_rgba[tendons] = -1, 0.0
+    return bare

@@ -1,0 +1,72 @@
+"""Loose shapes in a picture, which belong to no model: lines, dashes, arrows. MuJoCo forgets them with each frame."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+
+Paint = tuple[float, float, float, float]
+
+# Thickness in units of the camera's distance: the same on the screen at any scale.
+_DASH = 0.0016
+_TRAIL = 0.002
+_ARROW = 0.007
+_SLIM = 0.045  # of an arrow's length, the most that its shaft's radius is: shorter than its own head it would be a blot
+_LEAST_ARROW = 0.015  # shorter it is a speck
+_DASHES = 24
+
+
+class Shapes:
+    """Adds shapes to a scene that MuJoCo has just filled."""
+
+    def __init__(self, scene: Any, distance: float) -> None:
+        """Nothing yet.
+
+        Args:
+            scene: MuJoCo's.
+            distance: Of the camera from its point.
+        """
+        self._mujoco, self._scene, self._distance = load_mujoco(), scene, distance
+
+    def trail(self, points: np.ndarray, paint: Paint, part: float = 1.0) -> None:
+        """A line through points (P, 3), its thickness a part of a trail's."""
+        for a, b in pairwise(points):
+            self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, part * _TRAIL * self._distance, a, b, paint)
+
+    def dashes(self, start: np.ndarray, end: np.ndarray, paint: Paint) -> None:
+        """A dashed line between two points (3,)."""
+        cut = np.linspace(0.0, 1.0, 2 * _DASHES)[:, None]
+        points = (1 - cut) * start + cut * end
+        for a, b in zip(points[::2], points[1::2], strict=True):
+            self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, _DASH * self._distance, a, b, paint)
+
+    def arrow(self, foot: np.ndarray, vector: np.ndarray, paint: Paint) -> None:
+        """An arrow from a point (3,) along a vector (3,); none where one of them is unknown or the arrow too short."""
+        length = float(np.linalg.norm(vector))
+        if not np.isfinite(foot).all() or not length > _LEAST_ARROW * self._distance:
+            return
+        width = min(_ARROW * self._distance, _SLIM * length)
+        # MuJoCo draws an arrow half as long as it is asked to.
+        self._connect(self._mujoco.mjtGeom.mjGEOM_ARROW, width, foot, foot + 2.0 * vector, paint)
+
+    def _connect(self, kind: Any, width: float, start: np.ndarray, end: np.ndarray, paint: Paint) -> None:
+        """A shape from start to end that casts no shadow."""
+        mujoco, scene = self._mujoco, self._scene
+        if scene.ngeom >= scene.maxgeom:
+            return
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array(paint, np.float32))
+        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+        geom.emission = 0.4
+        without_shadow(geom)
+        scene.ngeom += 1
+
+
+def without_shadow(geom: Any) -> None:
+    """Let a shape of a scene cast none."""
+    if hasattr(geom, "castshadow"):  # since MuJoCo 4
+        geom.castshadow = 0

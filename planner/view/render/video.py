@@ -1,0 +1,164 @@
+"""Films, strips and stills of a replay: the simulated machine solid, the plan as a ghost beside it.
+
+Headless: gl.py finds a library to draw with.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from planner.base import gl
+from planner.base.arguments import count, number
+from planner.base.errors import PlannerError
+from planner.base.files import PathLike, file_error, write_atomically
+from planner.problem.appearance import Stage
+from planner.problem.default_appearance import stage_of
+from planner.proof.replaying import Replay
+from planner.view.render.drawing import Job, Progress, carry_out
+from planner.view.render.film import Caption, Film
+
+if TYPE_CHECKING:
+    from planner.proof import Proof
+
+_LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
+_LONGEST = 100_000  # frames
+_MODES = {"open-loop": "open loop", "feedback": "with gains"}
+
+
+def render_video(
+    shown: Replay | Proof,
+    path: PathLike,
+    *,
+    width: int = 1280,
+    height: int = 720,
+    fps: float = 60,
+    speed: float | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a film of a replay, or of both replays of a proof side by side: H.264 in MP4, for any browser or player.
+
+    Args:
+        shown: What to show: a replay, or a proof for its open-loop replay at the left and the one with gains at the
+            right, each with the ghost of the plan. A replay that ran away stays in its last pose.
+        path: The file, ending in .mp4.
+        width: Pixels, even.
+        height: Pixels, even.
+        fps: Frames per second.
+        speed: Playback speed, 0.25 is four times slow motion; None takes the stage's.
+        progress: Called with (frames done, frames in all).
+
+    Returns:
+        The path.
+
+    Raises:
+        PlannerError: An argument is wrong.
+        RenderingUnavailable: No OpenGL library was found.
+        FileError: The file cannot be written.
+    """
+    _check_suffix(path, ".mp4")
+    _check_size(width, height, even=True)
+    number("fps", fps, above=0.0)
+    replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
+    first = next(iter(replays))
+    if speed is None:
+        speed = (stage_of(first.plan.problem) or Stage(title="")).speed
+    number("speed", speed, above=0.0)
+    start, end = float(first.t[0]), float(first.t[-1])
+    if not (end - start) * fps / speed < _LONGEST:
+        raise PlannerError(
+            f"{end - start:g} s at speed {speed:g} and {fps:g} fps are more than {_LONGEST} frames; "
+            "raise the speed or lower fps."
+        )
+    frames = max(1, math.ceil((end - start) * fps / speed - 1e-9))
+    t = np.minimum(start + np.arange(frames + 1) * speed / fps, end)
+    films = [Film.of(replay, t, caption) for replay, caption in replays.items()]
+    gl.require_backend()
+    with write_atomically(path) as hidden:
+        job = Job("video", width, height, fps, speed, str(hidden.absolute()), str(path))
+        carry_out(films, job, progress)
+    return Path(path)
+
+
+def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
+    """The replays of a proof, open loop first, and what is written under them."""
+    sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
+    captioned: dict[Replay, Caption | None] = {}
+    for mode, words in _MODES.items():
+        replay = proof.replays[mode]
+        verdict = "PASS" if mode == proof.mode else "" if sections[mode].passed else "FAIL"
+        error = float(np.abs(replay.error[-1]).max())
+        captioned[replay] = Caption(words, verdict, f"end error {error:.3g}" if math.isfinite(error) else "ran away")
+    return captioned
+
+
+def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int = 1920, height: int = 540) -> Path:
+    """Write a PNG with poses at equal times side by side, as in the paper's figures.
+
+    Args:
+        replay: What to show.
+        path: The file, ending in .png.
+        poses: How many, the first and the last included.
+        width: Of the whole picture, pixels.
+        height: Pixels.
+
+    Returns:
+        The path.
+
+    Raises:
+        PlannerError: An argument is wrong.
+        RenderingUnavailable: No OpenGL library was found.
+        FileError: The file cannot be written.
+    """
+    _check_suffix(path, ".png")
+    _check_size(width, height)
+    count("poses", poses, least=2, most=max(2, width // 16))  # 16 pixels each
+    film = Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses))
+    gl.require_backend()
+    with write_atomically(path) as hidden:
+        picture = carry_out([film], Job("strip", width, height))
+        try:
+            Image.fromarray(picture).save(hidden, format="PNG")
+        except OSError as error:
+            raise file_error(error, path) from error
+    return Path(path)
+
+
+def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 720) -> np.ndarray:
+    """One picture of a replay.
+
+    Args:
+        replay: What to show.
+        t: When, s.
+        width: Pixels.
+        height: Pixels.
+
+    Returns:
+        (height, width, 3), uint8.
+
+    Raises:
+        PlannerError: An argument is wrong.
+        RenderingUnavailable: No OpenGL library was found.
+    """
+    _check_size(width, height)
+    if not replay.t[0] <= t <= replay.t[-1]:
+        raise PlannerError(f"t must be from {replay.t[0]:g} to {replay.t[-1]:g} s, got {t!r}.")
+    film = Film.of(replay, np.array([float(t)]))
+    gl.require_backend()
+    return carry_out([film], Job("frame", width, height))
+
+
+def _check_suffix(path: PathLike, suffix: str) -> None:
+    if Path(path).suffix.lower() != suffix:
+        raise PlannerError(f"The file's name must end in {suffix}, got {os.fspath(path)!r}.")
+
+
+def _check_size(width: int, height: int, *, even: bool = False) -> None:
+    for name, value in (("width", width), ("height", height)):
+        if count(name, value, least=16, most=_LARGEST) % 2 and even:
+            raise PlannerError(f"{name} is {value!r}, expected an even number of pixels: H.264 films need it.")

@@ -1,0 +1,221 @@
+"""One page per plan: the verdict first, then every figure beside its bound, pictures, video, and how to make it again.
+
+The page is one file: pictures and video are embedded, so it can be sent, and be read without a network.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planner.base.files import PathLike, file_error, write_atomically
+from planner.cases import CASES
+from planner.problem.default_appearance import stage_of
+from planner.problem.plan import Plan
+from planner.view.plots import case_pictures
+from planner.view.report.reproduce import command, problem_text, typed
+from planner.view.report.style import STYLE
+from planner.view.report.tables import figures_table, number, table
+
+if TYPE_CHECKING:
+    from planner.proof import Proof
+    from planner.proof.refinement import Refinement
+
+NAME = "report.html"
+
+_PICTURES = (
+    ("strip.png", "Poses over the motion"),
+    ("plots.png", "Plan and replays over time, and the convergence of the solver"),
+    ("proof.png", "Growth of errors, order of the replay, and how often perturbed machines succeed"),
+)
+
+
+def write_report(
+    plan: Plan,
+    proof: Proof | None,
+    folder: PathLike,
+    video_note: str = "",
+    *,
+    path: Sequence[Refinement] = (),
+    options: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write report.html into `folder` and return its path.
+
+    Embedded are strip.png, plots.png, proof.png and video.mp4, those of them that lie in `folder`.
+
+    Args:
+        plan: What was planned.
+        proof: Its proof; None when there is none, e.g. for a plan that is not finite.
+        folder: Where the pictures are and the page goes. It must exist.
+        video_note: Why there is no video, in one sentence; used only when there is none.
+        path: How the plan was refined, if it was.
+        options: Flags of the command that made it by name, those that were given: {"starts": 8, "no_refine": True}.
+
+    Raises:
+        FileError: The page cannot be written, or a picture cannot be read.
+    """
+    place = Path(folder) / NAME
+    page = html(plan, proof, Path(folder), video_note, path, options)
+    with write_atomically(place) as hidden:
+        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
+    return place
+
+
+def html(
+    plan: Plan, proof: Proof | None, folder: Path, video_note: str = "", path: Sequence[Refinement] = (),
+    options: Mapping[str, Any] | None = None,
+) -> str:  # fmt: skip
+    """The page that write_report() writes."""
+    title = _title(plan)
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        _verdict(plan, proof),
+        _film(plan, folder, video_note),  # people look before they read
+        _pictures(plan, proof, folder),
+        _refinement(path),
+        _proof(proof),
+        _solver(plan),
+        _parameters(plan),
+        _again(plan, proof, path, options or {}),
+        _versions(plan),
+        _model(plan),
+    ]
+    body = "\n".join(part for part in parts if part)
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(_word(proof))}: {escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n"
+        f"<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _title(plan: Plan) -> str:
+    stage = stage_of(plan.problem)
+    return stage.title if stage is not None else (plan.case or "Plan")
+
+
+def _word(proof: Proof | None) -> str:
+    return "FAIL" if proof is None else proof.verdict
+
+
+def _verdict(plan: Plan, proof: Proof | None) -> str:
+    kind = "pass" if _word(proof) == "PASS" else "fail"
+    if proof is None:
+        mode = ""
+        reason = "The plan was not replayed in MuJoCo, so nothing is proven."
+        if not math.isfinite(plan.cost):
+            reason = "There is no finite plan that could be replayed."
+    else:
+        reason = proof.reason
+        mode = f"<span>{escape(proof.mode)}</span>" if proof.mode else ""
+    doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
+    return (
+        f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{mode}'
+        f"<p>{escape(reason)}</p>{doubt}</div>"
+    )
+
+
+def _film(plan: Plan, folder: Path, note: str) -> str:
+    video = _embedded(folder / "video.mp4", "video/mp4")
+    if video:
+        player = (
+            f'<video controls loop muted playsinline preload="metadata" src="{video}">'
+            "This browser does not play H.264 video.</video>"
+        )
+        stage = stage_of(plan.problem)
+        ghost = "plan" if stage is None or stage.ghost is None else stage.ghost.label
+        caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains"
+        return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
+    return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
+
+
+def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
+    own = {} if proof is None else case_pictures(plan, proof.replay)
+    first, *others = _PICTURES
+    shown = []
+    for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
+        source = _embedded(folder / name, "image/png")
+        if source:
+            shown.append(
+                f'<figure><img src="{source}" alt="{escape(caption)}">'
+                f"<figcaption>{escape(caption)}</figcaption></figure>"
+            )
+    return "<h2>Pictures</h2>\n" + "\n".join(shown) if shown else ""
+
+
+def _proof(proof: Proof | None) -> str:
+    if proof is None:
+        return ""
+    return "<h2>Proof</h2>\n" + "\n".join(figures_table(section) for section in proof.sections.values())
+
+
+def _refinement(path: Sequence[Refinement]) -> str:
+    """The way from the first plan to this one."""
+    if len(path) < 2:
+        return ""
+    lines = "\n".join([path[0].header(), *map(str, path)])
+    why = "The first plan failed for its step, so finer ones followed."
+    return f"<h2>Refinement</h2>\n<p>{why}</p>\n<pre>{escape(lines)}</pre>"
+
+
+def _solver(plan: Plan) -> str:
+    rows = {
+        "Status": f"{plan.status.name}: {plan.message}",
+        "Iterations": plan.nit,
+        "Cost": number(plan.cost, digits=8),
+        "Gradient norm": plan.gradient_norm,
+        "Stages": f"{plan.N} of {number(plan.dt)} s, {number(plan.dt * plan.N)} s in all",
+    }
+    return "<h2>Solver</h2>\n" + table(rows)
+
+
+def _parameters(plan: Plan) -> str:
+    if not plan.parameters:
+        return ""
+    case = f" of the case {plan.case}" if plan.case else ""
+    told = typed(plan.parameters) if plan.case in CASES else plan.parameters
+    return f"<h2>Parameters{escape(case)}</h2>\n" + table(told)
+
+
+def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
+    """How to make the plan again: the command, the problem file, the seeds."""
+    line = command(plan, path, options)
+    shown = f"<pre>{escape(line)}</pre>" if line else "<p>The plan was made by a program of its own.</p>"
+    file = problem_text(plan, path)
+    if file:
+        shown += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
+    seeds: dict[str, Any] = {}
+    if len(plan.starts) > 1:
+        seeds["Starts"] = f"{len(plan.starts)}; this plan is start {plan.start}"
+        seeds["Seed of the starts"] = options.get("seed") or plan.parameters.get("seed", 0)
+    rollouts = getattr(proof, "monte_carlo", None)
+    if rollouts is not None:
+        seeds["Rollouts"] = f"{rollouts.done} in each mode; varied: {rollouts.perturbation}"
+        seeds["Seed of the rollouts"] = rollouts.seed
+    return f"<h2>Again</h2>\n{shown}" + (f"\n{table(seeds)}" if seeds else "")
+
+
+def _versions(plan: Plan) -> str:
+    return "<h2>Made with</h2>\n" + table(plan.versions)
+
+
+def _model(plan: Plan) -> str:
+    if plan.twin is None:
+        return ""
+    text = escape(plan.twin.mjcf.strip())
+    return f"<details><summary>The model it was replayed in (MJCF)</summary>\n<pre>{text}</pre></details>"
+
+
+def _embedded(file: Path, kind: str) -> str:
+    """The file as a data URL; "" when there is none."""
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        raise file_error(error, file, verb="read") from error
+    return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}" if data else ""

@@ -1,0 +1,87 @@
+"""Tables of the page: a proof's figures beside their bounds, and names beside values."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from html import escape
+from typing import Any
+
+from planner.base.measured import Figure, Section
+
+NBSP = "\N{NO-BREAK SPACE}"
+
+
+def figures_table(section: Section) -> str:
+    """A step of a proof: every figure beside its bound."""
+    title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
+    if section.not_applicable:
+        return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
+    if not section.figures:
+        return f'{title}\n<p class="soft">Nothing was measured.</p>'
+    rows = "\n".join(_row(figure) for figure in section.figures)
+    head = "<tr><th>Figure</th><th>Value</th><th>Bound</th><th>Verdict</th></tr>"
+    return f'{title}\n<div class="scroll"><table>\n{head}\n{rows}\n</table></div>'
+
+
+def _mark(section: Section) -> str:
+    if section.not_applicable:
+        return '<span class="word none">not applicable</span>'
+    if all(figure.bound is None for figure in section.figures):
+        return ""
+    return _pass_or_fail(section.passed)
+
+
+def _row(figure: Figure) -> str:
+    word = '<span class="word none">shown</span>' if figure.bound is None else _pass_or_fail(figure.passed)
+    bound = "" if figure.bound is None else f"≤{NBSP}{_quantity(figure.bound, figure.unit)}"
+    note = f"<small>{escape(figure.note)}</small>" if figure.note else ""
+    return (
+        f"<tr><td>{escape(_name(figure))}{note}</td>"
+        f'<td class="number">{_quantity(figure.value, figure.unit)}</td>'
+        f'<td class="number">{bound}</td><td class="verdict-word">{word}</td></tr>'
+    )
+
+
+def _pass_or_fail(passed: bool) -> str:
+    return f'<span class="word {"pass" if passed else "fail"}">{"pass" if passed else "FAIL"}</span>'
+
+
+def table(rows: dict[str, Any]) -> str:
+    """Names beside values."""
+    lines = "\n".join(
+        f'<tr><th scope="row">{escape(str(name))}</th><td class="value">{escape(_text(value))}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f'<div class="scroll"><table>\n{lines}\n</table></div>'
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, float):
+        return number(value)
+    return json.dumps(value, default=str, ensure_ascii=False)
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number in words where it is none."""
+    if math.isnan(value):
+        return "undefined"
+    if math.isinf(value):
+        return "∞" if value > 0 else "\N{MINUS SIGN}∞"
+    return f"{value:.{digits}g}"
+
+
+def _quantity(value: float, unit: str) -> str:
+    return escape(f"{number(value)}{NBSP}{unit}".rstrip())
+
+
+def _name(figure: Figure) -> str:
+    """The figure's key in words."""
+    return _capital(re.sub(r"\brms\b", "RMS", figure.name.replace("_", " ")))
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
