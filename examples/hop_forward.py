@@ -41,7 +41,7 @@ class Hopper:
         dt: s.
         push, flight, land: s that the centre of mass moves: on the ground, in the air, on the ground.
         length, clearance, rise: m, of the hop; of the feet in mid-flight; of the centre of mass before it.
-        sink, ramp, friction, slip: Of the ground (Touch.resting); ramp as a share of the sink.
+        sink, ramp, friction, slip: Of the ground (ContactLaw.resting); ramp as a share of the sink.
         pitch, joints: Weights of the trunk's pitch and of the other joints, per rad^2 and second; of the root's place
             1000 per m^2.
     """
@@ -92,7 +92,7 @@ def machine_of(hopper: Hopper) -> planner.Mechanism:
     if spec is None or not spec.submodule_search_locations:
         sys.exit(f"no {hopper.package}: pip install --no-deps gymnasium==1.4.0 dm-control==1.0.50")
     file = Path(spec.submodule_search_locations[0]) / hopper.file
-    ground = planner.Touch.resting(
+    ground = planner.ContactLaw.resting(
         planner.Mechanism.from_mjcf(file, contacts="off").mass.sum(), sink=hopper.sink, ramp=hopper.ramp * hopper.sink,
         damping_ratio=0.4, slip=hopper.slip, friction=hopper.friction,
     )  # fmt: skip

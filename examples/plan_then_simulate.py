@@ -18,7 +18,7 @@ def main() -> int:
     proof = planner.prove(plan, rollouts=16)
     print(proof)
     for name, section in proof.sections.items():
-        for figure in section.figures:
+        for figure in section.measured:
             print(f"  {name}: {figure}")
 
     plan.save("hopper.npz")

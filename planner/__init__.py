@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from planner.dynamics.momentum import angular_momentum, center_of_mass
     from planner.dynamics.statics import settled
     from planner.model.contact.between_bodies import BodyContact, Capsule
-    from planner.model.contact.laws import Contact, Law, Plane, Stop, Touch
+    from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
     from planner.model.joint_curves import ExponentialTorque
     from planner.model.mechanism import Mechanism
     from planner.model.mjcf.contacts import contact_attributes, stop_attributes
@@ -83,7 +83,7 @@ _MODULES = {
     "model.contact.between_bodies": "BodyContact Capsule",
     "sweeps.stored_plans": "Checked check",
     "problem.periodicity": "Periodic",
-    "model.contact.laws": "Contact Law Plane Stop Touch",
+    "model.contact.laws": "Contact Law Plane Stop ContactLaw",
     "dynamics.contacts": "ContactForces body_contact_forces contact_forces",
     "paper.methods.control_spline": "SplineControls solve_by_splines",
     "problem.costs.tracking": "Cost Quadratic SumCost TrackingCost",
@@ -168,6 +168,7 @@ __all__ = [
     "Checked",
     "Contact",
     "ContactForces",
+    "ContactLaw",
     "Cost",
     "Descended",
     "Distance",
@@ -214,7 +215,6 @@ __all__ = [
     "Status",
     "Stop",
     "SumCost",
-    "Touch",
     "TrackingCost",
     "Twin",
     "Velocity",

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.twin import Twin
-from planner.problem.appearance import Panel, Stage
+from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.proof.growth import Growth
 from planner.proof.order import Order
@@ -15,7 +15,7 @@ from planner.proof.perturbed import Perturbed
 from planner.proof.replaying import Replay
 
 MODES = ("open-loop", "feedback")
-STAGE = Stage(
+STAGE = Appearance(
     "A mass on a spring",
     plots=(
         Panel("Height", "height (in)", states=((0, "height"),), difference=True),
@@ -33,7 +33,7 @@ def states(t):
 def make_plan():
     """Twenty stages of what nobody solved."""
     t = np.linspace(0.0, N * DT, N + 1)
-    problem = SimpleNamespace(stage=STAGE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None)
+    problem = SimpleNamespace(appearance=STAGE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None)
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
@@ -91,10 +91,10 @@ def make_proof(plan, open_error=1e-3, gains_error=1e-4):
 
 def proof_of(verdict="PASS", mode="open-loop", **sections):
     every = {
-        "parity": Section("parity", (Figure("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
+        "parity": Section("parity", (Measured("mass_matrix", 3e-14, "", 1e-10, "256 states"),)),
         "same_step": Section("same step", not_applicable="Contact <is> solved otherwise."),
-        "refined_open_loop": Section("refined, open loop", (Figure("end_state", 2e-3, "in", 1e-2),)),
-        "refined_feedback": Section("refined, with feedback", (Figure("growth_rate", 1.5, "1/s"),)),
-        "goal": Section("goal", (Figure("height_error", 0.1, "%", 0.2),)),
+        "refined_open_loop": Section("refined, open loop", (Measured("end_state", 2e-3, "in", 1e-2),)),
+        "refined_feedback": Section("refined, with feedback", (Measured("growth_rate", 1.5, "1/s"),)),
+        "goal": Section("goal", (Measured("height_error", 0.1, "%", 0.2),)),
     } | sections
     return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None)

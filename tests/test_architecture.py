@@ -30,7 +30,7 @@ ORDER = [
     ["mechanism_reader"],
     ["twin", "archive"],
     ["driven_twin"],
-    ["default_stage"],
+    ["default_appearance"],
     ["poe"],
     ["poe_sensitivities"],
     ["kernels"],

@@ -15,7 +15,7 @@ from planner.dynamics.contact_places import BodyPlace, closest_points
 from planner.dynamics.contacts import body_contact_forces, generalized_force_derivatives, generalized_forces
 from planner.dynamics.momentum import angular_momentum, center_of_mass
 from planner.model.contact.between_bodies import BodyContact, Capsule
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import SCREW, Mechanism
 
 HINGES = """<mujoco><worldbody>
@@ -260,7 +260,7 @@ def test_a_spring_gives_back_all_energy(ramp, error):
 
     That holds for the closest points; a ramp takes others, by a share b = (ramp / 0.2 m)^2 = 1e-4 of their positions.
     """
-    m, xs = collided(Touch(stiffness=2e3, ramp=ramp))
+    m, xs = collided(ContactLaw(stiffness=2e3, ramp=ramp))
     assert kinetic(m, xs[-1]) == pytest.approx(kinetic(m, xs[0]), rel=error)
     assert np.max(np.abs(xs[-1, m.nq :] - xs[0, m.nq :])) > 0.5
 

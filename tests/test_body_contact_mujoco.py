@@ -13,7 +13,7 @@ from planner.base.errors import ModelError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contact_places import BodyPlace
 from planner.dynamics.contacts import body_contact_forces, contact_forces
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_attributes
 
@@ -89,7 +89,7 @@ SCENE = """<mujoco><worldbody>
       <body pos=".3 0 0"><joint axis="0 0 1"/><geom name="tip" type="capsule" fromto="0 0 0 0 0 .3" size=".02"/></body>
     </body></body></worldbody>
   <actuator><motor joint="slide"/></actuator></mujoco>"""
-GIVEN = Touch(stiffness=2e4, damping=200.0, ramp=5e-3, slip_damping=500.0, friction=0.8)
+GIVEN = ContactLaw(stiffness=2e4, damping=200.0, ramp=5e-3, slip_damping=500.0, friction=0.8)
 
 
 def test_a_law_for_pairs_of_bodies_and_of_the_world():
@@ -162,7 +162,7 @@ PUSH = """<mujoco><option timestep="1e-3"/><worldbody>
 
 def test_a_pusher_pushes_a_ball_and_mujoco_repeats_it(tmp_path):
     """A dragged ball is to be 20 cm ahead and 10 cm aside: the pusher finds its way around it."""
-    m = Mechanism.from_mjcf(PUSH, contacts=Touch(1e3, 20.0, 5e-3, slip_damping=50.0, friction=0.3))
+    m = Mechanism.from_mjcf(PUSH, contacts=ContactLaw(1e3, 20.0, 5e-3, slip_damping=50.0, friction=0.3))
     dynamics, N, goal = planner.RigidBodyDynamics(m, dt=5e-3), 240, np.zeros(10)
     goal[2:4] = 0.3, 0.1  # from its place in the file
     ball, pusher = dict.fromkeys("xy", 1.0), {"push_x": 0.0, "push_y": 0.0, "spin": 0.0}

@@ -12,12 +12,12 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, poe
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contacts import contact_forces, generalized_force_derivatives, generalized_forces, touch_force
-from planner.model.contact.laws import Contact, Law, Plane, Stop, Touch
+from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
 from planner.model.mechanism import SCREW, Frame, Mechanism
 
 # The step study's recommended contact (its section 1), and the unsmoothed one with MuJoCo's projection.
-SOFT = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6)
-SHARP = Touch.exact(5e3, 60.0, 150.0, 0.6, impratio=10.0)
+SOFT = ContactLaw(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6)
+SHARP = ContactLaw.exact(5e3, 60.0, 150.0, 0.6, impratio=10.0)
 BELT = [Body(-1, ("slide",)), Body(-1, ("free",)), Body(1, ("hinge", "ball"))]
 MACHINES = {**CHAINS, "body over a belt": tree_xml(BELT, np.random.default_rng(5))}
 each_touch = pytest.mark.parametrize("touch", [SOFT, SHARP], ids=["smooth", "sharp"])
@@ -262,7 +262,7 @@ def test_contact_creates_no_energy():
 
 
 def test_without_damping_and_friction_contact_keeps_energy():
-    flying, depths = dropped(Touch(5e3, ramp=5e-3, force_ramp=5.0))
+    flying, depths = dropped(ContactLaw(5e3, ramp=5e-3, force_ramp=5.0))
     assert depths.max() > SOFT.ramp
     assert np.ptp(flying) < 1e-4 * np.abs(flying[0])  # RK4's error at half a millisecond
 
@@ -273,10 +273,10 @@ def test_without_damping_and_friction_contact_keeps_energy():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Touch(0.0), "stiffness is 0.0, expected a finite number greater than 0."),
-        (lambda: Touch(1.0, damping=-1.0), "damping is -1.0, expected a finite number of at least 0."),
-        (lambda: Touch(1.0, friction=math.nan), "friction is nan"),
-        (lambda: Touch(1.0, impratio=0.0), "impratio is 0.0"),
+        (lambda: ContactLaw(0.0), "stiffness is 0.0, expected a finite number greater than 0."),
+        (lambda: ContactLaw(1.0, damping=-1.0), "damping is -1.0, expected a finite number of at least 0."),
+        (lambda: ContactLaw(1.0, friction=math.nan), "friction is nan"),
+        (lambda: ContactLaw(1.0, impratio=0.0), "impratio is 0.0"),
         (lambda: Law(1.0, ramp="wide"), "ramp is 'wide'"),
         (lambda: Plane(np.zeros(3)), "expected a direction"),
         (lambda: Plane(UP, np.inf), "offset is inf"),

@@ -12,11 +12,11 @@ import planner
 from planner.base.errors import ModelError, PlannerError
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contacts import contact_forces
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Frame, Mechanism
 
 # A person's weight sinks in by some millimetres, and friction is steep enough for its feet not to creep.
-GROUND = Touch(stiffness=2e4, damping=200.0, ramp=5e-3, slip_damping=500.0, friction=0.8)
+GROUND = ContactLaw(stiffness=2e4, damping=200.0, ramp=5e-3, slip_damping=500.0, friction=0.8)
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 

@@ -10,7 +10,7 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import settled
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.problem.guess import hold
 
@@ -40,7 +40,7 @@ MASS, G = 7.0, 9.81
 
 
 def monoped(**law):
-    return Mechanism.from_mjcf(MONOPED, contacts=Touch.resting(MASS, **law))
+    return Mechanism.from_mjcf(MONOPED, contacts=ContactLaw.resting(MASS, **law))
 
 
 def test_a_ground_by_what_it_does():
@@ -48,15 +48,15 @@ def test_a_ground_by_what_it_does():
     ball = MONOPED.replace('<geom name="toe" type="sphere" size=".03" pos=".15 0 -.4" mass="0"/>', "")
     ball = ball.replace('<joint name="tilt" axis="0 1 0"/>', "").replace('pos="-.1 0 -.4"', 'pos="0 0 -.4"')
     for sink, ramp in ((2e-3, None), (0.02, 1e-3)):
-        m = Mechanism.from_mjcf(ball, contacts=Touch.resting(MASS, sink=sink, ramp=ramp))
+        m = Mechanism.from_mjcf(ball, contacts=ContactLaw.resting(MASS, sink=sink, ramp=ramp))
         at_rest = contact_forces(m, settled(m, m.home)[:3], np.zeros(3))
         assert at_rest.depths[0] == pytest.approx(sink, rel=1e-9)
         assert at_rest.forces[0, 2] == pytest.approx(MASS * G, rel=1e-9)
-    law = Touch.resting(MASS, sink=0.01, damping_ratio=0.5, friction=0.6, slip=0.3)
+    law = ContactLaw.resting(MASS, sink=0.01, damping_ratio=0.5, friction=0.6, slip=0.3)
     assert law.damping == pytest.approx(np.sqrt(law.stiffness * MASS))  # 2 zeta sqrt(K m)
     assert law.slip_damping * 0.3 == pytest.approx(0.6 * MASS * G)
     with pytest.raises(PlannerError, match="sink is 0, expected"):
-        Touch.resting(MASS, sink=0)
+        ContactLaw.resting(MASS, sink=0)
 
 
 @pytest.mark.parametrize("height", [-0.3, 0.0, 0.2])
@@ -131,11 +131,11 @@ def written(tmp_path, contacts, more="settle = true"):
 @pytest.mark.parametrize(
     ("contacts", "law"),
     [
-        ('"ground"', Touch.resting(MASS)),
-        ("{ sink = 0.01, friction = 0.7 }", Touch.resting(MASS, sink=0.01, friction=0.7)),
+        ('"ground"', ContactLaw.resting(MASS)),
+        ("{ sink = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
-            Touch(1e4, 100.0, 1e-3, slip_damping=200.0, friction=0.5),
+            ContactLaw(1e4, 100.0, 1e-3, slip_damping=200.0, friction=0.5),
         ),
     ],
 )
@@ -190,7 +190,7 @@ def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
     """Within the ranges of joints and motors; MuJoCo follows with the plan's gains, as one who balances does."""
     crouch, upright, dt = STANDS[name]
     mass = Mechanism.from_mjcf(path(name), contacts="off").mass.sum()
-    m = Mechanism.from_mjcf(path(name), contacts=Touch.resting(mass))
+    m = Mechanism.from_mjcf(path(name), contacts=ContactLaw.resting(mass))
     start, goal = settled(m, np.array(crouch)), settled(m, np.array(upright))
     dynamics, N = planner.RigidBodyDynamics(m, dt), round(1.0 / dt)
     free = {joint: 3.0 for joint in m.joint_names if joint != "rootx"}  # the feet are where they are

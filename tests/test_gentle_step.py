@@ -120,9 +120,9 @@ def test_mujoco_repeats_it(plans, phase):
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.table()
     for section, bound in ((proof.refined_open_loop, 0.7), (proof.refined_feedback, 0.35)):
-        error = next(figure for figure in section.figures if figure.name == "joint_error")
+        error = next(figure for figure in section.measured if figure.name == "joint_error")
         assert error.value < bound
-    force = next(figure for figure in proof.goal.figures if figure.name == "planned_robot_force")
+    force = next(figure for figure in proof.goal.measured if figure.name == "planned_robot_force")
     assert force.value == pytest.approx(robot_of(plan).force[1])
 
 

@@ -16,7 +16,7 @@ def proof_of(problem, **options):
 
 
 def values(section):
-    return {figure.name: figure.value for figure in section.figures}
+    return {figure.name: figure.value for figure in section.measured}
 
 
 @pytest.fixture(scope="module")

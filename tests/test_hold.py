@@ -32,7 +32,7 @@ def arrived():
 
 
 def figure(section, name):
-    return next(figure for figure in section.figures if figure.name == name)
+    return next(figure for figure in section.measured if figure.name == name)
 
 
 def linear(A, B, goal, dt=0.1, nu=1):

@@ -24,7 +24,7 @@ def plan():
 
 
 def figures(proof):
-    return {f.name: f.value for s in (proof.parity, proof.refined_open_loop, proof.goal) for f in s.figures}
+    return {f.name: f.value for s in (proof.parity, proof.refined_open_loop, proof.goal) for f in s.measured}
 
 
 @pytest.mark.parametrize("height", [5.0, 13.7, 20.0, 41.0, 60.0])

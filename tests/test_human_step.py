@@ -243,7 +243,7 @@ def test_proof(phase, default):
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.table()
     for section, bound in ((proof.refined_open_loop, 0.7), (proof.refined_feedback, 0.35)):
-        error = next(figure for figure in section.figures if figure.name == "joint_error")
+        error = next(figure for figure in section.measured if figure.name == "joint_error")
         assert error.value < bound
     assert proof.order.passed, proof.table()
 

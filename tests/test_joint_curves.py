@@ -122,7 +122,7 @@ def test_a_plan_is_proved(plan):
     """MuJoCo asks for the torques at every stage of its integrator: the same step agrees to rounding."""
     proof = planner.prove(plan, rollouts=0)
     assert proof.verdict == "PASS", proof.reason
-    assert max(figure.value for figure in proof.same_step.figures) < 1e-12
+    assert max(figure.value for figure in proof.same_step.measured) < 1e-12
     assert np.abs(proof.replays["open-loop"].error).max() < 1e-6
     assert mujoco.get_mjcb_passive() is None
 

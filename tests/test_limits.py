@@ -198,8 +198,8 @@ def test_ranges_and_goal_of_a_mechanism():
     assert plan.history[-1].iteration == plan.nit
     assert plan.cost == problem.cost.value(plan.xs, plan.us)
     section = consistency(plan, problem)
-    assert all(figure.passed for figure in section.figures), [str(f) for f in section.figures]
-    names = [figure.name for figure in section.figures]
+    assert all(figure.passed for figure in section.measured), [str(f) for f in section.measured]
+    names = [figure.name for figure in section.measured]
     assert {"control_violation", "velocity_range_violation", "exact_goal_violation"} <= set(names)
 
 

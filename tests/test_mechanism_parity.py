@@ -50,7 +50,7 @@ def tree():
 
 
 def figures(section):
-    return {figure.name: figure for figure in section.figures}
+    return {figure.name: figure for figure in section.measured}
 
 
 def test_a_tree_with_every_kind_of_joint_and_actuator_is_its_mjcfs(tree):

@@ -38,8 +38,8 @@ def test_a_right_plan_passes():
     proof = planner.prove(plan)
     assert plan.success
     assert proof.passed, proof.reason
-    assert proof.refined_open_loop.figures[0].name == "end_state_error"
-    assert proof.same_step.figures[0].value <= 1e-10  # the same RK4 at the same step: rounding
+    assert proof.refined_open_loop.measured[0].name == "end_state_error"
+    assert proof.same_step.measured[0].value <= 1e-10  # the same RK4 at the same step: rounding
 
 
 def test_states_that_are_not_the_rollout_fail():

@@ -71,8 +71,8 @@ def test_three_cycles_with_a_heavier_and_a_stiffer_patient():
     for patient, most in (({}, 0.4), ({"leg_mass": 1.1}, 0.9), ({"stiffness": 1.2}, 1.3)):
         twin = human_step(cycles=3, cost="study", **patient).twin
         section = plan.problem.requirements.tracking(replay(plan, twin=twin, feedback=True, substeps=5))
-        assert section.figures[0].name == "joint_error"
-        assert section.figures[0].value < most, patient
+        assert section.measured[0].name == "joint_error"
+        assert section.measured[0].value < most, patient
 
 
 def test_a_patient_is_drawn_as_a_whole():
@@ -166,7 +166,7 @@ def test_knees_do_not_buckle_in_the_replay():
     plan = planner.solve(human_step(brace="ankle"))
     section = plan.problem.requirements.tracking(replay(plan, substeps=5))
     assert plan.success
-    assert section.figures[0].value < 0.5
+    assert section.measured[0].value < 0.5
 
 
 # what a user may type

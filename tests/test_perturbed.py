@@ -257,7 +257,7 @@ def test_the_acrobot_needs_its_gains(acrobot):
     rates = result.rates
     assert rates["feedback"].value > 0.8
     assert rates["open-loop"].interval[1] < rates["feedback"].interval[0]
-    names = [figure.name for figure in result.section.figures]
+    names = [figure.name for figure in result.section.measured]
     assert "feedback_success_rate" in names
     assert "open_loop_mass_margin" in names
     assert result.section.passed
@@ -305,7 +305,7 @@ def test_what_explodes_is_a_failure(explosive):
     assert result.to_dict()["modes"]["feedback"]["end_error"] == [None] * 8
     assert np.all(np.isfinite(result.fans["feedback"][:, :50]))
     assert np.all(np.isnan(result.fans["feedback"][:, -1]))
-    assert result.section.figures
+    assert result.section.measured
     one = replay_case(explosive, explosive.twin, 0, feedback=True)
     assert np.isnan(one.error[-1]).all()
     assert np.isfinite(one.error[10]).all()

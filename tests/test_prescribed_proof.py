@@ -37,7 +37,7 @@ def leg():
 
 
 def figure(section, name):
-    return next(figure for figure in section.figures if figure.name == name)
+    return next(figure for figure in section.measured if figure.name == name)
 
 
 def largest_errors(run):
@@ -55,7 +55,7 @@ def test_a_moved_cart_passes_and_is_held(cart):
     assert figure(proof.same_step, "state_error").value < 1e-12
     assert proof.errors.ratio("open-loop") == pytest.approx(1.0, abs=0.05)
     assert proof.hold.passed
-    assert len(proof.hold.figures) > 0
+    assert len(proof.hold.measured) > 0
 
 
 def test_the_motors_fall_short_by_the_force_over_the_armature(cart):
@@ -215,7 +215,7 @@ def test_a_problem_file_names_prescribed_joints(tmp_path, capsys):
     path.write_text(keys + 'prescribed = ["cart"]\n[weights]\neffort = 0.01\n', encoding="utf-8")
     problem = load(path).problem
     assert problem.dynamics.prescribed == ("cart",)
-    assert [label for _, label in problem.stage.plots[-1].controls] == ["servo", "motor", "acceleration of cart"]
+    assert [label for _, label in problem.appearance.plots[-1].controls] == ["servo", "motor", "acceleration of cart"]
     plan = planner.solve(problem)
     plan = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
     assert planner.prove(plan, rollouts=0).passed

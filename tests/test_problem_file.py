@@ -47,7 +47,7 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
     stored = planner.Plan.load("../plan.npz")
     assert stored.problem is not None
     assert stored.problem.parameters == plan.parameters
-    assert stored.problem.stage == plan.problem.stage
+    assert stored.problem.appearance == plan.problem.appearance
     np.testing.assert_array_equal(stored.problem.first_guess, plan.problem.first_guess)
     proofs = planner.prove(plan), planner.prove(stored)
     assert proofs[1].passed

@@ -15,10 +15,10 @@ from planner.base import gl
 from planner.base.errors import FileError, PlannerError, RenderingUnavailable
 from planner.model.mjcf.text import model_path, model_text
 from planner.model.twin import Twin
-from planner.problem.appearance import Readout, Stage
+from planner.problem.appearance import Appearance, Readout
 from planner.problem.plan import Plan, Status
+from planner.proof.contact_history import ContactHistory
 from planner.proof.replaying import Replay
-from planner.proof.touches import Touches
 from planner.view.render import encode
 from planner.view.render import video as render
 from planner.view.render.film import Film
@@ -27,7 +27,7 @@ from planner.view.render.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"width": 320, "height": 180}
-STAGE = Stage(
+STAGE = Appearance(
     title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
     goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal",
     look_at=(13.0, 0.0, 24.0), follow=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
@@ -35,7 +35,7 @@ STAGE = Stage(
 )  # fmt: skip
 
 
-def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
+def make_replay(appearance=STAGE, *, plan_offset=0.0, force=400.0):
     """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
     t = np.linspace(0.0, 0.2, 201)
     y = 10.0 * np.sin(np.pi * t / 0.2) - 2.0
@@ -47,7 +47,7 @@ def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
     xs, contact = y[:, None], y <= 0.0
     points = np.where(contact[:, None], np.zeros((201, 3)), np.nan)
     forces = np.where(contact, force, 0.0)[:, None] * [0.0, 0.0, 1.0]
-    problem = None if stage is None else SimpleNamespace(stage=stage, dynamics=SimpleNamespace(nx=1))
+    problem = None if appearance is None else SimpleNamespace(appearance=appearance, dynamics=SimpleNamespace(nx=1))
     plan = Plan(
         t=t[::100], xs=xs[::100], us=np.zeros((2, 1)), K=np.zeros((2, 1, 1)), cost=0.0, gradient_norm=0.0,
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
@@ -56,7 +56,7 @@ def make_replay(stage=STAGE, *, plan_offset=0.0, force=400.0):
         plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
         act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
         contact_force=np.where(contact, force, 0.0), contact_point=points, substeps=100,
-        touches=Touches(("foot on floor",), t, forces[:, None], points[:, None]),
+        contacts=ContactHistory(("foot on floor",), t, forces[:, None], points[:, None]),
     )  # fmt: skip
 
 
@@ -96,9 +96,9 @@ def test_film_survives_its_file(tmp_path):
     again, extra = Film.load(tmp_path / "film.npz")
     assert extra == {"kind": "frame", "width": 3}
     assert again.mjcf == film.mjcf
-    assert again.stage is not None
-    assert again.stage.readouts == STAGE.readouts
-    assert again.stage.distance == STAGE.distance
+    assert again.appearance is not None
+    assert again.appearance.readouts == STAGE.readouts
+    assert again.appearance.distance == STAGE.distance
     for name in ("t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 
@@ -275,7 +275,9 @@ def test_force_arrow_only_in_contact():
 @pytest.mark.render
 def test_projection_points_at_what_is_drawn():
     """The goal line is dark; around the middle of it there must be dark pixels where project() says."""
-    stage = Stage(title="", goal_line=((-16.0, 0.0, 60.0), (42.0, 0.0, 60.0)), look_at=(13.0, 0.0, 50.0), distance=90.0)
+    stage = Appearance(
+        title="", goal_line=((-16.0, 0.0, 60.0), (42.0, 0.0, 60.0)), look_at=(13.0, 0.0, 50.0), distance=90.0
+    )
     with Scene(Film.of(make_replay(stage), np.array([0.0])), 320, 180) as scene:
         picture = scene.draw(0)
         rows = []
@@ -309,7 +311,7 @@ def test_frame_without_a_stage_shows_the_whole_model():
 @pytest.mark.render
 def test_no_speckles_on_the_floor():
     """Shadow acne: single dark pixels on a light floor. The shadow itself is large and off this patch."""
-    stage = Stage(title="", look_at=(0.0, -40.0, 0.0), distance=100.0, azimuth=100.0, elevation=-40.0)
+    stage = Appearance(title="", look_at=(0.0, -40.0, 0.0), distance=100.0, azimuth=100.0, elevation=-40.0)
     with Scene(Film.of(make_replay(stage, plan_offset=500.0), np.array([0.1])), 320, 180, ghost=False) as scene:
         floor = scene.draw(0)[100:].astype(int).max(axis=-1)
     neighbours = np.stack([floor[1:-1, :-2], floor[1:-1, 2:], floor[:-2, 1:-1], floor[2:, 1:-1]])

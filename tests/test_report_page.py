@@ -16,9 +16,9 @@ from PIL import Image
 
 from planner import cases
 from planner.base.errors import FileError
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.cases.problem_file import load
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.proof.refinement import Refinement
 from planner.view.plots import plot_plan, plot_proof
@@ -82,9 +82,9 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
 
 
 def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
-    section = Section("goal", (Figure("height_error", math.inf, "%", 0.2), Figure("speed", math.nan, "", 1.0)))
+    section = Section("goal", (Measured("height_error", math.inf, "%", 0.2), Measured("speed", math.nan, "", 1.0)))
     page = write_report(plan, proof_of("FAIL", None, goal=section), tmp_path).read_text(encoding="utf-8")
-    assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both figures
+    assert page.count('<span class="word fail">FAIL</span>') == 3  # the section and both measured
     assert '<div class="verdict fail"' in page
     assert "∞\N{NO-BREAK SPACE}%" in page
     assert "undefined" in page
@@ -119,12 +119,12 @@ def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
 
 def test_all_text_is_escaped(plan, tmp_path):
     evil = '<script>alert("1")</script>&amp;'
-    section = Section(evil, (Figure(evil, 1.0, evil, 2.0, evil),))
+    section = Section(evil, (Measured(evil, 1.0, evil, 2.0, evil),))
     proof = proof_of("PASS", evil, goal=section, same_step=Section(evil, not_applicable=evil))
     proof.reason = evil
     marked = replace(
         plan, case=evil, parameters={evil: evil, "list": [evil]}, made_with={evil: evil},
-        problem=SimpleNamespace(stage=Stage(evil), bounds=None, ranges=None, limits=None),
+        problem=SimpleNamespace(appearance=Appearance(evil), bounds=None, ranges=None, limits=None),
         twin=replace(plan.twin, mjcf=evil),
     )  # fmt: skip
     page = page_of(marked, proof, tmp_path, evil)

@@ -11,8 +11,8 @@ import planner
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
-from planner.problem.appearance import Stage
-from planner.problem.default_appearance import default_stage
+from planner.problem.appearance import Appearance
+from planner.problem.default_appearance import default_appearance
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
 
@@ -22,19 +22,21 @@ def changed(a, b):
 
 
 def test_a_stage_nobody_wrote_names_joints_and_looks_across_the_plane():
-    stage = default_stage(acrobot())
+    stage = default_appearance(acrobot())
     assert (stage.title, stage.azimuth) == ("acrobot scene", 90.0)
     assert [panel.title for panel in stage.plots] == ["Joint angles", "Angular velocities", "Controls"]
     assert stage.plots[0].states == ((0, "shoulder"), (1, "elbow"))
     assert stage.plots[1].states == ((2, "shoulder"), (3, "elbow"))
     tree = Mechanism.from_mjcf(TREE)
-    stage = default_stage(tree)
+    stage = default_appearance(tree)
     assert stage.azimuth not in (0.0, 90.0, 180.0)
     assert stage.plots[1].states[:3] == ((0, "root x"), (1, "root y"), (2, "root z"))
     many = TREE.replace('<joint name="knee" axis="0 1 0"/>', '<joint name="knee" axis="0 1 0"/><joint axis="1 0 0"/>')
-    turning = default_stage(Mechanism.from_mjcf(many)).plots[2]  # 3 of the root, 3 of the wrist, hip, knee and one more
+    turning = default_appearance(Mechanism.from_mjcf(many)).plots[
+        2
+    ]  # 3 of the root, 3 of the wrist, hip, knee and one more
     assert (turning.title, len(turning.states)) == ("Angular velocities, the first 8 of 9", 8)
-    lying = default_stage(Mechanism.from_mjcf(LIMITED.replace("0 -1 0", "0 0 1")))
+    lying = default_appearance(Mechanism.from_mjcf(LIMITED.replace("0 -1 0", "0 0 1")))
     assert lying.elevation < -80.0
 
 
@@ -63,11 +65,11 @@ def test_a_model_without_light_or_floor_is_seen_whole(axis):
 
 @pytest.mark.render
 def test_a_trail_follows_the_site():
-    stage = Stage(title="", azimuth=90.0, elevation=-5.0)
+    stage = Appearance(title="", azimuth=90.0, elevation=-5.0)
     problem = problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 60)
 
     def pictures(stage):
-        plan = rolled_out(replace(problem, stage=stage))
+        plan = rolled_out(replace(problem, appearance=stage))
         with Scene(Film.of(planner.replay(plan), np.array([0.0, 0.3, 0.6])), 320, 180, ghost=False) as scene:
             return [scene.draw(frame) for frame in range(3)]
 
@@ -84,12 +86,12 @@ def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     """The ghost of a turned plan covers the pixels that the machine itself would cover if it were turned so."""
     box = '<geom type="box" size="0.3 0.1 0.15" contype="0" conaffinity="0" rgba="{}"/><body name="thigh"'
     tree, hidden = (TREE.replace('<body name="thigh"', box.format(rgba)) for rgba in ("0.8 0.2 0.2 1", "0 0 0 0"))
-    stage = Stage(title="", distance=2.5, azimuth=90.0, elevation=-10.0)
+    stage = Appearance(title="", distance=2.5, azimuth=90.0, elevation=-10.0)
     mechanism = Mechanism.from_mjcf(tree)
     x0 = mechanism.home.copy()
     x0[0] = 0.8
     run = planner.replay(
-        rolled_out(problem_of(mechanism, 0.005, 2, x0=x0, us=np.zeros((2, mechanism.nu)), stage=stage))
+        rolled_out(problem_of(mechanism, 0.005, 2, x0=x0, us=np.zeros((2, mechanism.nu)), appearance=stage))
     )
     turned = run.plan_xs.copy()
     turned[:, 0], turned[:, 3:7] = -0.5, exp_quaternion(np.array([0.0, np.pi / 2, 0.0]))

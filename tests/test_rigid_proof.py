@@ -14,14 +14,14 @@ from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem, Requirements
+from planner.proof.contact_history import may_touch
 from planner.proof.replaying import compile_model
 from planner.proof.same_step import munthe_kaas, rounding_amplification, same_step
-from planner.proof.touches import may_touch
 from planner.view.render.film import Film
 
 
 def values(section):
-    return {figure.name: figure.value for figure in section.figures}
+    return {figure.name: figure.value for figure in section.measured}
 
 
 # The general rules.
@@ -78,7 +78,7 @@ def test_a_case_can_give_a_goal_alone(acrobot_plan):
     """Requirements are optional one by one; the others stay the general rules."""
 
     def unreachable(run):
-        return planner.base.measured.Section("goal", (planner.base.measured.Figure("distance", 1.0, "m", 0.5),))
+        return planner.base.measured.Section("goal", (planner.base.measured.Measured("distance", 1.0, "m", 0.5),))
 
     problem = replace(acrobot_plan.problem, requirements=Requirements(goal=unreachable))
     proof = planner.prove(replace(acrobot_plan, problem=problem))
@@ -203,7 +203,7 @@ def test_ranges_stand_in_the_proof():
     plan = rolled_out(problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 100))
     proof = planner.prove(plan)
     assert proof.verdict == "FAIL"
-    figure = next(f for f in proof.refined_open_loop.figures if f.name == "ranges_reached")
+    figure = next(f for f in proof.refined_open_loop.measured if f.name == "ranges_reached")
     assert (figure.value, figure.bound) == (1.0, None)
     assert "joint 'hinge'" in figure.note
 

@@ -8,7 +8,7 @@ from PIL import Image
 from test_render import SMALL, STAGE, changed, decode, make_replay
 
 from planner.base import gl
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.view.render import overlay
 from planner.view.render.camera import Box
 from planner.view.render.drawing import Job, carry_out
@@ -20,7 +20,7 @@ from planner.view.render.video import _captioned, render_frame, render_strip, re
 
 def make_proof(open_loop, gains, mode="feedback"):
     def section(replay, passed):
-        return Section("refined", (Figure("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
+        return Section("refined", (Measured("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
 
     return SimpleNamespace(
         mode=mode, replay=gains, replays={"open-loop": open_loop, "feedback": gains},

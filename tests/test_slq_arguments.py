@@ -108,7 +108,7 @@ class NoHorizon:
         ({"dynamics": None}, "dynamics is None, expected dynamics with nx, nu, dt, step and linearize (no nx there)."),
         ({"cost": None}, "cost is None, expected a cost with value() and quadratize()."),
         ({"twin": "model.xml"}, "twin is 'model.xml', expected a Twin or None."),
-        ({"stage": 3}, "stage is 3, expected a Stage or None."),
+        ({"stage": 3}, "stage is 3, expected an Appearance or None."),
         ({"requirements": {}}, "requirements is {}, expected a Requirements or None."),
         ({"cost": flight(0).cost}, "the cost is made for nx = 3, expected dynamics.nx = 2."),
         ({"cost": linear(0, nx=2, nu=2).cost}, "the cost is made for nu = 2, expected dynamics.nu = 1."),

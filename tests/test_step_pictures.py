@@ -16,7 +16,7 @@ from planner.view.plots import CASE_PICTURES, case_pictures, plot_case_picture
 def shown(request):
     """The step, a plan of it that is not finished, and its pictures by file."""
     plan = planner.solve(human_step(request.param), max_iterations=3)
-    return plan.problem.stage.pictures.args[0], plan, case_pictures(plan, None)
+    return plan.problem.appearance.pictures.args[0], plan, case_pictures(plan, None)
 
 
 def test_a_line_over_two_cycles_is_folded_at_heel_strikes():

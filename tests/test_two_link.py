@@ -188,10 +188,10 @@ def test_bad_parameters_are_named(parameters, fragment):
 def test_the_film_shows_arm_ghost_goal_and_trail(plan):
     """Each changes the picture; the trail is the path of the tip, and longer later."""
     replay = planner.prove(plan).replay
-    stage = plan.problem.stage
+    stage = plan.problem.appearance
 
     def picture(**changes):
-        shown = replace(plan, problem=replace(plan.problem, stage=replace(stage, **changes)))
+        shown = replace(plan, problem=replace(plan.problem, appearance=replace(stage, **changes)))
         return planner.render_frame(replace(replay, plan=shown), 1.5, width=320, height=180).astype(int)
 
     full = picture()

@@ -13,11 +13,11 @@ from treadmills import BELT_SPEED, FRICTION, STAGE, TREADMILL, WEIGHT, standing
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
-from planner.problem.appearance import Ghost, Stage, View
-from planner.problem.default_appearance import default_stage
+from planner.problem.appearance import Appearance, Ghost, View
+from planner.problem.default_appearance import default_appearance
 from planner.proof import touches
+from planner.proof.contact_history import ContactRecorder
 from planner.proof.replaying import compile_model
-from planner.proof.touches import Touching
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
@@ -50,7 +50,7 @@ def staged(replay, **changes):
 
 
 def test_each_contact_has_its_force_and_their_normals_sum_to_the_total(replay):
-    seen = replay.touches
+    seen = replay.contacts
     assert seen.names == ("left_foot on belt", "right_foot on belt")
     np.testing.assert_array_equal(seen.t, replay.t)
     # the belt is level, so that normal forces are the vertical ones
@@ -77,11 +77,11 @@ def test_forces_are_those_on_the_feet_whichever_shape_mujoco_names_first():
 
 def test_a_long_simulation_keeps_means(monkeypatch, replay):
     monkeypatch.setattr(touches, "MOST_SAMPLES", 101)
-    few, many = standing().touches, replay.touches
+    few, many = standing().touches, replay.contacts
     assert len(few.t) == 101  # of 401 steps: four each, the last alone
     np.testing.assert_allclose(few.forces[:100], many.forces[:400].reshape(100, 4, 2, 3).mean(axis=1), atol=1e-9)
     np.testing.assert_allclose(few.t[:2], [1.5e-3, 5.5e-3])
-    film = Film.of(replace(replay, touches=few), np.array([0.0, 0.4]))
+    film = Film.of(replace(replay, contacts=few), np.array([0.0, 0.4]))
     assert np.isfinite(film.forces).all()
 
 
@@ -95,10 +95,10 @@ def test_not_more_pairs_than_can_be_kept(monkeypatch):
 def test_a_machine_that_cannot_touch_is_not_looked_at():
     text = "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
     model = compile_model(text)
-    touching = Touching(model, 3)
-    touching.look(0, None)  # costs nothing: not even the state is read
-    assert touching.touches(np.arange(4.0)).names == ()
-    assert touching.sentence(1.0) == ""
+    recorder = ContactRecorder(model, 3)
+    recorder.look(0, None)  # costs nothing: not even the state is read
+    assert recorder.history(np.arange(4.0)).names == ()
+    assert recorder.sentence(1.0) == ""
 
 
 # Data
@@ -116,13 +116,13 @@ def test_a_film_keeps_views_and_ghost_in_its_file(tmp_path, replay):
     film = Film.of(staged(replay, ghost=lifted(replay, 0.5)), AT)
     film.save(tmp_path / "film.npz")
     again, _ = Film.load(tmp_path / "film.npz")
-    assert again.stage.views == STAGE.views
-    assert again.stage.scenery == STAGE.scenery
-    assert (again.stage.ghost.label, again.stage.ghost.opacity) == ("lifted", 0.8)
-    assert tuple(again.stage.ghost.colour) == (0.9, 0.1, 0.9)
+    assert again.appearance.views == STAGE.views
+    assert again.appearance.scenery == STAGE.scenery
+    assert (again.appearance.ghost.label, again.appearance.ghost.opacity) == ("lifted", 0.8)
+    assert tuple(again.appearance.ghost.colour) == (0.9, 0.1, 0.9)
     for name in ("forces", "points", "ghost_qpos", "path_ghost_qpos"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
-    assert [seen.stage.azimuth for seen in again.views] == [90.0, 180.0]
+    assert [seen.appearance.azimuth for seen in again.views] == [90.0, 180.0]
     assert Film.of(staged(replay, views=()), AT).views[0].stage.azimuth == STAGE.azimuth
 
 
@@ -148,7 +148,7 @@ def test_a_ghost_that_is_no_motion_of_the_machine(replay, states, words):
 
 
 def test_a_stage_nobody_wrote_takes_a_belt_for_scenery():
-    assert default_stage(Mechanism.from_mjcf(leg())).scenery == ()
+    assert default_appearance(Mechanism.from_mjcf(leg())).scenery == ()
     sliding = '<body name="belt"><joint name="run" type="slide"/>'
     text = leg().replace('<geom name="floor" type="plane" size="0 0 1" euler="0 -0.0 0"/>', "")
     text = text.replace(
@@ -158,7 +158,7 @@ def test_a_stage_nobody_wrote_takes_a_belt_for_scenery():
     )
     mechanism = Mechanism.from_mjcf(text)
     assert mechanism.contacts[0].plane.slide == 0
-    assert default_stage(mechanism).scenery == ("belt",)
+    assert default_appearance(mechanism).scenery == ("belt",)
 
 
 # Pictures
@@ -309,4 +309,4 @@ def test_short_arrows_are_slim_and_none_is_a_speck():
 
 
 def test_stages_without_views_have_one():
-    assert Stage(title="").views == ()
+    assert Appearance(title="").views == ()

@@ -8,10 +8,10 @@ from legs import attributes
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contacts import contact_attributes
 from planner.model.twin import Twin
-from planner.problem.appearance import Readout, Stage, View
+from planner.problem.appearance import Appearance, Readout, View
 from planner.problem.plan import Plan, Status
+from planner.proof.contact_history import ContactRecorder
 from planner.proof.replaying import Replay, compile_model
-from planner.proof.touches import Touching
 
 BELT_SPEED = 1.0  # m/s, backward
 FRICTION, IMPRATIO = 0.6, 1000.0
@@ -40,31 +40,31 @@ TREADMILL = f"""<mujoco model="treadmill"><option timestep="1e-3" cone="elliptic
   <contact><pair geom1="belt" geom2="left_foot" {PAIR}/>
     <pair geom1="belt" geom2="right_foot" {PAIR}/></contact></mujoco>"""
 
-STAGE = Stage(
+STAGE = Appearance(
     title="standing", readouts=(Readout("height", 2, "m"),), scenery=("belt", "strut"), look_at=(0.0, 0.0, 0.5),
     distance=3.0, views=(View(90.0, -8.0, label="side"), View(180.0, -8.0, label="front")), force_scale=0.004,
 )  # fmt: skip
 
 
-def standing(stage=STAGE, steps=400, text=TREADMILL):
+def standing(appearance=STAGE, steps=400, text=TREADMILL):
     """MuJoCo's replay of one who is dragged along by the belt until friction holds what his spring does; x = (q, v)."""
     mujoco, model = load_mujoco(), compile_model(text)
-    data, touching = mujoco.MjData(model), Touching(model, steps)
+    data, recorder = mujoco.MjData(model), ContactRecorder(model, steps)
     data.qvel[0] = -BELT_SPEED
     w = np.empty((steps + 1, model.nq + model.nv))
     for i in range(steps + 1):
         w[i] = np.concatenate([data.qpos, data.qvel])
-        touching.look(i, data)
+        recorder.look(i, data)
         mujoco.mj_step(model, data)
     t, eye, none = model.opt.timestep * np.arange(steps + 1), np.eye(w.shape[1]), np.zeros(w.shape[1])
     twin = Twin(mjcf=text, to_x=eye, to_x_offset=none, to_sim=eye[None], to_sim_offset=none[None])
-    problem = SimpleNamespace(stage=stage, dynamics=SimpleNamespace(nx=w.shape[1]))
+    problem = SimpleNamespace(appearance=appearance, dynamics=SimpleNamespace(nx=w.shape[1]))
     plan = Plan(
         t=t[::steps], xs=w[::steps], us=np.zeros((1, 0)), K=np.zeros((1, 0, w.shape[1])), cost=0.0, gradient_norm=0.0,
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
         plan=plan, twin=twin, feedback=False, integrator="EULER", t=t, qpos=w[:, : model.nq], qvel=w[:, model.nq :],
-        act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w, contact_force=touching.force,
-        contact_point=touching.point, substeps=steps, touches=touching.touches(t),
+        act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w, contact_force=recorder.force,
+        contact_point=recorder.point, substeps=steps, contacts=recorder.history(t),
     )  # fmt: skip

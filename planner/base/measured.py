@@ -9,7 +9,7 @@ from planner.base.jsonable import finite
 
 
 @dataclass(frozen=True)
-class Figure:
+class Measured:
     """One measured number.
 
     Attributes:
@@ -48,27 +48,27 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """One step of a proof: its figures, or the reason why it does not apply.
+    """One step of a proof: its measured, or the reason why it does not apply.
 
     Attributes:
         title: The step, e.g. "refined, open loop".
-        figures: What was measured.
+        measured: What was measured.
         not_applicable: Why the step does not apply to this machine; "" when it does.
     """
 
     title: str
-    figures: tuple[Figure, ...] = ()
+    measured: tuple[Measured, ...] = ()
     not_applicable: str = ""
 
     @property
     def passed(self) -> bool:
         """Whether every figure is within its bound. A step that does not apply does not fail."""
-        return all(figure.passed for figure in self.figures)
+        return all(figure.passed for figure in self.measured)
 
     @property
-    def failures(self) -> tuple[Figure, ...]:
-        """The figures beyond their bounds."""
-        return tuple(figure for figure in self.figures if not figure.passed)
+    def failures(self) -> tuple[Measured, ...]:
+        """The measured beyond their bounds."""
+        return tuple(figure for figure in self.measured if not figure.passed)
 
     def to_dict(self) -> dict[str, Any]:
         """The section as JSON values."""
@@ -77,5 +77,5 @@ class Section:
         return {
             "applicable": True,
             "passed": self.passed,
-            "figures": {figure.name: figure.to_dict() for figure in self.figures},
+            "figures": {figure.name: figure.to_dict() for figure in self.measured},
         }

@@ -28,7 +28,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.cases.planar_arm import Links, arm_cost, arm_dynamics, arm_stage, judge_upright, stages
+from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics, judge_upright, stages
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
@@ -86,7 +86,7 @@ def acrobot(
     }  # fmt: skip
     return Problem(
         dynamics, cost, x0=x0, us=_first_controls(first, dynamics, x0, N), twin=Twin.of(dynamics.mechanism),
-        case="acrobot", stage=arm_stage("Acrobot, to upright", links, ("elbow",), speed=0.5),
+        case="acrobot", appearance=arm_appearance("Acrobot, to upright", links, ("elbow",), speed=0.5),
         parameters=parameters, requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
     )  # fmt: skip
 

@@ -27,11 +27,11 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number
 from planner.base.errors import PlannerError
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.dynamics import INTEGRATORS, HopperDynamics
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.twin import Twin
-from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem, Requirements
 
@@ -106,7 +106,7 @@ def hopper(
         "smoothing": dynamics.smoothing, "stiffness": dynamics.stiffness, "gravity": dynamics.gravity, **weights,
     }  # fmt: skip
     return Problem(
-        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), stage=_stage(height), case="hopper",
+        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), appearance=_appearance(height), case="hopper",
         parameters=parameters, requirements=_requirements(dynamics, height),
     )  # fmt: skip
 
@@ -139,12 +139,12 @@ def _twin(dynamics: HopperDynamics) -> Twin:
     )  # fmt: skip
 
 
-def _stage(height: float) -> Stage:
+def _appearance(height: float) -> Appearance:
     # The camera stands back as far as ground and goal ask, and rises with the machine by a part of the way.
     goal = STANDING + height
     top = goal + 14.0
     follow = 0.3
-    return Stage(
+    return Appearance(
         title=f"Hopper, goal {height:g} in",
         readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
         ghost_offset=(26.0, 0.0, 0.0),
@@ -209,15 +209,15 @@ def judge_tracking(replay: Replay, goal: float, smoothing: float) -> Section:
     return Section(
         replay.title,
         (
-            Figure("rms_height_error", rms, "% of hop height", TRACKING_BOUND, "at the knots, MuJoCo against the plan"),
-            Figure("final_height_error", final, "% of hop height", FINAL_BOUND, "MuJoCo against the plan"),
-            Figure(
+            Measured("rms_height_error", rms, "% of hop height", TRACKING_BOUND, "at the knots, MuJoCo against plan"),
+            Measured("final_height_error", final, "% of hop height", FINAL_BOUND, "MuJoCo against the plan"),
+            Measured(
                 "worst_event_error", 1e3 * timing, "ms", EVENT_BOUND,
                 f"{sharp} touchdowns and lift-offs faster than {grazing:.3g} in/s, by crossings of the compression",
             ),
-            Figure("max_height_error", float(np.max(np.abs(error))), "in", None, "at the knots"),
-            Figure("final_height", float(replay.xs[-1, 0]), "in", None, "in MuJoCo"),
-            Figure("final_rate", float(replay.xs[-1, 1]), "in/s", None, "in MuJoCo"),
+            Measured("max_height_error", float(np.max(np.abs(error))), "in", None, "at the knots"),
+            Measured("final_height", float(replay.xs[-1, 0]), "in", None, "in MuJoCo"),
+            Measured("final_rate", float(replay.xs[-1, 1]), "in/s", None, "in MuJoCo"),
         ),
     )  # fmt: skip
 
@@ -230,12 +230,12 @@ def judge_goal(replay: Replay, goal: float, gravity: float) -> Section:
     return Section(
         "goal",
         (
-            Figure("planned_goal_error", planned, "% of hop height", GOAL_BOUND, "the plan's final height"),
-            Figure(
+            Measured("planned_goal_error", planned, "% of hop height", GOAL_BOUND, "the plan's final height"),
+            Measured(
                 "replayed_goal_error", reached, "% of hop height", GOAL_BOUND + FINAL_BOUND,
                 "MuJoCo's final height; the sum of the bounds on the plan and on its replay",
             ),
-            Figure(
+            Measured(
                 "final_speed_as_height", rise, "% of hop height", GOAL_BOUND,
                 "v^2 / 2g of MuJoCo's final rate: so far from the goal would it still carry the mass",
             ),

@@ -14,11 +14,11 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number
 from planner.base.errors import PlannerError
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path, model_text, written
-from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 
 if TYPE_CHECKING:
@@ -142,10 +142,10 @@ def arm_cost(
     )  # fmt: skip
 
 
-def arm_stage(title: str, links: Links, controls: tuple[str, ...], speed: float) -> Stage:
+def arm_appearance(title: str, links: Links, controls: tuple[str, ...], speed: float) -> Appearance:
     """The pair side by side, the path of the tip, and where the tip should come to rest."""
     s, top = links.scale, links.length1 + links.length2
-    return Stage(
+    return Appearance(
         title=title,
         readouts=(Readout("shoulder", 0, "rad"), Readout("elbow", 1, "rad")),
         ghost_offset=(-3.6 * s, 0.0, 0.0),  # to the left, where the numbers stand: machine and goal are in the open
@@ -170,11 +170,11 @@ def judge_upright(replay: Replay, tolerance: float) -> Section:
         "replayed": (replay.xs[-1], "MuJoCo's end"),
     }
     why = "the final weight w is soft: a plan stops where the effort of the next radian, w times the miss, is worth it"
-    figures = []
+    measured = []
     for who, (x, whose) in misses.items():
         angle, rate = float(np.abs(x[:2] - UPRIGHT).max()), float(np.abs(x[2:]).max())
-        figures += [
-            Figure(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from upright, larger joint; {why}"),
-            Figure(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, larger joint"),
+        measured += [
+            Measured(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from upright, larger joint; {why}"),
+            Measured(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, larger joint"),
         ]
-    return Section("goal", tuple(figures))
+    return Section("goal", tuple(measured))

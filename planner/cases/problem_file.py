@@ -41,17 +41,17 @@ from planner import cases
 from planner.base.arguments import array, choice, count, number, shown
 from planner.base.errors import FileError, ModelError, PlannerError
 from planner.base.files import read_text
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, GROUND, KEYS, LAW, LIMITS, REQUIRED, WEIGHTS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost, states
-from planner.problem.default_appearance import default_stage
+from planner.problem.default_appearance import default_appearance
 from planner.problem.guess import hold
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of, with_objective
@@ -197,15 +197,15 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     return mechanism
 
 
-def _touch(law: str | dict[str, Any], mechanism: Mechanism) -> Touch:
+def _touch(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
     """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
     law = {} if isinstance(law, str) else law
     if "stiffness" in law:
         _known(law, LAW, "a contacts table with stiffness")
-        return Touch(**law)
+        return ContactLaw(**law)
     _known(law, GROUND, "a contacts table without stiffness")
     gravity = float(np.linalg.norm(mechanism.gravity))
-    return Touch.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
+    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
 
 
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
@@ -241,11 +241,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"], prescribed)
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
     _check_departure(x0, cost, table["tolerance"])
-    stage = default_stage(mechanism, prescribed)
+    appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, case=CASE, parameters=table,
         us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
-        stage=replace(stage, title=table["title"] or stage.title),
+        appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits,
         requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
     )  # fmt: skip
@@ -349,8 +349,8 @@ def judge_arrival(replay: Replay, cost: TrackingCost, tolerance: float) -> Secti
         return Section("goal", not_applicable="nothing is asked of the goal because no final weight is above 0")
     note = "largest component with a final weight: rad, m, rad/s, m/s; weights that are small beside the effort miss"
     ends = {"planned_goal_error": replay.plan.xs[-1], "replayed_goal_error": replay.xs[-1]}
-    figures = tuple(
-        Figure(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[judged].max()), "", tolerance, note)
+    measured = tuple(
+        Measured(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[judged].max()), "", tolerance, note)
         for name, x in ends.items()
     )
-    return Section("goal", figures)
+    return Section("goal", measured)

@@ -30,14 +30,14 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from planner.base.arguments import choice, number
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.cases.planar_arm import LARGEST, stages
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.algorithms import bias
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.twin import Twin
-from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.guess import follow, quintic
 from planner.problem.limits import Limits
@@ -123,7 +123,7 @@ def puma(
         speed_limit = number("speed_limit", speed_limit, above=0.0)
     limited = bounds is not None or speed_limit is not None
     return Problem(
-        dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), case="puma", stage=_stage(payload),
+        dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), case="puma", appearance=_appearance(payload),
         parameters=parameters, requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
         limits=Limits(control=bounds, velocity=speed_limit) if limited else None,
     )  # fmt: skip
@@ -178,7 +178,7 @@ def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.
 def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
     """Whether the payload comes to rest where it should, and what of the torques was used."""
     why = "a lift that is not possible misses by far more than the price of effort"
-    figures = []
+    measured = []
     for who, x, us, whose in (
         ("planned", replay.plan.xs[-1], replay.plan.us, "the plan"),
         ("replayed", replay.xs[-1], replay.ctrl, "MuJoCo"),
@@ -186,20 +186,20 @@ def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
         miss = np.abs(x - goal)
         share = np.max(np.abs(us) / limits, axis=0)
         strained = JOINTS[int(np.argmax(share))]
-        figures += [
-            Figure(f"{who}_angle_miss", float(miss[:6].max()), "rad", TOLERANCE, f"{whose}, largest joint; {why}"),
-            Figure(f"{who}_rate_miss", float(miss[6:].max()), "rad/s", TOLERANCE, f"{whose}, largest joint"),
-            Figure(
+        measured += [
+            Measured(f"{who}_angle_miss", float(miss[:6].max()), "rad", TOLERANCE, f"{whose}, largest joint; {why}"),
+            Measured(f"{who}_rate_miss", float(miss[6:].max()), "rad/s", TOLERANCE, f"{whose}, largest joint"),
+            Measured(
                 f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, f"{whose}, of the limit: at {strained}"
             ),
         ]
-    return Section("goal", tuple(figures))
+    return Section("goal", tuple(measured))
 
 
-def _stage(payload: float) -> Stage:
+def _appearance(payload: float) -> Appearance:
     """Machine and ghost side by side, the path of the payload, and where it should come to rest."""
     arm, wrist = tuple(enumerate(JOINTS[:3])), tuple((i + 3, name) for i, name in enumerate(JOINTS[3:]))
-    return Stage(
+    return Appearance(
         title=f"Puma-like arm lifts {payload:.3g} kg (rated {RATED:g})",
         readouts=(Readout("shoulder", 1, "rad"), Readout("elbow", 2, "rad"), Readout("wrist", 4, "rad")),
         ghost_offset=(-2.6, 0.0, 0.0),

@@ -26,7 +26,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.cases.planar_arm import UPRIGHT, Links, arm_cost, arm_dynamics, arm_stage, judge_upright, stages
+from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics, judge_upright, stages
 from planner.model.twin import Twin
 from planner.problem.guess import follow, quintic
 from planner.problem.problem import Problem, Requirements
@@ -75,6 +75,6 @@ def two_link(
     }  # fmt: skip
     return Problem(
         dynamics, cost, x0=np.zeros(4), us=us, twin=Twin.of(dynamics.mechanism), case="two-link",
-        stage=arm_stage("Two-link arm, to upright", links, ("shoulder", "elbow"), speed=0.5),
+        appearance=arm_appearance("Two-link arm, to upright", links, ("shoulder", "elbow"), speed=0.5),
         parameters=parameters, requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contact_places import BodyPlace
-from planner.model.contact.laws import Contact, Law, Touch, slide_direction
+from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.joint_curves import curve_torque_derivatives, curve_torques
 from planner.model.mechanism import Frame, Mechanism
 
@@ -199,7 +199,9 @@ def _force(place: _Place | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return touch_force(place.contact.touch, place.n, place.e, place.v)
 
 
-def touch_force(touch: Touch, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def touch_force(
+    touch: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the velocity (K, 3, 3).
 
     Args:

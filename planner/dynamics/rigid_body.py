@@ -78,7 +78,7 @@ class RigidBodyDynamics:
         lengths = np.full(len(xs), self.dt) if dt is None else array("dt", dt, (len(xs),))
         announce_named(variant("tree steps", self._model))
         ends, memory = np.empty_like(xs), self._scratch()
-        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False, self._model.touching)
+        tree_step.steps(self._model.table, memory.table, lengths, xs, us, ends, False, self._model.external)
         return ends
 
     def _scratch(self) -> TreeMemory:
@@ -92,7 +92,7 @@ class RigidBodyDynamics:
         xs, us = self._checked(xs, us)
         announce_named(variant("tree rates", self._model))
         out, memory = np.empty((len(xs), self.ndx)), self._scratch()
-        tree_step.rates(self._model.table, memory.table, xs, us, out, self._model.touching)
+        tree_step.rates(self._model.table, memory.table, xs, us, out, self._model.external)
         return out
 
     def linearize(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,13 +101,13 @@ class RigidBodyDynamics:
         announce_named(variant("tree steps", self._model))
         N, first, rows = len(us), padded(self.nu), self.mechanism.nv if self.structured else self.ndx
         F, m, memory = np.empty((N, rows, first + padded(self.ndx))), self._model.table, self.memory(N)
-        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, self._model.touching)
+        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, self._model.external)
         if self.structured:
             transport = np.zeros((N, len(self.space.quaternions), 18))
-            tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport, self._model.touching)
+            tree_linearize.linearize_structured(m, memory.table, self.dt, xs, us, F, transport, self._model.external)
             by_u, by_x = F[:, :, : self.nu], F[:, :, first : first + self.ndx]
             return self._semi_implicit(by_x, transport), self._semi_implicit_inputs(by_u, transport)
-        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F, self._model.touching)
+        tree_linearize.linearize_dense(m, memory.table, self.dt, xs, us, F, self._model.external)
         return F[:, :, first : first + self.ndx].copy(), F[:, :, : self.nu].copy()
 
     def second_order(self, xs: np.ndarray, us: np.ndarray, costates: np.ndarray) -> np.ndarray:
@@ -120,8 +120,8 @@ class RigidBodyDynamics:
         N, ndx, first = len(us), self.ndx, padded(self.nu)
         costates = array("costates", costates, (N + 1, ndx))
         T, memory, second = np.zeros((N, *[first + padded(ndx)] * 2)), self.memory(N), self.second_order_memory()
-        m, touching = self._model.table, self._model.touching
-        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, touching)
+        m, external = self._model.table, self._model.external
+        tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, external)
         tree_second.second_order(m, memory.table, second.table, self.dt, xs, us, costates, 0, T)
         order = np.r_[first : first + ndx, : self.nu]
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
@@ -173,11 +173,11 @@ class RigidBodyDynamics:
 
     def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Fill w.F along w.xs, w.us."""
-        m, r, touching = self._model.table, memory.table, self._model.touching
+        m, r, external = self._model.table, memory.table, self._model.external
         if self.structured:
-            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport, touching)
+            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport, external)
         else:
-            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, touching)
+            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, external)
 
     def search(
         self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
@@ -185,11 +185,11 @@ class RigidBodyDynamics:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
         return tree_solve.search_step(
             w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope,
-            self._model.touching, None if w.penalties is None else w.penalties.table,
+            self._model.external, None if w.penalties is None else w.penalties.table,
         )  # fmt: skip
 
     def penalties(self, measures: Any) -> PenaltyTable:
-        """The kernels' table of the terms of a PenaltyCost of this mechanism: Measures of problem.costs.penalty_measures."""
+        """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.Measures."""
         return PenaltyTable(self._model, measures)
 
     def penalise_nominal(self, w: Workspace, memory: TreeMemory) -> None:

@@ -58,7 +58,7 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
     x[nq : nq + nv] = 0.0
     if not mechanism.contacts:
         raise PlannerError(
-            "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=Touch(...))."
+            "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."
         )
     free = _undriven(mechanism)
     if not len(free):

@@ -57,7 +57,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, "int64", _BLOCKS)),
 }
 
-# Kernels with a variant for machines that touch something, and one without the code of it (see Model.touching).
+# Kernels with a variant for machines that touch something, and one without the code of it (see Model.external).
 _TOUCHING: dict[str, tuple[Any, tuple[str, ...]]] = {
     "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (
@@ -70,8 +70,8 @@ _TOUCHING: dict[str, tuple[Any, tuple[str, ...]]] = {
 }
 for _name, (_kernel, _types) in _TOUCHING.items():
     KERNELS[_name] = (_kernel, (*_types, "none"))
-    KERNELS[f"{_name} touching"] = (_kernel, (*_types, "boolean"))
-for _name in ("tree search", "tree search touching"):  # the last argument is the table of penalties
+    KERNELS[f"{_name} external"] = (_kernel, (*_types, "boolean"))
+for _name in ("tree search", "tree search external"):  # the last argument is the table of penalties
     _kernel, _types = KERNELS[_name]
     KERNELS[_name] = (_kernel, (*_types, "none"))
     KERNELS[f"{_name} penalised"] = (_kernel, (*_types, _TABLE))
@@ -80,10 +80,10 @@ for _name in ("tree search", "tree search touching"):  # the last argument is th
 _FAMILIES = (
     ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
     (
-        "tree search", "tree search touching", "tree search penalised", "tree search touching penalised",
-        "tree steps", "tree steps touching", "tree rates", "tree rates touching", "tree forward", "tree inverse",
+        "tree search", "tree search external", "tree search penalised", "tree search external penalised",
+        "tree steps", "tree steps external", "tree rates", "tree rates external", "tree forward", "tree inverse",
     ),
-    ("tree structured", "tree structured touching", "tree dense", "tree dense touching", "tree derivatives"),
+    ("tree structured", "tree structured external", "tree dense", "tree dense external", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
     ("penalties",),
@@ -96,7 +96,7 @@ SECOND_ORDER = ("tree second order", "costates", "hopper second order")
 
 def variant(name: str, model: Model, penalised: bool = False) -> str:
     """The name of the kernel that a model needs: of those that have variants, the one for what acts on it."""
-    return name + (" touching" if model.touching else "") + (" penalised" if penalised else "")
+    return name + (" external" if model.external else "") + (" penalised" if penalised else "")
 
 
 def announce_named(name: str) -> None:

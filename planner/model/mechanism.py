@@ -33,7 +33,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.between_bodies import BodyContact, check_body_contact
-from planner.model.contact.laws import Contact, Stop, Touch, slide_direction
+from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.joint_curves import ExponentialTorque, check_curve
 from planner.model.space import StateSpace
 
@@ -206,7 +206,7 @@ class Mechanism:
 
     @classmethod
     def from_mjcf(
-        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | Touch = "on"
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on"
     ) -> Mechanism:
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
@@ -215,8 +215,8 @@ class Mechanism:
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
             contacts: "on" models contacts of spheres, capsules and corners of boxes with planes, and of spheres and
                 capsules with each other, if MuJoCo's force is a law of planner.model.contact.laws (see
-                planner.model.mjcf.contacts); "off" takes all contacts out of the file; a Touch is given to those of
-                the file instead of their own force, in the replayed model too, and what is left of them is taken
+                planner.model.mjcf.contacts); "off" takes all contacts out of the file; a ContactLaw is given to those
+                of the file instead of their own force, in the replayed model too, and what is left of them is taken
                 out and said in `ignored`.
 
         Raises:

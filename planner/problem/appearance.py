@@ -1,4 +1,4 @@
-"""Stage: how a machine is shown. Data only; the renderer knows no machine, a machine knows no renderer."""
+"""Appearance: how a machine is shown. Data only; the renderer knows no machine, a machine knows no renderer."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Ghost:
 
 
 @dataclass(frozen=True)
-class Stage:
+class Appearance:
     """What a film of a plan shows beside the machine itself. Lengths are the model's.
 
     Attributes:
@@ -124,7 +124,7 @@ class Stage:
     pictures: Callable[[Plan, Replay | None], Sequence[CasePicture]] | None = None
     trail: str = ""
 
-    def seen_from(self, view: View) -> Stage:
+    def seen_from(self, view: View) -> Appearance:
         """The stage with this camera alone."""
         return replace(
             self, azimuth=view.azimuth, elevation=view.elevation, views=(view,),

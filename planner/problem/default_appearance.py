@@ -1,4 +1,4 @@
-"""How a machine is shown that nobody wrote a Stage for: from the axes and the names of its joints."""
+"""How a machine is shown that nobody wrote an Appearance for: from the axes and the names of its joints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.model.mechanism import BALL, SCREW, Mechanism
-from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.appearance import Appearance, Panel, Readout
 
 MOST = 8  # curves that can be told apart in one panel
 _READOUTS = 4
@@ -19,16 +19,16 @@ _PARALLEL = 1e-6
 Curves = list[tuple[int, str]]
 
 
-def stage_of(problem: Any) -> Stage | None:
+def appearance_of(problem: Any) -> Appearance | None:
     """The stage of a problem: its own, or what its mechanism says; None without either."""
-    stage = getattr(problem, "stage", None)
+    appearance = getattr(problem, "appearance", None)
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    if stage is not None or not isinstance(mechanism, Mechanism):
-        return stage
-    return default_stage(mechanism, getattr(problem.dynamics, "prescribed", ()))
+    if appearance is not None or not isinstance(mechanism, Mechanism):
+        return appearance
+    return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
 
 
-def default_stage(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Stage:
+def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Appearance:
     """A camera across the plane of motion, the first joints as numbers, and plots of states and controls.
 
     Args:
@@ -54,7 +54,7 @@ def default_stage(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Sta
     if controls:
         plots.append(Panel(_title("Controls", controls), "control", controls=tuple(controls[:MOST])))
     readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]
-    return Stage(
+    return Appearance(
         title=name[1] if name else "",
         readouts=tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS]),
         scenery=_belts(mechanism),

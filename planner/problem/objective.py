@@ -164,7 +164,7 @@ def plain(problem: Problem) -> Problem:
     return problem if problem.objective is None else replace(problem, cost=problem.objective.base, objective=None)
 
 
-def iterated(problem: Problem) -> Problem:
+def solver_problem(problem: Problem) -> Problem:
     """What SLQ iterates on: without what no control changes, and with an added state where jerk counts."""
     if problem.objective is None:
         return problem

@@ -1,4 +1,4 @@
-"""Pictures of a case beyond those of every plan: charts, stick figures and paths. Data only, as a Stage is.
+"""Pictures of a case beyond those of every plan: charts, stick figures and paths. Data only, as an Appearance is.
 
 A case says what is in them, planner.view.plots draws them.
 """

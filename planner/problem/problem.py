@@ -15,7 +15,7 @@ from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
 from planner.problem.limits import Limits
 from planner.problem.periodicity import Periodic
@@ -68,7 +68,7 @@ class Problem:
         horizon: N; needed only when neither us nor the cost tells it.
         twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
             from, its prescribed joints driven (planner.model.mjcf.driven); None when there is none.
-        stage: How the machine is shown.
+        appearance: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
         objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
@@ -91,7 +91,7 @@ class Problem:
     us: np.ndarray | None = None
     horizon: int | None = None
     twin: Twin | None = None
-    stage: Stage | None = None
+    appearance: Appearance | None = None
     requirements: Requirements | None = None
     case: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -152,7 +152,8 @@ class Problem:
             raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
         parts = (
-            ("twin", Twin), ("stage", Stage), ("requirements", Requirements), ("limits", Limits), ("periodic", Periodic)
+            ("twin", Twin), ("appearance", Appearance), ("requirements", Requirements), ("limits", Limits),
+            ("periodic", Periodic),
         )  # fmt: skip
         for name, kind in parts:
             part = getattr(self, name)

@@ -16,7 +16,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import twin_of
 from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.default_appearance import default_stage
+from planner.problem.default_appearance import default_appearance
 from planner.problem.periodicity import Periodic
 from planner.problem.problem import Problem
 
@@ -63,7 +63,7 @@ def rebuilt(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | N
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
     periodic = None if facts.get("periodic") is None else Periodic.from_dict(facts["periodic"])
-    stage = default_stage(mechanism, prescribed)
+    appearance = default_appearance(mechanism, prescribed)
     return Problem(
-        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, stage=stage, periodic=periodic
+        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin, appearance=appearance, periodic=periodic
     )  # fmt: skip

@@ -10,11 +10,11 @@ from planner.base.arguments import count
 from planner.base.gl import load_mujoco
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.contact_history import ContactRecorder
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.ranges import ranges_reached
 from planner.proof.replaying import RUNAWAY, Replay, between_knots, warnings_of
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
-from planner.proof.touches import Touching
 
 
 def replay_case(
@@ -43,7 +43,7 @@ def replay_case(
         model = batch.models[0]
         data, complaints = mujoco.MjData(model), ()
         w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
-        touching = Touching(model, M)
+        recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
         data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [model.nq, model.nq + model.nv])
         for i in range(M):
@@ -57,7 +57,7 @@ def replay_case(
                 break
             data.ctrl[:] = ctrl[i]
             with rollouts.curves(batch):
-                touching.look(i, data)
+                recorder.look(i, data)
                 mujoco.mj_step(model, data)
             w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
@@ -65,15 +65,15 @@ def replay_case(
                 break
         if np.isfinite(w[M]).all():
             with rollouts.curves(batch):
-                touching.look(M, data)
+                recorder.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = CONTROL_STEPS * rollouts.substeps
         return Replay(
             plan=plan, twin=twin, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act, ctrl=ctrl,
-            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=touching.force,
-            contact_point=touching.point, substeps=substeps, warnings=warnings_of(mujoco, data),
-            reached=ranges_reached(model, t, w, ctrl), touches=touching.touches(t),
+            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=recorder.force,
+            contact_point=recorder.point, substeps=substeps, warnings=warnings_of(mujoco, data),
+            reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip
 
 

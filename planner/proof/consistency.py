@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.limits import limit_figures
+from planner.proof.limits import limit_violations
 from planner.proof.scales import cost_of_deviation
 from planner.solvers import lq
 
@@ -45,24 +45,24 @@ def consistency(plan: Plan, problem: Problem) -> Section:
             ),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
-        figures = [Figure(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]
-        figures.append(_gains(plan, A, B, quadratic, moves))
+        measured = [Measured(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]
+        measured.append(_gains(plan, A, B, quadratic, moves))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
-    figures.append(Figure("changed_parts", float(len(plan.changed)), "", 0.0, note))
-    figures += limit_figures(problem, plan.xs, plan.us, "of the plan")
-    return Section("plan", tuple(figures))
+    measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
+    measured += limit_violations(problem, plan.xs, plan.us, "of the plan")
+    return Section("plan", tuple(measured))
 
 
-def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, moves: lq.Bounds | None) -> Figure:
+def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, moves: lq.Bounds | None) -> Measured:
     """The gains against a Riccati sweep along the plan."""
     name, sweep = "gain_error", None
     if np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite:
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
     if sweep is None:
         note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
-        return Figure(name, 0.0 if np.isfinite(plan.K).all() else np.inf, "", GAIN_BOUND, note)
+        return Measured(name, 0.0 if np.isfinite(plan.K).all() else np.inf, "", GAIN_BOUND, note)
     error = _largest(plan.K - sweep.K) / max(_largest(sweep.K), np.finfo(float).tiny)
-    return Figure(name, error, "", GAIN_BOUND, "the gains against the last Riccati sweep (Eq. 31-33), relative")
+    return Measured(name, error, "", GAIN_BOUND, "the gains against the last Riccati sweep (Eq. 31-33), relative")
 
 
 def _largest(values: np.ndarray) -> float:

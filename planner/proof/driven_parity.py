@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
@@ -60,12 +60,12 @@ def driven_parity(
     spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / HEAVY)  # forces of size one
     section = rigid_parity(free, model, None, states, bound, seed, spread)
     model.dof_armature[dofs] = HEAVY
-    return replace(section, figures=(*section.figures, *_driven(mechanism, prescribed, model, states, bound, seed)))
+    return replace(section, measured=(*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed)))
 
 
 def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
-) -> tuple[Figure, Figure]:
+) -> tuple[Measured, Measured]:
     """MuJoCo's accelerations of the driven model, beside the plan's dynamics; and what its armature leaves."""
     smooth = replace(mechanism, contacts=(), stops=())
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
@@ -86,8 +86,8 @@ def _driven(
     note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
     shown = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
     return (
-        Figure("driven_acceleration_error", error, "", bound, note),
-        Figure("left_by_the_motors", lag, "", None, shown),
+        Measured("driven_acceleration_error", error, "", bound, note),
+        Measured("left_by_the_motors", lag, "", None, shown),
     )
 
 

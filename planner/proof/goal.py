@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.proof.replaying import Replay
@@ -27,7 +27,7 @@ def goal(run: Replay, problem: Problem) -> Section:
     return Section(
         "goal",
         (
-            Figure("planned_goal_error", distance(run.plan.xs[-1]), "", None, note),
-            Figure("replayed_goal_error", distance(run.xs[-1]), "", None, note),
+            Measured("planned_goal_error", distance(run.plan.xs[-1]), "", None, note),
+            Measured("replayed_goal_error", distance(run.xs[-1]), "", None, note),
         ),
     )

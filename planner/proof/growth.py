@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.driven import HEAVY
 from planner.problem.plan import Plan
@@ -60,20 +60,20 @@ class Growth:
 
     @property
     def section(self) -> Section:
-        """The figures; shown, not judged."""
-        figures = []
+        """The measured; shown, not judged."""
+        measured = []
         for mode, words in (("open-loop", "open_loop"), ("feedback", "feedback")):
             how = "open loop" if mode == "open-loop" else "with the gains"
             norm = self.transition[mode][-1]
             note = f"an error at the start becomes up to 10^{norm:.1f} times as large by the end, {how}"
-            figures.append(Figure(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
+            measured.append(Measured(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
             note = f"largest over the path, by the linearised plan {how}; measured {self.measured[mode].max():.2e}"
-            figures.append(Figure(f"predicted_error_{words}", float(self.predicted[mode].max()), "", None, note))
+            measured.append(Measured(f"predicted_error_{words}", float(self.predicted[mode].max()), "", None, note))
             ratio = self.ratio(mode)
             if ratio is not None:
                 note = f"a factor of {FACTOR:g} either way is the same error; more is another model"
-                figures.append(Figure(f"measured_over_predicted_{words}", ratio, "", None, note))
-        return Section("growth", tuple(figures))
+                measured.append(Measured(f"measured_over_predicted_{words}", ratio, "", None, note))
+        return Section("growth", tuple(measured))
 
 
 def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:

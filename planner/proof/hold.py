@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
@@ -219,9 +219,9 @@ def hold_section(held: Held) -> Section:
     return Section(
         "hold",
         (
-            Figure("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
-            Figure("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
-            Figure("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
-            Figure("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
+            Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
+            Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
+            Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
+            Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
         ),
     )

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.measured import Figure
+from planner.base.measured import Measured
 from planner.problem.problem import Problem
 
 KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
 
 
-def limit_figures(
+def limit_violations(
     problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, judged: bool = True
-) -> list[Figure]:
+) -> list[Measured]:
     """The largest violation of each kind of limit; nothing where there are none.
 
     Args:
@@ -20,15 +20,15 @@ def limit_figures(
         xs: (N+1, nx) states at the knots.
         us: (N, nu) controls; None where they are not asked about.
         whose: For the notes.
-        judged: Whether the figures have bounds, or are shown only.
+        judged: Whether the measured have bounds, or are shown only.
     """
-    figures = []
+    measured = []
     if problem.bounds is not None and us is not None:
         lower, upper = problem.bounds
         outside = float(np.maximum(lower - us, us - upper).max())
         active = int(np.sum((us <= lower) | (us >= upper)))
         note = f"largest, {whose}; {active} of {us.size} controls at a bound"
-        figures.append(Figure("control_violation", max(outside, 0.0), "", 0.0 if judged else None, note))
+        measured.append(Measured("control_violation", max(outside, 0.0), "", 0.0 if judged else None, note))
     if problem.ranges is not None and problem.limits is not None:
         beyond, tolerance = problem.ranges.beyond(xs), problem.limits.tolerance
         kinds = [name.split()[0] for name in problem.ranges.names]
@@ -40,5 +40,5 @@ def limit_figures(
                 )
                 note = f"largest at the knots, {whose}: {problem.ranges.names[worst]}"
                 value = float(beyond[:, which].max())
-                figures.append(Figure(f"{word}_violation", value, "", tolerance if judged else None, note))
-    return figures
+                measured.append(Measured(f"{word}_violation", value, "", tolerance if judged else None, note))
+    return measured

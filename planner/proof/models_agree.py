@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
@@ -92,17 +92,17 @@ def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: in
         theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
     error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
     note = f"dx/dt at {STATES} random states (seed {seed}), relative to the largest"
-    figures = (Figure("rate_error", float(error.max()), "", BOUND, note),)
+    measured = (Measured("rate_error", float(error.max()), "", BOUND, note),)
     start = (_start(problem, twin, model, requirements.start),) if requirements.start else ()
-    return Section("parity", (*figures, *start))
+    return Section("parity", (*measured, *start))
 
 
-def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Figure:
+def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measured:
     """Whether a keyframe of the model is the plan's own start."""
     note = f"keyframe {name!r} of the model against the plan's start, largest component"
     key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
     if key is None:
-        return Figure("start_error", np.inf, "", BOUND, note)
+        return Measured("start_error", np.inf, "", BOUND, note)
     w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
     error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
-    return Figure("start_error", error, "", BOUND, note)
+    return Measured("start_error", error, "", BOUND, note)

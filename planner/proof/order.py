@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.replaying import Replay, matching_model
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, cost_scale
-from planner.proof.touches import may_touch
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
@@ -68,28 +68,28 @@ class Order:
 
     @property
     def section(self) -> Section:
-        """The figures: the change of the cost is judged, for smooth machines the order too."""
+        """The measured: the change of the cost is judged, for smooth machines the order too."""
         with np.errstate(all="ignore"):
             change = 100.0 * abs(self.extrapolated_cost - self.plan_cost) / self.scale
         steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
-        figures = [
-            Figure(
+        measured = [
+            Measured(
                 "cost_change", change, "%", COST_BOUND,
                 f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
                 f"+- {self.cost_uncertainty:.1e}",
             ),
-            Figure("end_state_uncertainty", self.end_uncertainty, "", None, f"of the extrapolated, steps {steps}"),
+            Measured("end_state_uncertainty", self.end_uncertainty, "", None, f"of the extrapolated, steps {steps}"),
         ]  # fmt: skip
         if self.observed is not None:
             note = f"end state over halvings from {steps}, nominal {self.nominal:g}"
-            figures.append(Figure("observed_order", self.observed, "", None, note))
+            measured.append(Measured("observed_order", self.observed, "", None, note))
             bound = None if self.judged else ORDER_BOUND
             note = self.judged or "nominal order less the observed one; a smooth machine shows its integrator's order"
-            figures.append(Figure("order_shortfall", self.nominal - self.observed, "", bound, note))
+            measured.append(Measured("order_shortfall", self.nominal - self.observed, "", bound, note))
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
-            figures.append(Figure("observed_order", float("nan"), "", None, note))
-        return Section("order, open loop", tuple(figures))
+            measured.append(Measured("observed_order", float("nan"), "", None, note))
+        return Section("order, open loop", tuple(measured))
 
 
 def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:

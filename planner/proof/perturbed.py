@@ -1,7 +1,7 @@
 """Step 5 of a proof: how often a plan still succeeds on a machine that is not quite the one it was made for.
 
 Seeded Monte Carlo in MuJoCo, open loop and with the plan's gains: masses, friction, start, controls and their delay are
-wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The figures are not
+wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The measured are not
 judged: what rate is enough is the user's to say.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.base.arguments import count, number
 from planner.base.jsonable import finite
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.partial import Partial, fingerprint
@@ -91,23 +91,23 @@ class Perturbed:
 
     @property
     def section(self) -> Section:
-        """The figures, without bounds."""
+        """The measured, without bounds."""
         if not self.done:
             return Section("perturbed", not_applicable=" ".join(self.notes) or "no rollout was run")
         varied = " ".join((f"varied: {self.perturbation}.", *self.notes))
         rule = f"ends within {self.tolerance:g} of the plan's" if math.isfinite(self.tolerance) else "by its own rule"
-        figures = [Figure("rollouts", float(self.done), "", None, varied)]
+        measured = [Measured("rollouts", float(self.done), "", None, varied)]
         for mode, rate in self.rates.items():
             name = mode.replace("-", "_")
             median = float(np.median(self.end_error[mode]))
-            figures += [
-                Figure(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {rule}"),
-                Figure(f"{name}_median_end_error", median, "", None, "largest component, rad, m, rad/s, m/s"),
+            measured += [
+                Measured(f"{name}_success_rate", 100.0 * rate.value, "%", None, f"{rate} (Wilson), {rule}"),
+                Measured(f"{name}_median_end_error", median, "", None, "largest component, rad, m, rad/s, m/s"),
             ]
             if math.isfinite(self.margin[mode]):
                 note = f"largest error of every body's mass at which, and below, 95 % of {self.per_level} succeed"
-                figures.append(Figure(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
-        return Section("perturbed", tuple(figures))
+                measured.append(Measured(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
+        return Section("perturbed", tuple(measured))
 
     def lines(self) -> list[str]:
         """The rates with their intervals, and which rollouts ended farthest off."""

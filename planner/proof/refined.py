@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.problem.problem import Problem
-from planner.proof.limits import limit_figures
+from planner.proof.limits import limit_violations
 from planner.proof.replaying import Replay
 from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
 
@@ -17,24 +17,26 @@ from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
 def tracking(run: Replay, problem: Problem) -> Section:
     """How far one replay is from the plan."""
     common = (
-        Figure("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
-        Figure(
+        Measured("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
+        Measured(
             "ranges_reached", float(len(run.reached)), "", None,
             " ".join(run.reached) or "of joints, controls and forces: a plan knows none, MuJoCo holds them",
         ),
-        *limit_figures(problem, run.xs[:: run.substeps], _controls(run), "of the replay", judged=False),
+        *limit_violations(problem, run.xs[:: run.substeps], _controls(run), "of the replay", judged=False),
     )  # fmt: skip
     if problem.requirements is not None and problem.requirements.tracking is not None:
         section = problem.requirements.tracking(run)
-        return replace(section, figures=(*section.figures, *common))
+        return replace(section, measured=(*section.measured, *common))
     error = np.abs(run.error)
     with np.errstate(all="ignore"):
         cost = 100.0 * abs(run.cost - run.plan.cost) / cost_scale(run.plan, problem)
     return Section(
         run.title,
         (
-            Figure("end_state_error", float(error[-1].max()), "", STATE_BOUND, "largest component, rad, m, rad/s, m/s"),
-            Figure("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
+            Measured(
+                "end_state_error", float(error[-1].max()), "", STATE_BOUND, "largest component, rad, m, rad/s, m/s"
+            ),
+            Measured("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
             *common,
             *_along_the_path(error, problem),
         ),
@@ -46,11 +48,11 @@ def _controls(run: Replay) -> np.ndarray | None:
     return run.ctrl[:: run.substeps] if run.ctrl.shape[1] == run.plan.us.shape[1] else None
 
 
-def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Figure, ...]:
+def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Measured, ...]:
     """The largest errors over the whole replay, by kind where the plan's states are a mechanism's."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
-        return (Figure("largest_state_error", float(error.max()), "", None, "over the path, largest component"),)
+        return (Measured("largest_state_error", float(error.max()), "", None, "over the path, largest component"),)
     turns, nv = np.any(mechanism.S[:, :3] != 0.0, axis=1), mechanism.nv
     kinds = {
         "largest_angle_error": (error[:, :nv][:, turns], "rad"),
@@ -59,6 +61,6 @@ def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Figure, ...]:
         "largest_velocity_error": (error[:, nv : 2 * nv][:, ~turns], "m/s"),
     }
     return tuple(
-        Figure(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
+        Measured(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
         if values.size
     )  # fmt: skip

@@ -22,9 +22,9 @@ from planner.model.mjcf.refuse import named
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.contact_history import ContactHistory, ContactRecorder
 from planner.proof.curve_callback import curves_acting
 from planner.proof.ranges import ranges_reached
-from planner.proof.touches import Touches, Touching
 
 REFINEMENT = 20  # simulator steps per stage, at least
 MOST_STEPS = 5_000_000  # some minutes and 1 GB
@@ -52,7 +52,7 @@ class Replay:
         substeps: Simulator steps per stage of the plan.
         warnings: What MuJoCo complained of, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
-        touches: The force of each contact.
+        contacts: The force of each contact.
     """
 
     plan: Plan
@@ -71,7 +71,7 @@ class Replay:
     substeps: int
     warnings: tuple[str, ...] = ()
     reached: tuple[str, ...] = ()
-    touches: Touches = field(default_factory=Touches.none)
+    contacts: ContactHistory = field(default_factory=ContactHistory.none)
 
     @property
     def timestep(self) -> float:
@@ -206,7 +206,7 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
     plan_xs = between_knots(plan, substeps)
     w = np.full((M + 1, nq + nv + model.na), np.nan)
     ctrl = np.repeat(plan.us, substeps, axis=0)
-    touching = Touching(model, M)
+    recorder = ContactRecorder(model, M)
     assert plan.problem is not None  # replay has checked
     w[0] = twin.sim_of(plan.problem.x0)  # the problem's start, not what the plan says of it
     data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
@@ -215,23 +215,23 @@ def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> R
             asked = ctrl[i] + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
             ctrl[i] = plan.within_bounds(i // substeps, asked)
         data.ctrl[:] = ctrl[i]
-        touching.look(i, data)
+        recorder.look(i, data)
         mujoco.mj_step(model, data)
         w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
         if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < RUNAWAY):
             break
     unstable = unstable_at(model, w)
     if not unstable:
-        touching.look(M, data)
+        recorder.look(M, data)
     t = model.opt.timestep * np.arange(M + 1)
     reached = ranges_reached(model, t, w, ctrl, stopped_dofs(plan))
-    surprise = "" if knows_contacts(plan) else touching.sentence(model.opt.timestep)
+    surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
     return Replay(
         plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
         t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
-        plan_xs=plan_xs, contact_force=touching.force, contact_point=touching.point, substeps=substeps,
+        plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point, substeps=substeps,
         warnings=(*unstable, *warnings_of(mujoco, data)), reached=(*reached, *([surprise] if surprise else [])),
-        touches=touching.touches(t),
+        contacts=recorder.history(t),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.joint_curves import curve_torques, one_torque
@@ -84,7 +84,7 @@ def rigid_parity(
     if mechanism.na:
         scales["activation"] = np.maximum(_largest(theirs.activation), 1.0)
     names = {"mass": "mass_matrix_error", "bias": "bias_force_error", "actuator": "actuator_force_error"}
-    figures = []
+    measured = []
     for term, scale in scales.items():
         difference = np.abs(getattr(theirs, term) - getattr(ours, term))
         relative = difference / (scale if scale.ndim > 1 else scale.reshape(-1, *[1] * (difference.ndim - 1)))
@@ -92,17 +92,17 @@ def rigid_parity(
         note = f"at {states} random states (seed {seed}), relative to what it is made of at each"
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
-        figures.append(Figure(names.get(term, f"{term}_error"), value, "", bound, note))
-    return Section("parity", (*figures, unmodelled) if unmodelled.passed else (unmodelled, *figures))
+        measured.append(Measured(names.get(term, f"{term}_error"), value, "", bound, note))
+    return Section("parity", (*measured, unmodelled) if unmodelled.passed else (unmodelled, *measured))
 
 
-def _unmodelled(mechanism: Mechanism, model: Any) -> Figure:
+def _unmodelled(mechanism: Mechanism, model: Any) -> Measured:
     """What acts in the model and is none of the mechanism's. Contacts are no part of it: a replay says what touched."""
     phrases = [one.phrase for one in found(model) if one.kind != "contacts"]
     note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
     if phrases and mechanism.ignored:
         note += f" (the plan was made without {', '.join(mechanism.ignored)})"
-    return Figure("unmodelled_elements", float(len(phrases)), "", 0.0, note)
+    return Measured("unmodelled_elements", float(len(phrases)), "", 0.0, note)
 
 
 def random_states(mechanism: Mechanism, rng: np.random.Generator, K: int) -> np.ndarray:

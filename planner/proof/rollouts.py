@@ -24,10 +24,10 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
 from planner.proof.replaying import MOST_STEPS, RUNAWAY, between_knots, matching_model
-from planner.proof.touches import may_touch
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage

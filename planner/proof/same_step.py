@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
@@ -71,8 +71,8 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
     return Section(
         "same step",
         (
-            Figure("state_error", errors[0], "", bound, note),
-            Figure("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot"),
+            Measured("state_error", errors[0], "", bound, note),
+            Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot"),
         ),
     )
 

@@ -118,7 +118,7 @@ class Proof:
         """Every figure as step, name, value, bound and "ok" or "FAIL"."""
         rows = []
         for section in self.sections.values():
-            for figure in section.figures:
+            for figure in section.measured:
                 bound = "" if figure.bound is None else f"{figure.bound:g}"
                 mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
                 value = f"{figure.value:.5g} {figure.unit}".rstrip()
@@ -126,7 +126,7 @@ class Proof:
         return rows
 
     def table(self) -> str:
-        """All figures beside their bounds, one line each, then the verdict."""
+        """All measured beside their bounds, one line each, then the verdict."""
         rows = [("step", "figure", "value", "bound", ""), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -293,7 +293,7 @@ def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section],
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"
-    figures = [figure for section in steps for figure in section.figures if figure.bound]
-    worst = max(figures, key=lambda figure: figure.value / (figure.bound or 1.0))
+    measured = [figure for section in steps for figure in section.measured if figure.bound]
+    worst = max(measured, key=lambda figure: figure.value / (figure.bound or 1.0))
     how = "with the plan's gains" if mode == "feedback" else "open loop"
     return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

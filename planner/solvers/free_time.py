@@ -34,7 +34,7 @@ from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, plain, weights_of, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.solvers.slq import settled, solve
+from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
 
 TOLERANCE = 1e-3
@@ -219,7 +219,7 @@ class _Search:
         assert plan.problem is not None
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
-        return replace(settled(wanted, plan), options=plan.options | told)
+        return replace(as_user_plan(wanted, plan), options=plan.options | told)
 
 
 def _least(search: _Search, shortest: float, longest: float, tolerance: float) -> None:

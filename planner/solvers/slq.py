@@ -30,7 +30,7 @@ from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
-from planner.problem.objective import iterated
+from planner.problem.objective import solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -121,7 +121,7 @@ def solve(
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
-    core = iterated(problem)
+    core = solver_problem(problem)
     descend = partial(_descend, core, feedback, rule, exact, (gradient_tolerance, decrease_tolerance, gain_tolerance))
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
@@ -129,15 +129,15 @@ def solve(
         "gain_tolerance": gain_tolerance, "starts": starts,
     }  # fmt: skip
     if starts > 1:
-        ranking = rank if rank is None or core is problem else lambda plan: rank(settled(problem, plan))
-        plan = settled(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
+        ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
+        plan = as_user_plan(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
         ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
         return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
-    return replace(settled(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+    return replace(as_user_plan(problem, descend(core.first_guess, max_iterations, callback)), options=options)
 
 
-def settled(problem: Problem, plan: Plan) -> Plan:
-    """A plan of what was iterated on as one of the problem itself: its states, its cost, its gains."""
+def as_user_plan(problem: Problem, plan: Plan) -> Plan:
+    """A plan of what was solver_problem on as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
     own = _minimise(problem, True, 0, False, (0.0, 0.0, 0.0), None, plan.us, plan.hinges, 0, 0)

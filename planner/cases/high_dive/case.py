@@ -29,14 +29,14 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number
 from planner.base.errors import PlannerError
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.cases.high_dive.dive import Dive, Weights
 from planner.cases.high_dive.diver import Diver
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
 from planner.model.space import conjugate, log_quaternion, product
 from planner.model.twin import Twin
-from planner.problem.appearance import Panel, Readout, Stage
+from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.problem import Problem, Requirements
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def high_dive(
     }  # fmt: skip
     return Problem(
         dynamics, dive.cost(dynamics, N), x0=dive.start, us=dive.first_controls(dynamics, N),
-        twin=Twin.of(diver.mechanism), case="high-dive", stage=_stage(dive), parameters=parameters,
+        twin=Twin.of(diver.mechanism), case="high-dive", appearance=_appearance(dive), parameters=parameters,
         requirements=Requirements(
             goal=lambda replay: judge_entry(replay, dive.entry()), success=lambda ends: enters(ends, dive.entry())
         ),
@@ -131,19 +131,19 @@ def _turns(name: str, value: Any, beyond: float, expected: str) -> float:
 def judge_entry(replay: Replay, entry: np.ndarray) -> Section:
     """Whether the plan, and MuJoCo with it, enter straight and hands first, and whether the angular momentum stayed."""
     mechanism = replay.plan.problem.dynamics.mechanism  # type: ignore[union-attr]
-    figures = []
+    measured = []
     for who, xs, whose in (("planned", replay.plan.xs, "the plan's"), ("replayed", replay.xs, "MuJoCo's")):
         turn, angle, rate = (float(values[0]) for values in misses(xs[-1:], entry))
-        figures += [
-            Figure(f"{who}_turn_miss", turn, "rad", TOLERANCE, f"{whose} pelvis from where it should point at entry"),
-            Figure(f"{who}_joint_miss", angle, "rad", TOLERANCE, f"{whose} joints from straight, the largest"),
-            Figure(f"{who}_joint_rate", rate, "rad/s", RATE_TOLERANCE, f"{whose} joints from rest, the largest"),
-            Figure(
+        measured += [
+            Measured(f"{who}_turn_miss", turn, "rad", TOLERANCE, f"{whose} pelvis from where it should point at entry"),
+            Measured(f"{who}_joint_miss", angle, "rad", TOLERANCE, f"{whose} joints from straight, the largest"),
+            Measured(f"{who}_joint_rate", rate, "rad/s", RATE_TOLERANCE, f"{whose} joints from rest, the largest"),
+            Measured(
                 f"{who}_momentum_drift", momentum_drift(mechanism, xs), "", DRIFT_BOUND,
                 f"largest change of {whose} angular momentum about the centre of mass, over what it was at take-off",
             ),
         ]  # fmt: skip
-    return Section("goal", tuple(figures))
+    return Section("goal", tuple(measured))
 
 
 def misses(xs: np.ndarray, entry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,7 +175,7 @@ def rotated_up(quaternions: np.ndarray) -> np.ndarray:
     return product(product(quaternions, np.broadcast_to(up, quaternions.shape)), conjugate(quaternions))[:, 1:]
 
 
-def _stage(dive: Dive) -> Stage:
+def _appearance(dive: Dive) -> Appearance:
     """The diver in the middle of the picture, tower and water moving past him."""
     height, joints = dive.diver.height, dive.diver.mechanism.joint_names[1:]
     nq = dive.diver.mechanism.nq
@@ -185,7 +185,7 @@ def _stage(dive: Dive) -> Stage:
 
     arms = ("left_shoulder", "left_shoulder_side", "right_shoulder", "right_shoulder_side", "left_elbow", "right_elbow")
     legs = ("waist", "waist_side", "left_hip", "right_hip", "left_knee", "right_knee")
-    return Stage(
+    return Appearance(
         title=f"High dive: somersaults {dive.somersaults:g}, twists {dive.twists:g}",
         readouts=(Readout("height of hips", 2, "m"), Readout("fall", nq + 2, "m/s")),
         accompany=(0, 1, 2),

@@ -36,7 +36,7 @@ from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.step import SWING, Step
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
-from planner.problem.appearance import Ghost, Panel, Readout, Stage, View
+from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
 from planner.problem.problem import Problem, Requirements
 
 Phase = Literal["swing", "cycle", "gait"]
@@ -129,7 +129,8 @@ def human_step(
     }  # fmt: skip
     return Problem(
         robot.dynamics, whole, x0=start, us=robot.us,
-        case="human-step", parameters=parameters, stage=_stage(step, wish.joints), decrease_tolerance=TOLERANCE[phase],
+        case="human-step", parameters=parameters, appearance=_appearance(step, wish.joints),
+        decrease_tolerance=TOLERANCE[phase],
         gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
@@ -170,7 +171,7 @@ def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
     return start, goal
 
 
-def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
+def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
     """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
     names = step.walker.mechanism.joint_names
     duration = step.N * step.dt
@@ -188,7 +189,7 @@ def _stage(step: Step, tolerances: Mapping[str, float]) -> Stage:
         unit, moment = "force, N", "moment, N m"
     elif step.walker.jerked:
         unit, moment = "jerk, m/s^3", "jerk, rad/s^3"
-    return Stage(
+    return Appearance(
         title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
         readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),
         look_at=(0.0, 0.0, 0.85 * step.walker.scale),

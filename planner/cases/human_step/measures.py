@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 from planner.cases.human_step.step import SWING, Step
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
@@ -189,10 +189,12 @@ def judge_tracking(step: Step, run: Replay) -> Section:
     return Section(
         run.title,
         (
-            Figure("joint_error", float(np.sqrt(np.mean(away**2))), "deg", bound, f"RMS over the legs' joints, {how}"),
-            Figure("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
-            Figure("pelvis_error", float(np.abs(error[:, pelvis[:3]]).max()), "m", None, "largest, of its place"),
-            Figure("pelvis_turn_error", float(np.abs(error[:, pelvis[3:]]).max()), "rad", None, "largest"),
+            Measured(
+                "joint_error", float(np.sqrt(np.mean(away**2))), "deg", bound, f"RMS over the legs' joints, {how}"
+            ),
+            Measured("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+            Measured("pelvis_error", float(np.abs(error[:, pelvis[:3]]).max()), "m", None, "largest, of its place"),
+            Measured("pelvis_turn_error", float(np.abs(error[:, pelvis[3:]]).max()), "rad", None, "largest"),
         ),
     )
 
@@ -210,33 +212,33 @@ def closing(step: Step) -> Periodic:
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
     """What the plan and MuJoCo's replay of it came to; clearance is judged where the cost asks enough of it."""
-    figures = []
+    measured = []
     for who, xs in (("planned", run.plan.xs), ("replayed", run.xs[:: run.substeps])):
         found = measures(step, xs)
         least = min(found.clearance.values())
         note = f"of heel and toe under {1e3 * CLEAR:g} mm in the middle of a swing; the least is {1e3 * least:.1f} mm"
-        figures += [
-            Figure(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
-            Figure(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip over normal gait"),
-            Figure(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
+        measured += [
+            Measured(f"{who}_clearance_missed", max(0.0, CLEAR - least), "m", 0.0 if promised else None, note),
+            Measured(f"{who}_hip_lift", max(found.hip_lift.values()), "m", None, "of the swinging hip above normal"),
+            Measured(f"{who}_from_normal", _mean_rms(found), "deg", None, "RMS over the legs' joints"),
         ]  # fmt: skip
         if step.walker.belt:
-            figures += [
-                Figure(f"{who}_slip", found.slip, "m/s", None, "of what bears, along the belt, weighted by the force"),
-                Figure(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
-                *(Figure(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
+            measured += [
+                Measured(f"{who}_slip", found.slip, "m/s", None, "of what bears, along the belt, by force"),
+                Measured(f"{who}_depth", found.depth, "m", None, "of heel or toe in the belt"),
+                *(Measured(f"{who}_{side}_in_stance", 100.0 * share, "%", None, "of stance, with the foot on the belt")
                   for side, share in found.in_stance.items()),
             ]  # fmt: skip
         if closes:
-            figures += _gaps(step, xs, who)
+            measured += _gaps(step, xs, who)
     assert run.plan.problem is not None  # whose requirements these are
     drive = robot(run.plan.problem.dynamics, run.plan.xs, run.plan.us)  # pyright: ignore[reportArgumentType]
     for name, (rms, most), unit in (("force", drive.force, "N"), ("moment", drive.moment, "N m")):
-        figures.append(Figure(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
-    return Section("goal", tuple(figures))
+        measured.append(Measured(f"planned_robot_{name}", most, unit, None, f"largest; RMS {rms:.4g} {unit}"))
+    return Section("goal", tuple(measured))
 
 
-def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Figure]:
+def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
     """From the start of a gait to its end; the plan's are judged, MuJoCo's have the errors of the replay in them."""
     m = step.walker.mechanism
     gap = np.abs(xs[-1] - xs[0])[: m.nq]
@@ -245,9 +247,9 @@ def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Figure]:
     judged = who == "planned"
     note = f"from start to end, {who}"
     return [
-        Figure(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", CLOSED_PLACE if judged else None, note),
-        Figure(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", CLOSED_TURN if judged else None, note),
-        Figure(f"{who}_joint_gap", float(np.degrees(np.sqrt(np.mean(legs**2)))), "deg",
+        Measured(f"{who}_place_gap", float(gap[pelvis[:3]].max()), "m", CLOSED_PLACE if judged else None, note),
+        Measured(f"{who}_turn_gap", float(gap[pelvis[3:]].max()), "rad", CLOSED_TURN if judged else None, note),
+        Measured(f"{who}_joint_gap", float(np.degrees(np.sqrt(np.mean(legs**2)))), "deg",
                float(np.degrees(CLOSED_TURN)) if judged else None, f"{note}, RMS over the legs' joints"),
     ]  # fmt: skip
 

@@ -29,7 +29,7 @@ from planner.cases import anthropometry as winter
 from planner.cases.anthropometry import Segment
 from planner.cases.human_step.riener_edrich import CURVED, curves
 from planner.dynamics.algorithms import jacobian, mass_matrix
-from planner.model.contact.laws import Law, Touch
+from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 from planner.model.mjcf.text import edited, model_path, model_text, written
@@ -55,7 +55,7 @@ PASSIVE = {  # N m/rad, N m s/rad, rad at rest
 RESISTANCES = ("table", "riener-edrich")
 BRACES = {"ankle": (40.0, 0.5, 0.0)}  # the same, of a joint in an orthosis
 
-TOUCH = Touch(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6, bend=0.75)
+TOUCH = ContactLaw(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6, bend=0.75)
 """Of heel and toe on the belt: so soft that a touch-down takes several stages, and a light stance sinks in by mm. With
 this bend of friction stages of 10, 5 and 2.5 ms lead to the same minimum of a cycle; with less some lead to others, 4 %
 higher."""

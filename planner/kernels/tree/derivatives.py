@@ -58,8 +58,8 @@ def store_four(p, k, v):
 
 
 @part
-def acceleration_derivatives(m, r, q, v, a, dA, touching):
-    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); touching: see Model."""
+def acceleration_derivatives(m, r, q, v, a, dA, external):
+    """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); external: see Model."""
     nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]
     M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
     zero = spread(0.0)
@@ -70,7 +70,7 @@ def acceleration_derivatives(m, r, q, v, a, dA, touching):
     inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
     add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
     add_actuator_derivatives(m, Dq, Dv, ld)
-    if touching is not None:
+    if external is not None:
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
         subtract_curve_derivatives(m, q, Dq, ld)
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))

@@ -121,7 +121,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 
 @part
-def rollout(w, m, r, search, dt, feedback, touching, p):
+def rollout(w, m, r, search, dt, feedback, external, p):
     """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
 
     p is the table of penalties or, where there are none, None: then nothing of them is compiled.
@@ -145,7 +145,7 @@ def rollout(w, m, r, search, dt, feedback, touching, p):
         if w[W.BOUNDED] > 0:
             _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
-        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), touching)
+        stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
         J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
@@ -160,17 +160,17 @@ def _take(w, m, r, lane):
 
 
 @jit
-def search_step(w, m, r, search, dt, rule, feedback, cost, slope, touching, p):
+def search_step(w, m, r, search, dt, rule, feedback, cost, slope, external, p):
     """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
 
-    The step is 0 when there is none. p is the table of penalties or None, touching as in Model: what is None is not
+    The step is 0 when there is none. p is the table of penalties or None, external as in Model: what is None is not
     compiled.
     """
     w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, pointer(search), dt, feedback, touching, p)
+        rollout(w, m, r, pointer(search), dt, feedback, external, p)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)

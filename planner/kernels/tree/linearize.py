@@ -95,7 +95,7 @@ def _gathered(m, r, xs, us, first, count):
 
 
 @jit
-def linearize_structured(m, r, dt, xs, us, F, transport, touching):
+def linearize_structured(m, r, dt, xs, us, F, transport, external):
     """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
 
     The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
@@ -107,23 +107,23 @@ def linearize_structured(m, r, dt, xs, us, F, transport, touching):
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
-        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA, touching)
+        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA, external)
         for i in range(nv):
             scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
         _transport(m, r, x, a, dt, blocks, first, present)
 
 
 @inline
-def _stage_derivatives(m, r, q, v, a, i, present, width, touching):
+def _stage_derivatives(m, r, q, v, a, i, present, width, external):
     """D of stage i, (nv, width) for each of the knots present, into DIRECT."""
     dA, D, block, columns = lanes(r, BY_STAGE), floats(r, DIRECT), r[BLOCK], r[COLUMNS]
-    acceleration_derivatives(m, r, q, v, a, dA, touching)
+    acceleration_derivatives(m, r, q, v, a, dA, external)
     for row in range(m[NV]):
         scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
 
 @jit
-def linearize_dense(m, r, dt, xs, us, F, touching):
+def linearize_dense(m, r, dt, xs, us, F, external):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
     m, r = pointer(m), pointer(r)
     nv, count, width = m[NV], us.shape[0], F.shape[2]
@@ -135,12 +135,12 @@ def linearize_dense(m, r, dt, xs, us, F, touching):
         v = at(x, m[NQ])
         for i in range(r[STAGES]):
             if i == 0:
-                _stage_derivatives(m, r, x, v, a, 0, present, width, touching)
+                _stage_derivatives(m, r, x, v, a, 0, present, width, external)
             else:
                 stage_state(m, r, x, i, a, length)
                 keep_turns(m, r, i)
                 v, ai = at(v_stages, i * nv), at(a, i * nv)
-                _stage_derivatives(m, r, lanes(r, Q_STAGE), v, ai, i, present, width, touching)
+                _stage_derivatives(m, r, lanes(r, Q_STAGE), v, ai, i, present, width, external)
         if r[INTEGRATOR] == RK4:
             end_rotation(m, r, x, a, length)
             keep_turns(m, r, 4)

@@ -64,8 +64,8 @@ class Model:
 
     Attributes:
         table: What kernels take.
-        touching: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
-            them once for each type and leaves out, for None, what stands under `if touching is not None`.
+        external: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
+            them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
     def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
@@ -81,7 +81,7 @@ class Model:
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
         pairs = mechanism.body_contacts if actuated else ()
         curves = mechanism.curves if actuated else ()
-        self.touching = True if contacts or stops or pairs or curves else None
+        self.external = True if contacts or stops or pairs or curves else None
         for curve in curves:
             for j, _ in curve.slopes:
                 coupled[curve.dof, j] = True

@@ -95,18 +95,18 @@ def add_commutator(m, theta, first, second, factor):
 
 
 @part
-def accelerations(m, r, q, v, u, act, a, touching):
+def accelerations(m, r, q, v, u, act, a, external):
     """Accelerations a (nv lanes) under inputs u and activations act.
 
-    With `touching` None the machine has no contacts, stops and curves, and their code is left out: see Model.touching.
+    With `external` None the machine has no contacts, stops and curves, and their code is left out: see Model.external.
     """
     tau, links = lanes(r, TAU), lanes(r, LINKS)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
-    if touching is not None:
+    if external is not None:
         add_stops(m, q, v, tau)
         add_curves(m, q, tau)
     move_links(m, q, v, links)
-    if touching is not None:
+    if external is not None:
         add_contact_wrenches(m, q, links)
         if m[PAIRS] > 0:
             add_pair_wrenches(m, q, links)
@@ -156,12 +156,12 @@ def end_rotation(m, r, x, a, dt):
 
 
 @part
-def stage(m, r, x, u, a, dt, x_next, touching):
+def stage(m, r, x, u, a, dt, x_next, external):
     """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
     nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
-    accelerations(m, r, x, v, u, act, a, touching)
+    accelerations(m, r, x, v, u, act, a, external)
     activation_rates(m, u, act, rates)
     if integrator != RK4:
         for k in range(nv):
@@ -175,7 +175,7 @@ def stage(m, r, x, u, a, dt, x_next, touching):
     for i in range(1, 4):
         stage_state(m, r, x, i, a, dt)
         vi, act_i = at(lanes(r, V_STAGES), i * nv), lanes(r, ACT_STAGE)
-        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv), touching)
+        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv), external)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_rotation(m, r, x, a, dt)
     moved(m, x, theta, x_next)
@@ -217,7 +217,7 @@ def scatter(source, first, count, width, destination):
 
 
 @jit
-def steps(m, r, dt, xs, us, xs_next, keep, touching):
+def steps(m, r, dt, xs, us, xs_next, keep, external):
     """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
 
     With `keep` the stages' accelerations are left in ACCELERATIONS.
@@ -230,14 +230,14 @@ def steps(m, r, dt, xs, us, xs_next, keep, touching):
         gather(doubles(us), first, K, nu, lanes(r, U_LANES))
         gather(pointer(dt), first, K, 1, scratch)
         length = load(scratch, 0)
-        stage(m, r, x, lanes(r, U_LANES), a, length, x, touching)
+        stage(m, r, x, lanes(r, U_LANES), a, length, x, external)
         scatter(x, first, K, nx, doubles(xs_next))
         if keep:
             scatter(a, first, K, r[STAGES] * m[NV], floats(r, ACCELERATIONS))
 
 
 @jit
-def rates(m, r, xs, us, out, touching):
+def rates(m, r, xs, us, out, external):
     """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
     m, r = pointer(m), pointer(r)
     nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
@@ -245,7 +245,7 @@ def rates(m, r, xs, us, out, touching):
     for first in range(0, K, WIDTH):
         gather(doubles(xs), first, K, nx, x)
         gather(doubles(us), first, K, m[NU], u)
-        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, touching)
+        accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, external)
         for k in range(nv):
             store(rate, k, load(x, nq + k))
             store(rate, nv + k, load(a, k))

@@ -25,7 +25,7 @@ import numpy as np
 
 from planner.base.arguments import array, count, number
 from planner.base.errors import PlannerError
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 
 LEAST_BLUNT = 1e-9  # b without a ramp: parallel capsules still touch somewhere, and rounding stays below a micrometre
 
@@ -78,7 +78,7 @@ class BodyContact:
 
     first: Capsule
     second: Capsule
-    touch: Touch
+    touch: ContactLaw
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ is that of a plain spring whose surface lies lower by
 
     lift = a/2 + f/2K
 
-so the law's surface is raised by as much. `Touch.exact` is the limit of no smoothing, in which MuJoCo's
+so the law's surface is raised by as much. `ContactLaw.exact` is the limit of no smoothing, in which MuJoCo's
 contact tends to the same force (see model.mjcf.contacts): friction is then c_t v_t, cut off at mu f_n, and where
 it slips MuJoCo's projection onto the friction cone raises the normal force to
 
@@ -69,7 +69,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Touch(Law):
+class ContactLaw(Law):
     """The force between two surfaces: the one-sided law along the normal, and friction.
 
     Attributes:
@@ -97,7 +97,7 @@ class Touch(Law):
     def resting(
         cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
         ramp: float | None = None, gravity: float = 9.81,
-    ) -> Touch:  # fmt: skip
+    ) -> ContactLaw:  # fmt: skip
         """The law of a ground by what it does to a machine of some mass, for whom the law's numbers say nothing.
 
         RK4 wants stages of at most 2.7 m / slip_damping and 2.7 m / damping, m the mass that a foot has by itself:
@@ -128,7 +128,7 @@ class Touch(Law):
     @classmethod
     def exact(
         cls, stiffness: float, damping: float, slip_damping: float, friction: float, impratio: float = math.inf
-    ) -> Touch:
+    ) -> ContactLaw:
         """The law without any smoothing, which is what MuJoCo's contact with these coefficients tends to."""
         return cls(stiffness, damping, 0.0, 0.0, slip_damping, friction, impratio, bend=0.0)
 
@@ -195,7 +195,7 @@ class Contact:
     centre: np.ndarray
     radius: float
     plane: Plane
-    touch: Touch
+    touch: ContactLaw
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import at_home
 from planner.model.mjcf.contacts import CONTACT_RAMP, Pair, contact_attributes, pairs, shapes_fit
 from planner.model.mjcf.refuse import named
@@ -25,7 +25,7 @@ from planner.model.mjcf.text import written
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
-def give_law(root: ElementTree.Element, model: Any, touch: Touch) -> list[str]:
+def give_law(root: ElementTree.Element, model: Any, touch: ContactLaw) -> list[str]:
     """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
 
     Args:
@@ -102,7 +102,7 @@ def _phrase(model: Any, left_out: list[Pair]) -> str:
     return f"contacts of {first}{more}"
 
 
-def _say_smoothing(root: ElementTree.Element, touch: Touch) -> None:
+def _say_smoothing(root: ElementTree.Element, touch: ContactLaw) -> None:
     for section in root.findall("custom"):
         for element in section.findall("numeric"):
             if element.get("name") == CONTACT_RAMP:

@@ -5,7 +5,7 @@ then R >> A in its problem, and with solref in the direct format and A the const
 
     solref = (-K A (1-d), -B A (1-d)),   solreffriction = (-K A (1-d), -c_t A (1-d) / impratio)
 
-are the K, B and c_t of a force K e - B v_n with friction c_t v_t, cut off at mu f_n (elliptic cone; see Touch.exact).
+are the K, B and c_t of a force K e - B v_n with friction c_t v_t, cut off at mu f_n (elliptic cone, ContactLaw.exact).
 `contact_attributes` and `stop_attributes` write them. How much of it is smoothed for planning is no part of
 MuJoCo's model, so the file says it in numbers of its own:
 
@@ -27,7 +27,7 @@ from planner.base.arguments import number
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.between_bodies import BodyContact
-from planner.model.contact.laws import BEND, Contact, Law, Stop, Touch
+from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
 from planner.model.contact.shapes import are_capsules, at_home, capsule_of, part_name, plane_and_spheres
 from planner.model.mjcf.refuse import Refusal, contact_pairs, disabled, named
 
@@ -55,7 +55,7 @@ def contact_attributes(
     Raises:
         PlannerError: A number that cannot be.
     """
-    touch = Touch.exact(stiffness, damping, slip_damping, friction, impratio)
+    touch = ContactLaw.exact(stiffness, damping, slip_damping, friction, impratio)
     per = number("invweight", invweight, above=0.0) * (1.0 - SOFT)
     mu = touch.friction
     if mu == 0.0 or touch.slip_damping == 0.0:
@@ -228,7 +228,7 @@ def read_body_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tupl
     return tuple(found)
 
 
-def _touch(model: Any, pair: Pair) -> Touch:
+def _touch(model: Any, pair: Pair) -> ContactLaw:
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)
@@ -236,8 +236,8 @@ def _touch(model: Any, pair: Pair) -> Touch:
     mu, ct = (float(pair.friction[0]), impratio * slips) if pair.condim == 3 else (0.0, 0.0)
     ramp, force_ramp, bend = _smoothing(model, CONTACT_RAMP)
     if ramp == 0.0:
-        return Touch.exact(K, B, ct, mu, impratio)
-    return Touch(K, B, ramp, force_ramp, ct, mu, bend=bend)
+        return ContactLaw.exact(K, B, ct, mu, impratio)
+    return ContactLaw(K, B, ramp, force_ramp, ct, mu, bend=bend)
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:

@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.arguments import choice, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.laws import Touch
+from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
 from planner.model.mjcf import refuse as refusals
 from planner.model.mjcf.contact_edits import give_law
@@ -32,7 +32,7 @@ def read(
     model: str | Path,
     *,
     ignore: Collection[str] | None = (),
-    contacts: str | Touch = "on",
+    contacts: str | ContactLaw = "on",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:
     """A mechanism of an MJCF file or text; see Mechanism.from_mjcf.
@@ -51,14 +51,14 @@ def read(
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, refusals.KINDS)
-    off = not isinstance(contacts, Touch) and choice("contacts", contacts, ("on", "off")) == "off"
+    off = not isinstance(contacts, ContactLaw) and choice("contacts", contacts, ("on", "off")) == "off"
     out = {*ignored, *(["contacts"] if off else [])}
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
     root, files = model_tree(model, assets)
     compiled = compile_tree(root, files, name)
     left_out: list[str] = []
-    if isinstance(contacts, Touch):
+    if isinstance(contacts, ContactLaw):
         left_out = give_law(root, compiled, contacts)
         compiled = compile_tree(root, files, name)
     found = _found(compiled, off)

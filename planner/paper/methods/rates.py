@@ -86,14 +86,14 @@ class _Tree:
 
     def rates(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         out = np.empty((1, self.nx))
-        tree_step.rates(self._model.table, self._memory.table, _row(x), _row(u), out, self._model.touching)
+        tree_step.rates(self._model.table, self._memory.table, _row(x), _row(u), out, self._model.external)
         return out[0]
 
     def partials(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         m, r, xs, us = self._model.table, self._chained.table, _row(x), _row(u)
         F = np.empty((1, self.nx, self._first + padded(self.nx)))
-        tree_step.steps(m, r, self._one, xs, us, np.empty_like(xs), True, self._model.touching)
-        tree_linearize.linearize_dense(m, r, 1.0, xs, us, F, self._model.touching)
+        tree_step.steps(m, r, self._one, xs, us, np.empty_like(xs), True, self._model.external)
+        tree_linearize.linearize_dense(m, r, 1.0, xs, us, F, self._model.external)
         return F[0, :, self._first : self._first + self.nx] - self._eye, F[0, :, : self.nu].copy()
 
 

@@ -253,7 +253,7 @@ def draw_hopper(results: dict[str, Any], path: Path) -> None:
     for column, phase in enumerate(results["phases"]):
         top, bottom = grid[0, column], grid[1, column]
         t, y, piston = (np.array(phase[name]) for name in ("t_s", "height_in", "piston_in"))
-        # Touching counts from half the smoothing on, as in the list of events.
+        # ContactRecorder counts from half the smoothing on, as in the list of events.
         e = piston - y - 0.5 * float(PAPER["smoothing"])
         top.plot(t, y, color="C0", label="height y")
         top.plot(t, piston, color="C1", label="piston $y_p$")

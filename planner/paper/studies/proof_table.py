@@ -139,12 +139,12 @@ def _cells(proof: Proof) -> list[str]:
     order = proof.convergence.observed
     return [
         proof.verdict + mode,
-        _worst(proof.parity.figures),
-        "not applicable" if proof.same_step.not_applicable else _value(proof.same_step.figures[0].value),
+        _worst(proof.parity.measured),
+        "not applicable" if proof.same_step.not_applicable else _value(proof.same_step.measured[0].value),
         *(_value(float(np.abs(proof.replays[m].error[-1]).max())) for m in ("open-loop", "feedback")),
         f"{proof.errors.rate('open-loop'):.1f}, {proof.errors.rate('feedback'):.1f}",
         "none seen" if order is None else f"{order:.1f} of {proof.convergence.nominal:g}",
-        _worst([figure for figure in proof.goal.figures if figure.name.startswith(("replayed", "final"))]),
+        _worst([figure for figure in proof.goal.measured if figure.name.startswith(("replayed", "final"))]),
         *rates,
         "" if carlo is None else _margin(carlo.margin.get("feedback", np.nan)),
     ]

@@ -157,7 +157,7 @@ def _motion(plan: Plan) -> dict[str, Any]:
     errors = {}
     for mode in ("open-loop", "feedback"):
         section = judge(replay(plan, feedback=mode == "feedback"))
-        errors[mode] = next(figure.value for figure in section.figures if figure.name == "joint_error")
+        errors[mode] = next(figure.value for figure in section.measured if figure.name == "joint_error")
     m = plan.problem.dynamics.mechanism  # type: ignore[attr-defined]
     end = np.degrees(plan.xs[-1] - step.states[-1])
     joints = [m.joint(f"right_{name}").start for name in ("hip_flexion", "knee", "ankle")]

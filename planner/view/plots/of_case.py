@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planner.base.files import PathLike
-from planner.problem.default_appearance import stage_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.pictures import CasePicture, Charts, Paths, StickFigures
 from planner.view.plots.charts import plot_charts
 from planner.view.plots.paths import plot_paths
@@ -21,10 +21,10 @@ CASE_PICTURES = {StickFigures: "poses.png", Charts: "measures.png", Paths: "path
 
 def case_pictures(plan: Plan, replay: Replay | None) -> dict[str, CasePicture]:
     """File name -> picture, of a plan and the replay of it that was judged; nothing for a case that gives none."""
-    stage = stage_of(plan.problem)
-    if stage is None or stage.pictures is None:
+    appearance = appearance_of(plan.problem)
+    if appearance is None or appearance.pictures is None:
         return {}
-    return {CASE_PICTURES[type(picture)]: picture for picture in stage.pictures(plan, replay)}
+    return {CASE_PICTURES[type(picture)]: picture for picture in appearance.pictures(plan, replay)}
 
 
 def plot_case_picture(picture: CasePicture, path: PathLike) -> None:

@@ -1,6 +1,6 @@
 """A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
 
-Which states and controls are drawn is the machine's to say (`Stage.plots`); nothing here knows a machine. The
+Which states and controls are drawn is the machine's to say (`Appearance.plots`); nothing here knows a machine. The
 plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all can
 still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.files import PathLike
 from planner.problem.appearance import Panel
-from planner.problem.default_appearance import stage_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replaying import Replay
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
@@ -110,9 +110,9 @@ def _judged(shown: Proof | Replay | None) -> Replay | None:
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
     """The panels that the plan's stage lists; for a plan without any, its states and its controls."""
-    stage = stage_of(plan.problem)
-    if stage is not None and stage.plots:
-        return stage.plots
+    appearance = appearance_of(plan.problem)
+    if appearance is not None and appearance.plots:
+        return appearance.plots
     nx, nu = min(plan.xs.shape[1], _MOST_CURVES), min(plan.us.shape[1], _MOST_CURVES)
     return (
         Panel("States", "x", states=tuple((index, f"x[{index}]") for index in range(nx))),
@@ -233,8 +233,8 @@ def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: s
 
 
 def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: Plan) -> Axes:
-    stage = stage_of(plan.problem)
-    unit = "" if stage is None else stage.force_unit
+    appearance = appearance_of(plan.problem)
+    unit = "" if appearance is None else appearance.force_unit
     axes = figure.add_subplot(cell)
     dress(axes, "Contact force in the replay", f"normal force, {unit or 'model units'}")
     for replay in replays:
@@ -258,8 +258,8 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    stage = stage_of(plan.problem)
-    title = stage.title if stage is not None else (plan.case or "Plan")
+    appearance = appearance_of(plan.problem)
+    title = appearance.title if appearance is not None else (plan.case or "Plan")
     figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)), label="plan")]
     for replay in replays:

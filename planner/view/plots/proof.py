@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.files import PathLike
-from planner.problem.default_appearance import stage_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.growth import Growth
@@ -157,9 +157,11 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
 
 def _component(plan: Plan, index: int) -> str:
     """What a component of a deviation is called in the plots of its machine."""
-    stage = stage_of(plan.problem)
-    if stage is not None and plan.space.ndx == plan.xs.shape[1]:  # else a deviation has other components than a state
-        for panel in stage.plots:
+    appearance = appearance_of(plan.problem)
+    if (
+        appearance is not None and plan.space.ndx == plan.xs.shape[1]
+    ):  # else a deviation has other components than a state
+        for panel in appearance.plots:
             for state, label in panel.states:
                 if state == index:
                     same = panel.ylabel.startswith(label)

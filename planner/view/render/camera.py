@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
 
 _MARGIN = 1.12  # the picture's half sizes over the motion's
@@ -33,30 +33,30 @@ class Box(NamedTuple):
 
 
 def whole_motion(
-    films: Sequence[Film], model: Any, stage: Stage, aspect: float, ghost: bool, room: float = 1.0
+    films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0
 ) -> tuple[np.ndarray, float]:
     """Where to look, and from how far, to see all of some films of one plan; of a replay that runs away, its start.
 
     Args:
         films: What to see.
         model: Their MuJoCo model.
-        stage: From where.
+        appearance: From where.
         aspect: Width of the picture over its height.
         ghost: Whether the plan is drawn too.
         room: The part of the picture's height that words leave free.
     """
-    scenery = scenery_of(model, stage)[0]
+    scenery = scenery_of(model, appearance)[0]
     plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
     for film in films:
         swept = swept_box(model, film.path_qpos, scenery)
         box = box.joined(plan.joined(swept, _ASTRAY * float(np.max(plan.high - plan.low))), np.inf)
     if ghost:
-        box = box.beside(np.asarray(stage.ghost_offset))
-    distance = standing_back(box, stage.azimuth, stage.elevation, model.vis.global_.fovy, aspect, room)
+        box = box.beside(np.asarray(appearance.ghost_offset))
+    distance = standing_back(box, appearance.azimuth, appearance.elevation, model.vis.global_.fovy, aspect, room)
     return 0.5 * (box.low + box.high), distance
 
 
-def scenery_of(model: Any, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:
     """Which bodies (nbody,) and which tendons (ntendon,) of a model are a stage's scenery.
 
     Raises:
@@ -65,7 +65,7 @@ def scenery_of(model: Any, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
     bodies, tendons = np.zeros(model.nbody, bool), np.zeros(model.ntendon, bool)
     named = {model.body(i).name: (bodies, i) for i in range(1, model.nbody)}
     named |= {model.tendon(i).name: (tendons, i) for i in range(model.ntendon)}
-    for name in stage.scenery:
+    for name in appearance.scenery:
         if name not in named:
             known = ", ".join(filter(None, named)) or "none"
             raise PlannerError(f"the stage's scenery is {name!r}, expected a body or tendon of the model: {known}.")

@@ -24,7 +24,7 @@ import numpy as np
 
 from planner.base import errors, gl
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.film import Film
@@ -123,7 +123,7 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
 
 def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
     """The picture with lines between what several cameras see; two films from one camera need none."""
-    if rows[0][0].film.stage is None or not rows[0][0].film.stage.views:
+    if rows[0][0].film.appearance is None or not rows[0][0].film.appearance.views:
         return picture
     height, width, _ = picture.shape
     half = max(1, round(height / 720))
@@ -157,10 +157,10 @@ class _Tile:
         self, film: Film, size: tuple[int, int], job: Job, words: _Words, beside: Sequence[Film], narrow: bool
     ) -> None:  # fmt: skip
         self.film = film
-        self._stage = film.stage or Stage(title="")
-        label = self._stage.views[0].label if self._stage.views else ""
+        self._appearance = film.appearance or Appearance(title="")
+        label = self._appearance.views[0].label if self._appearance.views else ""
         self._words = overlay.Overlay(
-            self._stage, *size, largest=words.largest, speed=words.speed, legend=words.legend,
+            self._appearance, *size, largest=words.largest, speed=words.speed, legend=words.legend,
             caption=film.caption if words.caption else None, unstable=film.unstable if words.caption else math.inf,
             numbers=words.numbers, label=label,
         )  # fmt: skip
@@ -181,15 +181,17 @@ class _Tile:
 
     def _marks(self) -> list[overlay.Mark]:
         """The goal's label and where it stands in the last drawn picture."""
-        if self._stage.goal_line is None:
+        if self._appearance.goal_line is None:
             return []
-        ends = [self._scene.project(np.asarray(end)) for end in self._stage.goal_line]
+        ends = [self._scene.project(np.asarray(end)) for end in self._appearance.goal_line]
         seen = [end for end in ends if end is not None]
-        return [(max(seen), f" {self._stage.goal_label}", "lm")] if seen else []  # behind the end further right
+        return [(max(seen), f" {self._appearance.goal_label}", "lm")] if seen else []  # behind the end further right
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
-    if film.stage is None or film.stage.accompany is None:  # one camera for all poses, so that their heights compare
+    if (
+        film.appearance is None or film.appearance.accompany is None
+    ):  # one camera for all poses, so that their heights compare
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
     heights = _shares(job.height, len(film.views))

@@ -16,13 +16,13 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.problem.appearance import Ghost, Readout, Stage, View
+from planner.problem.appearance import Appearance, Ghost, Readout, View
 from planner.problem.archive import ASSET
-from planner.problem.default_appearance import stage_of
+from planner.problem.default_appearance import appearance_of
 
 if TYPE_CHECKING:
+    from planner.proof.contact_history import ContactHistory
     from planner.proof.replaying import Replay
-    from planner.proof.touches import Touches
 
 # A frame shows the mean force over this time, s, as a camera's exposure would: a light foot rings with each
 # simulator step, and one sample out of that would make the arrow flicker.
@@ -57,7 +57,7 @@ class Film:
 
     Attributes:
         mjcf: The model's XML text.
-        stage: How it is shown; None shows the whole motion, the plan in the same place.
+        appearance: How it is shown; None shows the whole motion, the plan in the same place.
         t: (F,) s.
         qpos: (F, nq) of the simulated machine.
         ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the stage gives.
@@ -75,7 +75,7 @@ class Film:
     """
 
     mjcf: str
-    stage: Stage | None
+    appearance: Appearance | None
     t: np.ndarray
     qpos: np.ndarray
     ghost_qpos: np.ndarray
@@ -110,18 +110,18 @@ class Film:
         if known == 0 or not np.all(np.isfinite(replay.plan_xs)):
             name = "plan_xs" if known else "its first state"
             raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
-        stage = stage_of(replay.plan.problem)
-        shown = stage or Stage(title="")
+        appearance = appearance_of(replay.plan.problem)
+        shown = appearance or Appearance(title="")
         sampled = replay.t[:known]  # beyond, the last pose stays
         xs = _interpolate(t, sampled, replay.xs[:known])
         plan_xs = _interpolate(t, replay.t, replay.plan_xs)
         indices = [readout.index for readout in shown.readouts]
         path = np.linspace(replay.t[0], replay.t[-1], _PATH)
         ghost_t, ghost = _ghost(replay, shown.ghost)
-        forces, points = _arrows(replay.touches, t)
+        forces, points = _arrows(replay.contacts, t)
         return cls(
             mjcf=replay.twin.mjcf,
-            stage=stage,
+            appearance=appearance,
             t=t,
             qpos=_interpolate(t, sampled, replay.qpos[:known]),
             ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
@@ -144,15 +144,17 @@ class Film:
     @property
     def views(self) -> tuple[Film, ...]:
         """The film once for each of the stage's cameras."""
-        views = () if self.stage is None else self.stage.views
-        return tuple(replace(self, stage=self.stage.seen_from(view)) for view in views if self.stage) or (self,)
+        views = () if self.appearance is None else self.appearance.views
+        return tuple(
+            replace(self, appearance=self.appearance.seen_from(view)) for view in views if self.appearance
+        ) or (self,)
 
     def save(self, path: Path, **extra: Any) -> None:
         """Write the film, and JSON values beside it, to an .npz file."""
-        stage = None if self.stage is None else _stage_values(self.stage)
+        appearance = None if self.appearance is None else _appearance_values(self.appearance)
         unstable = self.unstable if math.isfinite(self.unstable) else None
         meta = json.dumps(
-            {"mjcf": self.mjcf, "stage": stage, "unstable": unstable, "caption": self.caption, "extra": extra}
+            {"mjcf": self.mjcf, "appearance": appearance, "unstable": unstable, "caption": self.caption, "extra": extra}
         )
         contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
@@ -166,27 +168,33 @@ class Film:
             arrays = {name: file[name] for name in _ARRAYS}
             named = [name for name in file.files if name.startswith(ASSET)]
             assets = {name.removeprefix(ASSET): file[name].tobytes() for name in named}
-        stage = meta["stage"]
-        if stage is not None:
-            stage = _stage_of_values(stage)
+        appearance = meta["appearance"]
+        if appearance is not None:
+            appearance = _appearance_of_values(appearance)
         unstable = math.inf if meta["unstable"] is None else meta["unstable"]
         caption = None if meta["caption"] is None else Caption(*meta["caption"])
-        film = cls(mjcf=meta["mjcf"], stage=stage, **arrays, unstable=unstable, caption=caption, assets=assets)
+        film = cls(
+            mjcf=meta["mjcf"], appearance=appearance, **arrays, unstable=unstable, caption=caption, assets=assets
+        )
         return film, meta["extra"]
 
 
-def _stage_values(stage: Stage) -> dict[str, Any]:
-    """What a film needs of a stage, as JSON values: of its ghost, the states are already in the film."""
-    ghost = stage.ghost and {"label": stage.ghost.label, "colour": stage.ghost.colour, "opacity": stage.ghost.opacity}
-    return {**asdict(replace(stage, plots=(), pictures=None, ghost=None)), "ghost": ghost}
+def _appearance_values(appearance: Appearance) -> dict[str, Any]:
+    """What a film needs of an appearance, as JSON values: of its ghost, the states are already in the film."""
+    ghost = appearance.ghost and {
+        "label": appearance.ghost.label,
+        "colour": appearance.ghost.colour,
+        "opacity": appearance.ghost.opacity,
+    }
+    return {**asdict(replace(appearance, plots=(), pictures=None, ghost=None)), "ghost": ghost}
 
 
-def _stage_of_values(values: dict[str, Any]) -> Stage:
+def _appearance_of_values(values: dict[str, Any]) -> Appearance:
     ghost = values["ghost"] and Ghost(states=np.zeros((0, 0)), **values["ghost"])
     readouts = tuple(Readout(**readout) for readout in values["readouts"])
     views = tuple(View(**view) for view in values["views"])
     names = {"readouts": readouts, "views": views, "ghost": ghost, "scenery": tuple(values["scenery"])}
-    return Stage(**{**values, **names})
+    return Appearance(**{**values, **names})
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:
@@ -204,7 +212,7 @@ def _positions(replay: Replay, xs: np.ndarray) -> np.ndarray:
     return replay.twin.sim_of(xs)[:, : replay.qpos.shape[1]]
 
 
-def _arrows(touches: Touches, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _arrows(touches: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces and points (F, C, 3) of the contacts at each t."""
     forces, points = np.zeros((len(t), len(touches.names), 3)), np.full((len(t), len(touches.names), 3), np.nan)
     for c in range(len(touches.names)):
@@ -215,11 +223,11 @@ def _arrows(touches: Touches, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return forces, points
 
 
-def _shift(stage: Stage, xs: np.ndarray) -> np.ndarray:
+def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
     """How far the camera's point is moved, (F, 3), at states (F, nx)."""
-    if stage.accompany is not None:
-        return xs[:, list(stage.accompany)]
-    index, fraction = stage.follow or (0, 0.0)
+    if appearance.accompany is not None:
+        return xs[:, list(appearance.accompany)]
+    index, fraction = appearance.follow or (0, 0.0)
     return fraction * xs[:, [index]] * np.array([0.0, 0.0, 1.0])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.view.render.film import Caption
 from planner.view.render.scene import FORCE, ghost_paint
 
@@ -32,14 +32,14 @@ class Overlay:
     """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
 
     def __init__(
-        self, stage: Stage, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
+        self, appearance: Appearance, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
         legend: bool = True, caption: Caption | None = None, unstable: float = math.inf, numbers: bool = True,
         label: str = "",
     ) -> None:  # fmt: skip
         """Lay out the panels, once for all frames.
 
         Args:
-            stage: What to write.
+            appearance: What to write.
             width: Of the pictures, pixels.
             height: Of the pictures, pixels.
             largest: (R,) largest magnitude of each readout: it decides the decimals.
@@ -50,7 +50,7 @@ class Overlay:
             numbers: Write title, time and readouts.
             label: Written in the upper right corner: where it is seen from.
         """
-        self._stage, self._numbers = stage, numbers
+        self._appearance, self._numbers = appearance, numbers
         self._width, self._height = width, height
         unit = min(height / 720, width / 900)
         self._unit = unit
@@ -59,9 +59,9 @@ class Overlay:
         self._small = _font("DejaVuSans.ttf", 15 * unit)
         # Numbers with the same unit are compared by eye: they get the same decimals.
         scales: dict[str, float] = {}
-        for readout, value in zip(stage.readouts, largest, strict=True):
+        for readout, value in zip(appearance.readouts, largest, strict=True):
             scales[readout.unit] = max(scales.get(readout.unit, 0.0), value)
-        self._decimals = [decimals(scales[readout.unit]) for readout in stage.readouts]
+        self._decimals = [decimals(scales[readout.unit]) for readout in appearance.readouts]
         self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
         self._columns = self._lay_out_columns(largest)
         self._panels = [*([self._readout_panel()] if numbers else []), *self._legend_panels(speed, legend)]
@@ -95,7 +95,7 @@ class Overlay:
         if not self._numbers:
             return np.asarray(image)
         x, y = self._margin + self._padding, self._margin + self._padding
-        if self._stage.title:
+        if self._appearance.title:
             y += self._line * 1.15
         sim, plan, _ = self._columns
         y += self._line * 0.8
@@ -108,7 +108,7 @@ class Overlay:
 
     def _lay_out_columns(self, largest: np.ndarray) -> tuple[float, float, float]:
         """Right ends of the two columns of numbers, and where the units begin."""
-        labels = [readout.label for readout in self._stage.readouts]
+        labels = [readout.label for readout in self._appearance.readouts]
         left = max([self._text.getlength(words) for words in [*labels, "time 00.00 s"]])
         numbers = [number(-value, places) for value, places in zip(largest, self._decimals, strict=True)]
         wide = max([self._text.getlength(words) for words in [*numbers, "MuJoCo"]]) + 16 * self._unit
@@ -117,22 +117,22 @@ class Overlay:
 
     def _readout_panel(self) -> tuple[Image.Image, tuple[int, int]]:
         """Title, column heads, labels and units: what stays the same from frame to frame."""
-        stage, m, p = self._stage, self._margin, self._padding
+        appearance, m, p = self._appearance, self._margin, self._padding
         sim, plan, units = self._columns
-        unit_width = max([self._text.getlength(readout.unit) for readout in stage.readouts], default=0.0)
-        right = units + unit_width if stage.readouts else m + p + self._text.getlength("time 00.00 s")
-        right = max(right, m + p + self._title.getlength(stage.title))
-        lines = (1.15 if stage.title else 0.0) + 1.0 + len(stage.readouts)
+        unit_width = max([self._text.getlength(readout.unit) for readout in appearance.readouts], default=0.0)
+        right = units + unit_width if appearance.readouts else m + p + self._text.getlength("time 00.00 s")
+        right = max(right, m + p + self._title.getlength(appearance.title))
+        lines = (1.15 if appearance.title else 0.0) + 1.0 + len(appearance.readouts)
         panel, draw = _panel(right + p - m, 2 * p + lines * self._line, 8 * self._unit)
         y = p
-        if stage.title:
-            draw.text((p, y + 0.8 * self._line), stage.title, _INK, self._title, anchor="ls")
+        if appearance.title:
+            draw.text((p, y + 0.8 * self._line), appearance.title, _INK, self._title, anchor="ls")
             y += self._line * 1.15
         y += self._line * 0.8
-        if stage.readouts:
+        if appearance.readouts:
             draw.text((sim - m, y), "MuJoCo", _INK, self._small, anchor="rs")
             draw.text((plan - m, y), "plan", _QUIET, self._small, anchor="rs")
-        for readout in stage.readouts:
+        for readout in appearance.readouts:
             y += self._line
             draw.text((p, y), readout.label, _INK, self._text, anchor="ls")
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
@@ -162,10 +162,10 @@ class Overlay:
 
     def _legend_panels(self, speed: float | None, legend: bool) -> list[tuple[Image.Image, tuple[int, int]]]:
         """What is solid and what is a ghost, bottom left; how fast it plays, bottom right."""
-        ghost = "plan" if self._stage.ghost is None else self._stage.ghost.label
-        paint = _bytes(ghost_paint(self._stage))
+        ghost = "plan" if self._appearance.ghost is None else self._appearance.ghost.label
+        paint = _bytes(ghost_paint(self._appearance))
         entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
-        if self._stage.force_scale > 0:
+        if self._appearance.force_scale > 0:
             entries.append(("contact force", _bytes(FORCE)))
         p, box, height = self._padding, 13 * self._unit, 34 * self._unit
         gaps = [self._small.getlength(words) + 1.6 * box for words, _ in entries]

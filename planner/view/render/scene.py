@@ -17,7 +17,7 @@ from PIL import Image
 
 from planner.base import gl
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.problem.appearance import Stage
+from planner.problem.appearance import Appearance
 from planner.proof.replaying import compile_model
 from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.film import Film
@@ -67,7 +67,7 @@ class Scene:
         mujoco = gl.load_mujoco()
         self._mujoco = mujoco
         self._film = film
-        self._stage = film.stage or Stage(title="")
+        self._appearance = film.appearance or Appearance(title="")
         self._ghost = ghost
         self._width, self._height = width, height
         model = visible_model(film)
@@ -80,13 +80,13 @@ class Scene:
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
-        self._ghost_model = _without_scenery(model, self._stage)
+        self._ghost_model = _without_scenery(model, self._appearance)
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
         self._option, self._perturb = _option(model), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
         # A stage's own camera is for wide pictures, unless it goes with the machine or is one of several.
-        placed = not beside or self._stage.accompany is not None or bool(self._stage.views)
-        self._fixed = self._stage.distance is not None and placed
+        placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
+        self._fixed = self._appearance.distance is not None and placed
         self._look_at, self._distance = self._place(width / height, beside, narrow)
         # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
@@ -120,10 +120,10 @@ class Scene:
         shapes = Shapes(scene, self._camera.distance)
         self._add_trails(shapes, self._film.t[frame])
         for force, point in zip(self._film.forces[frame], self._film.points[frame], strict=True):
-            vector = self._stage.force_scale * force
-            shapes.arrow(point + np.asarray(self._stage.force_offset), vector, FORCE)
-        if self._stage.goal_line is not None:
-            start, end = np.asarray(self._stage.goal_line, dtype=float)
+            vector = self._appearance.force_scale * force
+            shapes.arrow(point + np.asarray(self._appearance.force_offset), vector, FORCE)
+        if self._appearance.goal_line is not None:
+            start, end = np.asarray(self._appearance.goal_line, dtype=float)
             shapes.dashes(start, end, GOAL)
         large = Image.fromarray(self._renderer.render(out=self._pixels))
         return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
@@ -149,29 +149,29 @@ class Scene:
 
     def _place(self, aspect: float, beside: Sequence[Film], narrow: bool) -> tuple[np.ndarray, float]:
         """The point the camera looks at, before it rises, and its distance from there."""
-        stage = self._stage
-        if self._fixed and stage.distance is not None:
+        appearance = self._appearance
+        if self._fixed and appearance.distance is not None:
             # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
-            aside = 0.0 if self._ghost else 0.5 * np.asarray(stage.ghost_offset)
-            return np.asarray(stage.look_at) - aside, stage.distance
+            aside = 0.0 if self._ghost else 0.5 * np.asarray(appearance.ghost_offset)
+            return np.asarray(appearance.look_at) - aside, appearance.distance
         room = _ROOM if narrow else 1.0
-        look_at, distance = whole_motion([self._film, *beside], self._model, stage, aspect, self._ghost, room)
+        look_at, distance = whole_motion([self._film, *beside], self._model, appearance, aspect, self._ghost, room)
         extent, planes = self._model.stat.extent, self._model.vis.map
         planes.zfar = max(planes.zfar, 4.0 * distance / extent)
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
 
     def _aim(self, shift: np.ndarray) -> None:
-        stage = self._stage
+        appearance = self._appearance
         self._camera.lookat[:] = self._look_at
         if self._fixed:
             self._camera.lookat[:] += shift
         self._camera.distance = self._distance
-        self._camera.azimuth, self._camera.elevation = stage.azimuth, stage.elevation
+        self._camera.azimuth, self._camera.elevation = appearance.azimuth, appearance.elevation
 
     def _paths(self) -> list[tuple[np.ndarray, Paint, float]]:
         """The path (P, 3) of the stage's site in the simulation and in the ghost, their colours and thickness."""
-        name, mujoco = self._stage.trail, self._mujoco
+        name, mujoco = self._appearance.trail, self._mujoco
         if not name:
             return []
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
@@ -189,8 +189,8 @@ class Scene:
 
         trails: list[tuple[np.ndarray, Paint, float]] = [(path(self._film.path_qpos, np.zeros(3)), TRAIL, 1.0)]
         if self._ghost:
-            points = path(self._film.path_ghost_qpos, np.asarray(self._stage.ghost_offset))
-            trails.append((points, (*ghost_paint(self._stage)[:3], _GHOST_TRAIL), _THINNER))
+            points = path(self._film.path_ghost_qpos, np.asarray(self._appearance.ghost_offset))
+            trails.append((points, (*ghost_paint(self._appearance)[:3], _GHOST_TRAIL), _THINNER))
         return trails
 
     def _add_trails(self, shapes: Shapes, t: float) -> None:
@@ -199,14 +199,14 @@ class Scene:
             shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
 
     def _add_ghost(self, qpos: np.ndarray) -> None:
-        mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._stage)
+        mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._appearance)
         self._pose(self._ghost_model, self._ghost_data, qpos)
         first = scene.ngeom
         mujoco.mjv_addGeoms(
             self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
         )
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += self._stage.ghost_offset
+            geom.pos[:] += self._appearance.ghost_offset
             geom.matid = -1
             geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
@@ -232,14 +232,14 @@ def visible_model(film: Film) -> Any:
 
 def best_rows(film: Film, width: int, height: int) -> int:
     """In how many rows the poses of a strip are largest; one where the stage has a camera of its own."""
-    stage = film.stage or Stage(title="")
-    if stage.distance is not None:
+    appearance = film.appearance or Appearance(title="")
+    if appearance.distance is not None:
         return 1
     model = visible_model(film)
 
     def size(rows: int) -> float:
         columns, high = -(-len(film) // rows), height / rows
-        return high / whole_motion([film], model, stage, width / columns / high, ghost=False)[1]
+        return high / whole_motion([film], model, appearance, width / columns / high, ghost=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
 
@@ -256,19 +256,19 @@ def _option(model: Any) -> Any:
     return option
 
 
-def ghost_paint(stage: Stage) -> Paint:
+def ghost_paint(appearance: Appearance) -> Paint:
     """Colour and opacity of a stage's ghost."""
-    opacity = _ASIDE if any(stage.ghost_offset) else _IN_PLACE
-    if stage.ghost is None:
+    opacity = _ASIDE if any(appearance.ghost_offset) else _IN_PLACE
+    if appearance.ghost is None:
         return (*GHOST, opacity)
-    return (*stage.ghost.colour, opacity if stage.ghost.opacity is None else stage.ghost.opacity)
+    return (*appearance.ghost.colour, opacity if appearance.ghost.opacity is None else appearance.ghost.opacity)
 
 
-def _without_scenery(model: Any, stage: Stage) -> Any:
+def _without_scenery(model: Any, appearance: Appearance) -> Any:
     """The model with nothing to see of the stage's scenery."""
-    if not stage.scenery:
+    if not appearance.scenery:
         return model
-    bodies, tendons = scenery_of(model, stage)
+    bodies, tendons = scenery_of(model, appearance)
     bare = copy.copy(model)
     for kind in ("geom", "site"):
         hidden = bodies[getattr(bare, f"{kind}_bodyid")]

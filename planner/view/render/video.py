@@ -17,8 +17,8 @@ from planner.base import gl
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
-from planner.problem.appearance import Stage
-from planner.problem.default_appearance import stage_of
+from planner.problem.appearance import Appearance
+from planner.problem.default_appearance import appearance_of
 from planner.proof.replaying import Replay
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
@@ -67,7 +67,7 @@ def render_video(
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
     first = next(iter(replays))
     if speed is None:
-        speed = (stage_of(first.plan.problem) or Stage(title="")).speed
+        speed = (appearance_of(first.plan.problem) or Appearance(title="")).speed
     number("speed", speed, above=0.0)
     start, end = float(first.t[0]), float(first.t[-1])
     if not (end - start) * fps / speed < _LONGEST:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.cases import CASES
-from planner.problem.default_appearance import stage_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
 from planner.view.report.reproduce import command, problem_text, typed
@@ -94,8 +94,8 @@ def html(
 
 
 def _title(plan: Plan) -> str:
-    stage = stage_of(plan.problem)
-    return stage.title if stage is not None else (plan.case or "Plan")
+    appearance = appearance_of(plan.problem)
+    return appearance.title if appearance is not None else (plan.case or "Plan")
 
 
 def _word(proof: Proof | None) -> str:
@@ -126,8 +126,8 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
             "This browser does not play H.264 video.</video>"
         )
-        stage = stage_of(plan.problem)
-        ghost = "plan" if stage is None or stage.ghost is None else stage.ghost.label
+        appearance = appearance_of(plan.problem)
+        ghost = "plan" if appearance is None or appearance.ghost is None else appearance.ghost.label
         caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'

@@ -8,7 +8,7 @@ import re
 from html import escape
 from typing import Any
 
-from planner.base.measured import Figure, Section
+from planner.base.measured import Measured, Section
 
 NBSP = "\N{NO-BREAK SPACE}"
 
@@ -18,22 +18,22 @@ def figures_table(section: Section) -> str:
     title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
     if section.not_applicable:
         return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
-    if not section.figures:
+    if not section.measured:
         return f'{title}\n<p class="soft">Nothing was measured.</p>'
-    rows = "\n".join(_row(figure) for figure in section.figures)
-    head = "<tr><th>Figure</th><th>Value</th><th>Bound</th><th>Verdict</th></tr>"
+    rows = "\n".join(_row(figure) for figure in section.measured)
+    head = "<tr><th>Measured</th><th>Value</th><th>Bound</th><th>Verdict</th></tr>"
     return f'{title}\n<div class="scroll"><table>\n{head}\n{rows}\n</table></div>'
 
 
 def _mark(section: Section) -> str:
     if section.not_applicable:
         return '<span class="word none">not applicable</span>'
-    if all(figure.bound is None for figure in section.figures):
+    if all(figure.bound is None for figure in section.measured):
         return ""
     return _pass_or_fail(section.passed)
 
 
-def _row(figure: Figure) -> str:
+def _row(figure: Measured) -> str:
     word = '<span class="word none">shown</span>' if figure.bound is None else _pass_or_fail(figure.passed)
     bound = "" if figure.bound is None else f"≤{NBSP}{_quantity(figure.bound, figure.unit)}"
     note = f"<small>{escape(figure.note)}</small>" if figure.note else ""
@@ -78,7 +78,7 @@ def _quantity(value: float, unit: str) -> str:
     return escape(f"{number(value)}{NBSP}{unit}".rstrip())
 
 
-def _name(figure: Figure) -> str:
+def _name(figure: Measured) -> str:
     """The figure's key in words."""
     return _capital(re.sub(r"\brms\b", "RMS", figure.name.replace("_", " ")))
 

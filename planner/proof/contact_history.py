@@ -1,4 +1,4 @@
-"""Touches: what touches what while MuJoCo simulates, where, and with what force.
+"""ContactHistory: what touches what while MuJoCo simulates, where, and with what force.
 
 A step costs a forward pass beside the simulation, so that forces belong to the state of that instant and not to a stage
 of the last step. The sum over all contacts is kept at every step. Of single contacts a long simulation keeps means over
@@ -20,7 +20,7 @@ MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
 
 
 @dataclass(frozen=True, eq=False)
-class Touches:
+class ContactHistory:
     """Forces between shapes over a simulation; a pair of shapes may touch at several points, which count as one.
 
     Attributes:
@@ -36,12 +36,12 @@ class Touches:
     points: np.ndarray
 
     @classmethod
-    def none(cls) -> Touches:
+    def none(cls) -> ContactHistory:
         """Of a machine that touches nothing."""
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
-class Touching:
+class ContactRecorder:
     """Looks at the contacts of a simulation, step by step.
 
     Attributes:
@@ -88,11 +88,11 @@ class Touching:
         if total > 0.0:
             self.point[i] = moment / total
 
-    def touches(self, t: np.ndarray) -> Touches:
+    def history(self, t: np.ndarray) -> ContactHistory:
         """All that was seen, at the times t (M+1,) of the steps."""
         names = tuple(f"{self._name(one)} on {self._name(other)}" for one, other in sorted(self._seen))
         if not names:
-            return Touches.none()
+            return ContactHistory.none()
         S, C = -(-len(t) // self._each), len(names)
         sample = np.arange(len(t)) // self._each
         steps = np.bincount(sample, minlength=S)
@@ -101,7 +101,7 @@ class Touching:
             for s, sums in self._seen[pair].items():
                 forces[s, c] = sums[:3] / steps[s]
                 points[s, c] = sums[4:] / sums[3]
-        return Touches(names, np.bincount(sample, weights=t, minlength=S) / steps, forces, points)
+        return ContactHistory(names, np.bincount(sample, weights=t, minlength=S) / steps, forces, points)
 
     def sentence(self, timestep: float) -> str:
         """The first contact of a machine that was planned without any; "" for none."""
