@@ -92,7 +92,7 @@ def machine_of(hopper: Hopper) -> planner.Mechanism:
     if spec is None or not spec.submodule_search_locations:
         sys.exit(f"no {hopper.package}: pip install --no-deps gymnasium==1.4.0 dm-control==1.0.50")
     file = Path(spec.submodule_search_locations[0]) / hopper.file
-    ground = planner.ContactLaw.resting(
+    ground = planner.contact.ContactLaw.resting(
         planner.Mechanism.from_mjcf(file, contacts="off").mass.sum(), sink=hopper.sink, ramp=hopper.ramp * hopper.sink,
         damping_ratio=0.4, slip=hopper.slip, friction=hopper.friction,
     )  # fmt: skip
@@ -104,7 +104,7 @@ def crouched(hopper: Hopper, machine: planner.Mechanism) -> np.ndarray:
     q = machine.home[: machine.nq].copy()
     for joint, angle in hopper.crouch.items():
         q[machine.joint_names.index(joint)] = angle
-    return planner.settled(machine, q)
+    return planner.dynamics.settled(machine, q)
 
 
 def parabola(hopper: Hopper, t: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def parabola(hopper: Hopper, t: np.ndarray) -> np.ndarray:
 
 def foot_of(machine: planner.Mechanism, q: np.ndarray, foot: str) -> np.ndarray:
     """Where the foot's frame is and how it tilts, (..., 3)."""
-    T = planner.frame_pose(machine, q, foot)
+    T = planner.dynamics.frame_pose(machine, q, foot)
     return np.stack([T[..., 0, 3], T[..., 2, 3], np.arctan2(T[..., 0, 2], T[..., 0, 0])], axis=-1)
 
 
@@ -143,12 +143,12 @@ def posed(
     there = q[:, kept]
     # What moves the slides of the root moves the whole mass: their rows of M are the momentum.
     for _ in range(12):
-        centre = planner.center_of_mass(machine, q)[:, [0, 2]]
+        centre = planner.dynamics.center_of_mass(machine, q)[:, [0, 2]]
         missed = [centre - com, q[:, kept] - there]
         missed += [foot_of(machine, q, foot) - place for foot, place in zip(hopper.feet, feet, strict=True)]
-        J = [planner.mass_matrix(machine, q)[:, root] / machine.mass.sum()]
+        J = [planner.dynamics.mass_matrix(machine, q)[:, root] / machine.mass.sum()]
         J += [np.broadcast_to(np.eye(machine.nv)[kept], (len(q), len(kept), machine.nv))]
-        J += [planner.jacobian(machine, q, foot)[:, [0, 2, 4]] for foot in hopper.feet]
+        J += [planner.dynamics.jacobian(machine, q, foot)[:, [0, 2, 4]] for foot in hopper.feet]
         inverse = np.linalg.pinv(np.concatenate(J, axis=1), rcond=1e-2)  # what a straight leg cannot is left
         q = q - np.einsum("kij,kj->ki", inverse, np.hstack(missed))
     return q
@@ -166,7 +166,7 @@ def reference(hopper: Hopper, machine: planner.Mechanism, x0: np.ndarray) -> np.
     first = np.tile(q0, (len(t), 1))
     first[:, [machine.joint_names.index(joint) for joint in ("rootx", "rootz")]] += drawn
     feet = [foot_of(machine, q0, foot) + way for foot in hopper.feet]
-    q = posed(hopper, machine, first, planner.center_of_mass(machine, q0)[[0, 2]] + drawn, feet)
+    q = posed(hopper, machine, first, planner.dynamics.center_of_mass(machine, q0)[[0, 2]] + drawn, feet)
     xs = np.hstack([q, np.gradient(q, hopper.dt, axis=0)])
     xs[-1, machine.nq :] = 0.0
     return xs
@@ -245,7 +245,7 @@ def hop(hopper: Hopper, report: bool = False) -> tuple[planner.Plan, dict[str, f
 def measured(plan: planner.Plan, machine: planner.Mechanism) -> dict[str, float]:
     """Metres forward, seconds without any force of the ground, metres of clearance, the largest rate at the end."""
     q, qd = np.split(plan.xs, [machine.nq], axis=1)
-    lowest = -planner.contact_forces(machine, q, qd).depths.max(axis=1)
+    lowest = -planner.dynamics.contact_forces(machine, q, qd).depths.max(axis=1)
     aloft = np.flatnonzero(lowest > 0.0)
     runs = np.split(aloft, np.flatnonzero(np.diff(aloft) > 1) + 1)
     x = machine.joint_names.index("rootx")

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 import planner
-from planner import FunctionDynamics, HopperDynamics, Problem, TrackingCost
+from planner import FunctionDynamics, Problem, TrackingCost
 from planner.cases.hopper import PAPER
+from planner.dynamics import HopperDynamics
 from planner.solvers import lq
 from planner.solvers.slq import LINE_SEARCHES, UPDATES
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner import FrameCost, PlannerError, RigidBodyDynamics, SumCost, TrackingCost
+from planner import FrameCost, PlannerError, RigidBodyDynamics, TrackingCost
 from planner.cases import two_link
+from planner.costs import SumCost
 
 ARM = two_link(horizon=4).dynamics
 Q, R = np.zeros((3, 2, 2)), np.ones((2, 1, 1))
@@ -51,12 +52,14 @@ WRONG = {
     "position_weight is True, expected numbers.": lambda: hand(position_weight=True),
     "mechanism is None, expected a Mechanism.": lambda: RigidBodyDynamics(None, 0.01),
     "dt is True, expected a finite number greater than 0.": lambda: RigidBodyDynamics(ARM.mechanism, True),
-    "mechanism is [1], expected a Mechanism.": lambda: planner.forward_dynamics([1], *np.zeros((3, 2))),
-    "qd is not an array of numbers, expected shape (2,).": lambda: planner.bias(
+    "mechanism is [1], expected a Mechanism.": lambda: planner.dynamics.forward_dynamics([1], *np.zeros((3, 2))),
+    "qd is not an array of numbers, expected shape (2,).": lambda: planner.dynamics.bias(
         ARM.mechanism, np.zeros(2), [[1.0], [1.0, 2.0]]
     ),
-    "q is not an array of numbers, expected shape (2,).": lambda: planner.mass_matrix(ARM.mechanism, [True, False]),
-    "frame is ['hand'], expected one of: ": lambda: planner.jacobian(ARM.mechanism, np.zeros(2), ["hand"]),
+    "q is not an array of numbers, expected shape (2,).": lambda: planner.dynamics.mass_matrix(
+        ARM.mechanism, [True, False]
+    ),
+    "frame is ['hand'], expected one of: ": lambda: planner.dynamics.jacobian(ARM.mechanism, np.zeros(2), ["hand"]),
     "the model is a NoneType, expected MJCF text or the path of a file.": lambda: planner.Mechanism.from_mjcf(None),
 }
 

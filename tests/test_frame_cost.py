@@ -170,7 +170,7 @@ def test_an_arm_reaches_for_a_point_or_turns_its_hand():
     problem = Problem(dynamics, effort + tip, np.zeros(4))
     plan = planner.solve(problem)
     assert plan.success
-    end = planner.frame_pose(dynamics.mechanism, plan.xs[-1, :2], "tip")
+    end = planner.dynamics.frame_pose(dynamics.mechanism, plan.xs[-1, :2], "tip")
     np.testing.assert_allclose(end[:3, 3], [1.2, 0.0, -1.1], atol=2e-3)
     # Asked for another orientation, and with more weight, it ends elsewhere.
     other = FrameCost(

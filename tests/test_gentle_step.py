@@ -234,4 +234,4 @@ def test_on_the_command_line(tmp_path, capsys):
 def test_objectives_of_all_joints_are_refused_where_jerk_drives(objective, said):
     """Motors that move 1e8 kg do no work that is anybody's, and touch-downs are not the robot's jerk."""
     with pytest.raises(planner.PlannerError, match=said):
-        planner.with_objective(human_step(phase="swing", jerk=1.0), objective)
+        planner.costs.with_objective(human_step(phase="swing", jerk=1.0), objective)

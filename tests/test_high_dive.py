@@ -116,7 +116,7 @@ def test_another_person():
 
 
 def test_the_flight_ends_with_the_hands_at_the_water(plan):
-    hands = [planner.frame_pose(plan.problem.dynamics.mechanism, plan.xs[-1, :21], f"{side}_hand")[2, 3]
+    hands = [planner.dynamics.frame_pose(plan.problem.dynamics.mechanism, plan.xs[-1, :21], f"{side}_hand")[2, 3]
              for side in ("left", "right")]  # fmt: skip
     assert np.abs(hands).max() < 0.02  # m
     mechanism = plan.problem.dynamics.mechanism

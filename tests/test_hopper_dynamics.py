@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from planner import FunctionDynamics, HopperDynamics, PlannerError
-from planner.dynamics import INTEGRATORS
+from planner import FunctionDynamics, PlannerError
+from planner.dynamics import INTEGRATORS, HopperDynamics
 
 positive = st.floats(1e-3, 1e3)
 seeds = st.integers(0, 2**32 - 1)

@@ -275,7 +275,7 @@ def _vertical_speed(m, x):
     for link in range(1, m.nv):
         T = np.eye(4)
         T[:3, 3] = m.com[link]
-        J = planner.jacobian(m, x[: m.nq], Frame(link, T))
+        J = planner.dynamics.jacobian(m, x[: m.nq], Frame(link, T))
         speeds.append(J[2] @ x[m.nq :])
     return np.array(speeds)
 
@@ -356,7 +356,7 @@ def test_the_default_costs_feet_stick(default, cycle):
         found = measures(CYCLE, plan.xs)
         slips[name] = found.slip
         m = CYCLE.walker.mechanism
-        by_hand = planner.contact_forces(m, plan.xs[:, : m.nq], plan.xs[:, m.nq :])
+        by_hand = planner.dynamics.contact_forces(m, plan.xs[:, : m.nq], plan.xs[:, m.nq :])
         assert found.depth == pytest.approx(float(by_hand.depths.max()), rel=1e-12)
     assert slips["default"] < 0.15
     assert slips["study"] > 0.2

@@ -12,8 +12,9 @@ from swings import mechanism, swing
 from trees import mujoco
 
 import planner
-from planner import ExponentialTorque, Mechanism, RigidBodyDynamics, Twin
+from planner import Mechanism, RigidBodyDynamics, Twin
 from planner.base.errors import ModelError, PlannerError
+from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
 from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
 from planner.proof.curve_callback import curves_acting

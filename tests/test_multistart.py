@@ -12,7 +12,8 @@ import pytest
 from solves import assert_consistent, each_engine, engines, hopper, same_bits, stop_at, swing
 
 import planner
-from planner import FunctionDynamics, PlannerError, Problem, Quadratic, Status
+from planner import FunctionDynamics, PlannerError, Problem, Status
+from planner.costs import Quadratic
 from planner.problem.plan import Start
 from planner.solvers import multistart
 from planner.solvers.multistart import best_of, smooth

@@ -10,18 +10,9 @@ from test_cost import assert_gradients
 from trees import CHAINS, driven, random_state
 
 import planner
-from planner import (
-    EnergyCost,
-    JerkCost,
-    Limits,
-    Mechanism,
-    PlannerError,
-    Problem,
-    RigidBodyDynamics,
-    TrackingCost,
-    cases,
-)
+from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.cases.problem_file import load
+from planner.costs import EnergyCost, JerkCost
 from planner.paper.studies.objective import CART
 from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
 from planner.problem.objective import EFFORT_SHARE, plain, weights_of, with_objective
@@ -157,7 +148,7 @@ def test_mixed_term_of_the_sweep():
     H = roots @ np.swapaxes(roots, 1, 2) + 0.1 * np.eye(nx + nu)  # (u, x) together, positive definite
     q, r = rng.normal(size=(N + 1, nx)), rng.normal(size=(N, nu))
     Q = np.concatenate([H[:, nu:, nu:], np.eye(nx)[None]])
-    model = planner.Quadratic(Q, q, H[:, :nu, :nu], r, H[:, :nu, nu:])
+    model = planner.costs.Quadratic(Q, q, H[:, :nu, :nu], r, H[:, :nu, nu:])
     sweep = lq.riccati(A, B, model)
     _, dus = lq.direction(A, B, sweep)
     Phi = np.zeros((N + 1, nx, N * nu))  # dx(n) of all du

@@ -9,20 +9,8 @@ from test_cost import assert_gradients
 from test_frame_cost import ARM, MACHINE, random_states
 
 import planner
-from planner import (
-    Distance,
-    Gap,
-    Height,
-    Mechanism,
-    PenaltyCost,
-    PlannerError,
-    Point,
-    Problem,
-    RigidBodyDynamics,
-    Segment,
-    TrackingCost,
-    Velocity,
-)
+from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost
+from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.contacts import contact_forces
 from planner.problem.costs.penalty import nearest
 
@@ -111,8 +99,8 @@ def test_nearly_parallel_lines(seed):
 def test_values_are_what_mujoco_places(machine):
     rng = np.random.default_rng(0)
     xs = random_states(machine, rng, 5)
-    hand = np.array([planner.frame_pose(machine, x[: machine.nq], "hand") for x in xs])
-    trunk = np.array([planner.frame_pose(machine, x[: machine.nq], "trunk") for x in xs])
+    hand = np.array([planner.dynamics.frame_pose(machine, x[: machine.nq], "hand") for x in xs])
+    trunk = np.array([planner.dynamics.frame_pose(machine, x[: machine.nq], "trunk") for x in xs])
     moving = rng.normal(size=(5, 3))
     cost = PenaltyCost(
         machine, 4,
@@ -144,7 +132,7 @@ def test_velocities_are_differences_of_places(machine):
 
     def places(names, to):
         moved = space.integrate(xs, to * rates)[:, :nq]
-        return [planner.frame_pose(machine, moved, name)[:, :3, 3] for name in names]
+        return [planner.dynamics.frame_pose(machine, moved, name)[:, :3, 3] for name in names]
 
     after, before = places(("hand", "arm"), h), places(("hand", "arm"), -h)
     hand, arm = ((a - b) / (2.0 * h) for a, b in zip(after, before, strict=True))
@@ -281,7 +269,7 @@ def test_an_arm_keeps_its_tip_up_or_goes_around_a_post():
     start, goal = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     swing = TrackingCost.joints(dynamics, goal, 80, effort=0.01, final_position=1e3, final_velocity=1e2)
     free = planner.solve(Problem(dynamics, swing, start))
-    places = planner.frame_pose(dynamics.mechanism, free.xs[:, :2], "tip")[:, :3, 3]
+    places = planner.dynamics.frame_pose(dynamics.mechanism, free.xs[:, :2], "tip")[:, :3, 3]
     place = places[places[:, 2].argmin()]
     post = Segment(Point(world=place - np.eye(3)[1]), Point(world=place + np.eye(3)[1]), 0.1)
     forearm = Segment(Point("tip", (0.0, 0.0, 1.0)), Point("tip"), 0.05)

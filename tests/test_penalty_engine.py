@@ -10,21 +10,8 @@ from test_tree_engine import drawn
 from trees import machines, relative_error
 
 import planner
-from planner import (
-    Distance,
-    Gap,
-    Height,
-    Limits,
-    Mechanism,
-    PenaltyCost,
-    Point,
-    Problem,
-    RigidBodyDynamics,
-    Segment,
-    Status,
-    TrackingCost,
-    Velocity,
-)
+from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, Status, TrackingCost
+from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
 from planner.problem.finer import finer
@@ -232,7 +219,7 @@ def test_a_plan_is_stored_and_proved_with_its_problem(dynamics, tmp_path):
     plan = planner.solve(task)
     proof = planner.prove(plan)
     assert proof.passed, proof
-    assert planner.proven_cost(plan) == pytest.approx(plan.cost, rel=0.05)
+    assert planner.proof.proven_cost(plan) == pytest.approx(plan.cost, rel=0.05)
     plan.save(tmp_path / "plan.npz")
     again = planner.Plan.load(tmp_path / "plan.npz", problem=task)
     assert str(planner.prove(again)) == str(proof)

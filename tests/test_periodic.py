@@ -225,7 +225,7 @@ def test_a_case_is_made_anew_with_its_ends(tmp_path, monkeypatch):
 
 
 def test_an_objective_stays():
-    problem = planner.with_objective(swinging(), {"effort": 1.0, "energy": 0.3})
+    problem = planner.costs.with_objective(swinging(), {"effort": 1.0, "energy": 0.3})
     plan = solve_periodic(problem)
     assert plan.success
     assert plan.problem.objective.weights == {"effort": 1.0, "energy": 0.3}

@@ -184,7 +184,9 @@ def test_a_file_of_the_future(stored, tmp_path):
     def later(meta):
         meta.update(format_version=99, versions={**meta["versions"], "planner": "9.0"})
 
-    with pytest.raises(planner.FileError, match=r"has format 99, written by planner 9\.0; this planner reads up to"):
+    with pytest.raises(
+        planner.base.errors.FileError, match=r"has format 99, written by planner 9\.0; this planner reads up to"
+    ):
         Plan.load(rewritten(stored, tmp_path, meta=later))
 
 
@@ -192,7 +194,7 @@ def test_a_truncated_file(stored, tmp_path):
     content = stored.read_bytes()
     for part in (0, 10, len(content) // 2, len(content) - 10):
         (tmp_path / "cut.npz").write_bytes(content[:part])
-        with pytest.raises(planner.FileError, match=r"cut\.npz is not a plan"):
+        with pytest.raises(planner.base.errors.FileError, match=r"cut\.npz is not a plan"):
             Plan.load(tmp_path / "cut.npz")
 
 
@@ -201,5 +203,5 @@ def test_an_array_missing_from_the_file(stored, tmp_path):
         for name in whole.namelist():
             if name != "K.npy":
                 less.writestr(name, whole.read(name))
-    with pytest.raises(planner.FileError, match=r"is not a plan: expected an \.npz with t, xs, us, K"):
+    with pytest.raises(planner.base.errors.FileError, match=r"is not a plan: expected an \.npz with t, xs, us, K"):
         Plan.load(tmp_path / "less.npz")

@@ -63,7 +63,7 @@ def test_a_damaged_table_is_refused(tmp_path):
     for key, value in (("dt", 0.1), ("goal", [1.0]), ("gaol", 1), ("weights", 3)):
         changed = meta | {"parameters": meta["parameters"] | {key: value}}
         np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
-        with pytest.raises(planner.FileError, match=r"changed\.npz is damaged"):
+        with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
             planner.Plan.load(tmp_path / "changed.npz")
 
 
@@ -181,7 +181,7 @@ def test_hold_leaves_integrators_and_fills_filters():
     u = hold(servos, x)
     assert u[0] == 0.0
     x[5] = u[1]  # once the filter has filled
-    held = planner.bias(servos, x[:2], x[2:4])[1]
+    held = planner.dynamics.bias(servos, x[:2], x[2:4])[1]
     assert 4.0 * x[5] == pytest.approx(held)
     with pytest.raises(planner.PlannerError, match="fully actuated"):
         follow(servos, *np.zeros((3, 5, 2)))

@@ -115,7 +115,7 @@ def test_the_static_limit_against_trying():
         limit = static_limit(path, limits)
 
         def used(payload, limits=limits):
-            return np.abs(planner.bias(puma_mechanism(payload), path, 0 * path)) / limits
+            return np.abs(planner.dynamics.bias(puma_mechanism(payload), path, 0 * path)) / limits
 
         assert used(limit.payload).max() == pytest.approx(1.0, rel=1e-9)
         assert used(limit.payload + 1e-3).max() > 1.0

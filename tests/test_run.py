@@ -159,7 +159,10 @@ def test_a_plan_that_cannot_be_written_leaves_older_files(tmp_path):
         raise OSError(28, "No space left on device")
 
     outputs = ("plan.npz", "proof.json")
-    with run_folder(tmp_path, outputs, {}) as folder, pytest.raises(planner.FileError, match="no space left"):
+    with (
+        run_folder(tmp_path, outputs, {}) as folder,
+        pytest.raises(planner.base.errors.FileError, match="no space left"),
+    ):
         folder.begin("plan.npz", full)
     assert [file.name for file in tmp_path.iterdir()] == ["proof.json"]
 

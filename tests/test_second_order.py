@@ -9,8 +9,8 @@ from solves import hopper, linear, pendulum, rollout, swing
 from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
-from planner import FunctionDynamics, HopperDynamics, PlannerError, Problem, TrackingCost
-from planner.dynamics import INTEGRATORS, RigidBodyDynamics
+from planner import FunctionDynamics, PlannerError, Problem, TrackingCost
+from planner.dynamics import INTEGRATORS, HopperDynamics, RigidBodyDynamics
 from planner.kernels.lq import search
 from planner.kernels.lq.workspace import ACCEPTED, INDEFINITE
 from planner.solvers import lq

@@ -22,7 +22,9 @@ from solves import (
 )
 
 import planner
-from planner import FunctionDynamics, HopperDynamics, Problem, Quadratic, Status, TrackingCost
+from planner import FunctionDynamics, Problem, Status, TrackingCost
+from planner.costs import Quadratic
+from planner.dynamics import HopperDynamics
 from planner.solvers.slq import UPDATES
 
 # How a solve ends

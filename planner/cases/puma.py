@@ -19,7 +19,7 @@ slow lift must hold the load wherever it goes, so the outstretched arm decides; 
 Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without
 them a swing is faster than the real arm. Friction is left out.
 
-Heavy loads need a first guess near their lift: planner.largest_payload comes to them from lighter ones.
+Heavy loads need a first guess near their lift: planner.paper.largest_payload comes to them from lighter ones.
 """
 
 from __future__ import annotations

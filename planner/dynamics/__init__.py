@@ -1,16 +1,5 @@
-"""What the solver sees of a machine: x(n+1) = f(x(n), u(n)) (Eq. 10) and its Jacobians A, B (Eq. 35)."""
+"""What the solver sees of a machine, x(n+1) = f(x(n), u(n)) (Eq. 10), and its algorithms: rnea, mass_matrix ..."""
 
-from planner.dynamics.function import FunctionDynamics
-from planner.dynamics.hopper import HopperDynamics
-from planner.dynamics.protocol import INTEGRATORS, CompiledDynamics, Dynamics, PenalisedDynamics
-from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.base.lazy import public_names
 
-__all__ = [
-    "INTEGRATORS",
-    "CompiledDynamics",
-    "Dynamics",
-    "FunctionDynamics",
-    "HopperDynamics",
-    "PenalisedDynamics",
-    "RigidBodyDynamics",
-]
+__getattr__, __dir__, __all__ = public_names(__name__)

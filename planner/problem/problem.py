@@ -71,7 +71,7 @@ class Problem:
         appearance: How the machine is shown.
         requirements: What a proof is held to; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
-        objective: What the cost was made of by planner.with_objective; None for a cost as it was given.
+        objective: What the cost was made of by planner.costs.with_objective; None for a cost as it was given.
         decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
             digits of it are worth no iterations; None for solve's own.
         gain_tolerance: The same, where a cost has kinks.

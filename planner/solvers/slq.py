@@ -91,7 +91,7 @@ def solve(
         seed: Of the random changes.
         spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
             make of it where these are larger.
-        rank: What of a Plan decides among starts, less is better: its cost by default; planner.proven_cost is what it
+        rank: What of a Plan decides among starts, less is better: its cost by default; proof.proven_cost is what it
             costs in MuJoCo. A number that is not finite comes last.
 
     Returns:
@@ -120,7 +120,7 @@ def solve(
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
-        raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proven_cost.")
+        raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
     core = solver_problem(problem)
     descend = partial(_descend, core, feedback, rule, exact, (gradient_tolerance, decrease_tolerance, gain_tolerance))
     options: dict[str, Any] = {

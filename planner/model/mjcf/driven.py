@@ -94,7 +94,7 @@ def in_order(mechanism: Mechanism, prescribed: Collection[str]) -> tuple[str, ..
 
 
 def heavy_joints(mechanism: Mechanism) -> list[str]:
-    """Names of the joints that are made heavy already, their motion given by motors (planner.driven_by_jerk)."""
+    """Names of the joints that are made heavy already, their motion given by motors (planner.costs.driven_by_jerk)."""
     pairs = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
     return [name for name, dofs in pairs if np.any(mechanism.armature[dofs] >= HEAVY)]
 

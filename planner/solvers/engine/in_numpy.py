@@ -60,7 +60,7 @@ class NumpyEngine:
         if exact and not callable(getattr(self._dynamics, "second_order", None)):
             raise PlannerError(
                 'hessian="exact" needs second derivatives and these dynamics have none, expected a method '
-                "second_order(xs, us, costates) (see planner.Dynamics)."
+                "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
         us = self._clipped(us)

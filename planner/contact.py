@@ -1,0 +1,19 @@
+"""Contact: what a machine touches, how, and the stops of its joints. Public names; planner.model has the code."""
+
+from planner.model.contact.between_bodies import BodyContact, Capsule
+from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
+from planner.model.joint_curves import ExponentialTorque
+from planner.model.mjcf.contacts import contact_attributes, stop_attributes
+
+__all__ = [
+    "BodyContact",
+    "Capsule",
+    "Contact",
+    "ContactLaw",
+    "ExponentialTorque",
+    "Law",
+    "Plane",
+    "Stop",
+    "contact_attributes",
+    "stop_attributes",
+]

@@ -1,0 +1,31 @@
+"""Costs: what a motion is to achieve and to be sparing of. Public names; planner.problem.costs has the code."""
+
+from planner.problem.costs.drive import DriveCost
+from planner.problem.costs.energy import EnergyCost
+from planner.problem.costs.frame import FrameCost
+from planner.problem.costs.jerk import JerkCost, driven_by_jerk
+from planner.problem.costs.penalty import PenaltyCost
+from planner.problem.costs.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
+from planner.problem.costs.tracking import Cost, Quadratic, SumCost, TrackingCost
+from planner.problem.objective import Objective, with_objective
+
+__all__ = [
+    "Cost",
+    "Distance",
+    "DriveCost",
+    "EnergyCost",
+    "FrameCost",
+    "Gap",
+    "Height",
+    "JerkCost",
+    "Objective",
+    "PenaltyCost",
+    "Point",
+    "Quadratic",
+    "Segment",
+    "SumCost",
+    "TrackingCost",
+    "Velocity",
+    "driven_by_jerk",
+    "with_objective",
+]

@@ -1,0 +1,12 @@
+from planner.proof.contact_history import ContactHistory as ContactHistory
+from planner.proof.cost import proven_cost as proven_cost
+from planner.proof.hold import hold_gain as hold_gain
+from planner.proof.models_agree import parity as parity
+from planner.proof.perturbation import Perturbation as Perturbation
+from planner.proof.refinement import Refined as Refined
+from planner.proof.refinement import Refinement as Refinement
+from planner.proof.refinement import refine as refine
+from planner.proof.replaying import Replay as Replay
+from planner.proof.replaying import replay as replay
+from planner.proof.verdict import Proof as Proof
+from planner.proof.verdict import prove as prove
