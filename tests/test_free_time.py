@@ -61,7 +61,7 @@ def test_the_arm_in_least_time():
 
 def test_files_of_free_time(tmp_path):
     plan = planner.solve_for(arm(20), {"effort": 1.0, "time": 4.0}, durations=(1.0, 3.0))
-    back = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    back = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert back.problem.duration == pytest.approx(plan.t[-1], rel=1e-12)
     assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
     assert back.options["tried"][0][0] == 2.0  # the problem's own duration comes first

@@ -172,7 +172,7 @@ def test_mixed_term_of_the_sweep():
 @pytest.mark.parametrize("objective", ["energy", "jerk", {"effort": 1.0, "jerk": 0.01, "time": 3.0}])
 def test_files_hold_the_objective(tmp_path, objective):
     plan = planner.solve(with_objective(arm(20), objective), max_iterations=30)
-    back = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    back = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert back.problem.objective.weights == plan.problem.objective.weights
     assert not back.changed
     assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
@@ -180,7 +180,7 @@ def test_files_hold_the_objective(tmp_path, objective):
 
 
 def test_finer_steps_keep_the_objective():
-    from planner.problem.finer import finer
+    from planner.problem.discretisation import finer
 
     problem = with_objective(arm(20), {"effort": 1.0, "energy": 0.5})
     twice = finer(problem)

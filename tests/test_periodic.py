@@ -196,7 +196,7 @@ def test_ranges_of_states_need_the_step_that_follows():
 
 def test_a_plan_is_proved_from_its_file(tmp_path):
     plan = solve_periodic(swinging())
-    stored = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, plan.xs[0])
     np.testing.assert_array_equal(stored.problem.periodic.tolerance, [1e-3, 1e-3])
     assert stored.options["tried"] == plan.options["tried"]
@@ -216,7 +216,7 @@ def test_a_case_is_made_anew_with_its_ends(tmp_path, monkeypatch):
     plan = solve_periodic(swing_case())
     assert plan.case == "swing"
     np.testing.assert_array_equal(plan.parameters["ends"][0], plan.xs[0])
-    stored = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, plan.xs[0])
     assert stored.problem.cost.value(plan.xs, plan.us) == pytest.approx(plan.cost, rel=1e-14)
     assert planner.prove(stored, rollouts=0).passed
@@ -297,7 +297,7 @@ def test_a_gait_comes_back(walk):
 
 
 def test_a_gait_is_built_from_its_file(walk, tmp_path):
-    stored = planner.Plan.load(walk.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(walk.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, walk.xs[0])
     assert stored.problem.cost.value(walk.xs, walk.us) == pytest.approx(walk.cost, rel=1e-13)
     ends = stored.parameters["ends"]

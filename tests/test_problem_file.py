@@ -44,7 +44,7 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
     (tmp_path / "crane.xml").unlink()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    stored = planner.Plan.load("../plan.npz")
+    stored = planner.load_plan("../plan.npz")
     assert stored.problem is not None
     assert stored.problem.parameters == plan.parameters
     assert stored.problem.appearance == plan.problem.appearance
@@ -64,7 +64,7 @@ def test_a_damaged_table_is_refused(tmp_path):
         changed = meta | {"parameters": meta["parameters"] | {key: value}}
         np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
         with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
-            planner.Plan.load(tmp_path / "changed.npz")
+            planner.load_plan(tmp_path / "changed.npz")
 
 
 @pytest.mark.parametrize(
