@@ -17,7 +17,7 @@ from planner.model.twin import Twin
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.jerk import driven_by_jerk
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.objective import with_objective
+from planner.problem.criteria import with_objective
 from planner.proof.perturbation import Nominal
 from planner.proof.replaying import compile_model
 

@@ -13,7 +13,7 @@ from planner.cases.problem_file import load
 from planner.problem.discretisation import finer
 from planner.solvers.warm_start import roll_out, warm_start
 
-module = importlib.import_module("planner.refine")  # the name is the function's in planner
+module = importlib.import_module("planner.proof.refinement")  # the name is the function's in planner
 
 
 @pytest.mark.parametrize("case", ["two-link", "acrobot", "hopper"])

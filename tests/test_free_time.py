@@ -70,7 +70,7 @@ def test_files_of_free_time(tmp_path):
 def test_another_duration_is_the_same_integral():
     """Of a case made anew and of one taken apart."""
     problem = cases.two_link(horizon=20)
-    for one in (problem, replace(problem, x0=np.array([0.1, 0.0, 0.0, 0.0]), case=None, parameters={})):
+    for one in (problem, replace(problem, x0=np.array([0.1, 0.0, 0.0, 0.0]))):
         slow = retimed(one, 4.0)
         assert slow.duration == pytest.approx(4.0)
         assert slow.cost.R[0] == pytest.approx(2.0 * one.cost.R[0])

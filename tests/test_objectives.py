@@ -15,7 +15,8 @@ from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost
 from planner.paper.studies.objective import CART
 from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
-from planner.problem.objective import EFFORT_SHARE, plain, weights_of, with_objective
+from planner.problem.criteria import plain, with_objective
+from planner.problem.objective import EFFORT_SHARE, weights_of
 from planner.proof.consistency import consistency
 from planner.solvers import lq
 

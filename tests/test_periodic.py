@@ -12,6 +12,7 @@ from planner.cli.parser import build, parse
 from planner.cli.problems import asked_problem
 from planner.model.space import StateSpace, euclidean
 from planner.problem.periodicity import Periodic
+from planner.problem.recipe import Recipe
 from planner.solvers.ends import Ends, response, with_ends
 from planner.solvers.periodic import Pass, solve_periodic
 from planner.view.report.reproduce import command
@@ -210,7 +211,7 @@ def test_a_case_is_made_anew_with_its_ends(tmp_path, monkeypatch):
         made = swinging(final)
         if ends is not None:
             made = replace(made, x0=np.array(ends[0]), cost=cost_of(final, ends[1]))
-        return replace(made, case="swing", parameters={"final": final, "ends": ends})
+        return replace(made, recipe=Recipe("swing", {"final": final, "ends": ends}, swing_case))
 
     monkeypatch.setitem(cases.CASES, "swing", swing_case)
     plan = solve_periodic(swing_case())

@@ -10,7 +10,7 @@ import pytest
 import planner
 from planner.base.errors import FileError
 from planner.cases.plan_file import load_plan
-from planner.model.space import StateSpace, euclidean
+from planner.model.space import StateSpace
 from planner.problem.archive import FORMAT_VERSION
 from planner.problem.plan import Iteration, Plan, Start, Status
 
@@ -60,13 +60,13 @@ def test_file_reads_with_numpy_alone(plan, saved):
         assert file["us"].shape == (40, 1)
         assert file["K"].shape == (40, 1, 3)
         np.testing.assert_allclose(file["t"], np.linspace(0.0, 1.0, 41), rtol=0, atol=1e-15)
-    assert meta["parameters"]["height"] == 7.5
+    assert meta["recipe"]["parameters"]["height"] == 7.5
     # every argument of the case by name, defaults included
-    assert set(meta["parameters"]) == {
+    assert set(meta["recipe"]["parameters"]) == {
         "height", "duration", "horizon", "integrator", "smoothing", "stiffness", "gravity", "final_weight",
         "speed_weight", "piston_weight", "flow_weight",
     }  # fmt: skip
-    assert meta["case"] == "hopper"
+    assert meta["recipe"]["name"] == "hopper"
     assert meta["status"] == "CONVERGED"
     assert meta["iterations"] == plan.nit
     assert meta["format_version"] == FORMAT_VERSION
@@ -142,22 +142,6 @@ def test_states_on_groups_and_starts_come_back(tmp_path):
     assert back.starts[1] == plan.starts[1]
     assert back.start == 1
     assert load_plan(back.save(tmp_path / "again.npz")).space == plan.space
-
-
-def test_plans_of_version_1_are_read_as_plain_vectors(plan, saved):
-    with np.load(saved) as file:
-        arrays = {name: file[name] for name in file.files}
-    meta = json.loads(str(arrays["meta"]))
-    assert meta.pop("space") == {"nx": 3, "ndx": 3, "quaternions": []}
-    assert meta.pop("starts") == []
-    meta["format_version"] = 1
-    np.savez(saved, **{**arrays, "meta": np.array(json.dumps(meta))})
-    old = load_plan(saved)
-    assert old.space == old.stored_space == euclidean(3)
-    assert old.starts == ()
-    assert old.start == 0
-    np.testing.assert_array_equal(old.K, plan.K)
-    assert old.problem.parameters == plan.problem.parameters
 
 
 @pytest.mark.parametrize(
@@ -241,9 +225,9 @@ def test_newer_format_names_its_version(saved):
     [
         ({"us": np.zeros((3, 1))}, "damaged"),
         ({"xs": np.zeros((41, 3), dtype=np.float32)}, "float32"),
-        ({"case": "tower"}, "expected one of: .*hopper"),
-        ({"parameters": {"height": -1.0}}, "height is -1.0"),
-        ({"parameters": {"hight": 1.0}}, "no parameter 'hight'"),
+        ({"recipe": {"name": "tower", "parameters": {}}}, "expected one of: .*hopper"),
+        ({"recipe": {"name": "hopper", "parameters": {"height": -1.0}}}, "height is -1.0"),
+        ({"recipe": {"name": "hopper", "parameters": {"hight": 1.0}}}, "no parameter 'hight'"),
         ({"status": "PERFECT"}, "PERFECT"),
         ({"cost": "cheap"}, "'cost'"),
         ({"cost": True}, "'cost'"),
@@ -254,14 +238,17 @@ def test_newer_format_names_its_version(saved):
         ({"t": np.full(41, np.nan)}, "does not rise"),
         ({"history": np.zeros(())}, "history"),
         ({"history": np.full((2, 7), np.nan)}, "count its iterations"),
-        ({"parameters": {}}, "not complete"),
-        ({"parameters": {"height": 10**400}}, "damaged"),
+        ({"recipe": {"name": "hopper", "parameters": {}}}, "not complete"),
+        ({"recipe": {"name": "hopper", "parameters": {"height": 10**400}}}, "damaged"),
         ({"twin": {}}, "exactly these maps"),
         ({"twin": {"to_x": [[1]], "to_x_offset": 3, "to_sim": "a", "to_sim_offset": []}}, "Twin"),
         ({"mjcf": None}, "MJCF text"),
         ({"format_version": -1}, "is not a plan"),
         ({"format_version": 1.5}, "is not a plan"),
+        ({"recipe": {"name": "hopper"}}, "no usable 'recipe'"),
+        ({"files": {"cube.stl": "0" * 32}}, r"no file 'cube\.stl'"),
         ({"versions": [], "format_version": 9}, "a newer version"),
+        ({"format_version": 4}, "make the plan again"),
         ({"meta": np.array("[" * 100_000)}, "is not a plan"),
         ({"meta": np.array("[]")}, "is not a plan"),
     ],

@@ -177,7 +177,7 @@ def test_a_model_swapped_in_the_file(stored, tmp_path):
 
 
 def test_parameters_changed_in_the_file(stored, tmp_path):
-    plan = load_plan(rewritten(stored, tmp_path, meta=lambda m: m["parameters"].update(mass1=0.6)))
+    plan = load_plan(rewritten(stored, tmp_path, meta=lambda m: m["recipe"]["parameters"].update(mass1=0.6)))
     assert "parameters" in failure(plan)
 
 
@@ -186,7 +186,7 @@ def test_a_file_of_the_future(stored, tmp_path):
         meta.update(format_version=99, versions={**meta["versions"], "planner": "9.0"})
 
     with pytest.raises(
-        planner.base.errors.FileError, match=r"has format 99, written by planner 9\.0; this planner reads up to"
+        planner.base.errors.FileError, match=r"has format 99, written by planner 9\.0; this planner reads format"
     ):
         load_plan(rewritten(stored, tmp_path, meta=later))
 

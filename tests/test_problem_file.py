@@ -61,7 +61,8 @@ def test_a_damaged_table_is_refused(tmp_path):
         arrays = dict(file)
     meta = json.loads(str(arrays["meta"]))
     for key, value in (("dt", 0.1), ("goal", [1.0]), ("gaol", 1), ("weights", 3)):
-        changed = meta | {"parameters": meta["parameters"] | {key: value}}
+        table = meta["recipe"]["parameters"] | {key: value}
+        changed = meta | {"recipe": {"name": "problem-file", "parameters": table}}
         np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
         with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
             planner.load_plan(tmp_path / "changed.npz")

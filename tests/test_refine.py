@@ -13,7 +13,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.plan import Status
 from planner.proof.refinement import Refinement, refine
 
-module = importlib.import_module("planner.refine")  # the name is the function's in planner
+module = importlib.import_module("planner.proof.refinement")  # the name is the function's in planner
 
 
 @pytest.fixture(scope="module")

@@ -138,8 +138,8 @@ def _check_meta(named: str, meta: dict[str, Any]) -> None:
         if usable and name in ("versions", "files"):
             usable = all(isinstance(text, str) for text in value.values())
         if usable and name == "recipe" and value is not None:
-            usable = set(value) == {"name", "parameters"} and isinstance(value["name"], str)
-            usable = usable and isinstance(value["parameters"], dict)
+            kinds = {"name": str, "parameters": dict}
+            usable = set(value) == set(kinds) and all(isinstance(value[part], kinds[part]) for part in kinds)
         if usable and name == "starts":
             rows = (row if isinstance(row, list) else [] for row in value)
             usable = all(len(row) == len(_START) and all(map(_is, row, _START)) for row in rows)

@@ -14,7 +14,7 @@ import numpy as np
 
 _WORDS = {
     "t": "times t", "xs": "states xs", "us": "controls us", "K": "gains K", "history": "iterations",
-    "mjcf": "the model", "twin": "the maps to the model's state",
+    "mjcf": "the model", "recipe": "the problem's parameters", "twin": "the maps to the model's state",
 }  # fmt: skip
 
 
