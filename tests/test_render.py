@@ -27,7 +27,7 @@ from planner.view.render.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"width": 320, "height": 180}
-STAGE = Appearance(
+APPEARANCE = Appearance(
     title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
     goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal",
     look_at=(13.0, 0.0, 24.0), follow=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
@@ -35,7 +35,7 @@ STAGE = Appearance(
 )  # fmt: skip
 
 
-def make_replay(appearance=STAGE, *, plan_offset=0.0, force=400.0):
+def make_replay(appearance=APPEARANCE, *, plan_offset=0.0, force=400.0):
     """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
     t = np.linspace(0.0, 0.2, 201)
     y = 10.0 * np.sin(np.pi * t / 0.2) - 2.0
@@ -97,8 +97,8 @@ def test_film_survives_its_file(tmp_path):
     assert extra == {"kind": "frame", "width": 3}
     assert again.mjcf == film.mjcf
     assert again.appearance is not None
-    assert again.appearance.readouts == STAGE.readouts
-    assert again.appearance.distance == STAGE.distance
+    assert again.appearance.readouts == APPEARANCE.readouts
+    assert again.appearance.distance == APPEARANCE.distance
     for name in ("t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 

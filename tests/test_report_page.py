@@ -141,7 +141,7 @@ def test_a_plan_read_without_its_problem(plan, tmp_path):
 
 
 def test_a_name_that_is_no_unicode(plan, tmp_path):
-    assert page_of(replace(plan, parameters={"file": "a\udcffb"}), None, tmp_path)
+    assert page_of(replace(plan, recipe=Recipe("spring", {"file": "a\udcffb"})), None, tmp_path)
 
 
 def test_a_missing_folder_is_one_sentence(plan, tmp_path):
