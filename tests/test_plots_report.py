@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_up import MODES, STAGE, N, make_perturbed, make_plan, make_proof, make_replay
+from made_up import APPEARANCE, MODES, N, make_perturbed, make_plan, make_proof, make_replay
 from PIL import Image
 
 from planner.base.errors import FileError
@@ -44,7 +44,7 @@ def test_the_panels_are_those_of_the_stage_then_force_then_convergence(plan, rep
     found = titles(figure)
     assert [found[0], *found[2:]] == ["Height", "Piston", "Contact force in the replay", "Convergence"]
     assert found[1].startswith("height, replay ")
-    assert figure.get_suptitle() == STAGE.title
+    assert figure.get_suptitle() == APPEARANCE.title
 
 
 def test_plan_and_replay_are_drawn_as_they_are(plan, replay):
