@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Distance, Height, Point, Segment, Velocity

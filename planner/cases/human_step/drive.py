@@ -24,7 +24,7 @@ from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.cases.human_step.cost import Wishes
 from planner.cases.human_step.measures import robot_wrench
-from planner.cases.human_step.step import Step
+from planner.cases.human_step.phase import Step
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.drive import DriveCost

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.cases.human_step.gait import COLUMNS
 from planner.cases.human_step.measures import height, normal_height, robot_wrench, vertical_force
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import frame_pose

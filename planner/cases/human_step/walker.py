@@ -174,14 +174,14 @@ class Walker:
         for side in self.legs:
             knee = stop_attributes(STOP.stiffness, STOP.damping, weights.of_joint(f"{side}_knee"))
             if "knee" not in self.curved:
-                edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": _text(*stop_range())}
+                edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": written(*stop_range())}
             for end in ("heel", "toe") if self.belt else ():
                 edits[f"contact/pair[@geom2='{side}_{end}']"] = contact_attributes(
                     TOUCH.stiffness, TOUCH.damping, TOUCH.slip_damping, TOUCH.friction,
                     weights.of_joint("belt") + weights.of_body(f"{side}_foot"), IMPRATIO,
                 )  # fmt: skip
         for name, law, more in (("contact_ramp", TOUCH, [TOUCH.bend]), ("stop_ramp", STOP, [])):
-            edits[f"custom/numeric[@name='{name}']"] = {"data": _text(law.ramp, law.force_ramp or 0.0, *more)}
+            edits[f"custom/numeric[@name='{name}']"] = {"data": written(law.ramp, law.force_ramp or 0.0, *more)}
         return edited(text, edits)
 
     def _root(self) -> ElementTree.Element:
@@ -205,11 +205,11 @@ class Walker:
             for key in ("pos",) if point else ("pos", "fromto", "size"):
                 if key in element.attrib and element.tag != "inertial":
                     sizes = map(float, element.attrib[key].split())
-                    element.set(key, _text(*(self.scale * size for size in sizes)))
+                    element.set(key, written(*(self.scale * size for size in sizes)))
         for body in pelvis.iter("body"):
             segment, inertial = segments[_sideless(body.attrib["name"])], body.find("inertial")
             assert inertial is not None  # every moving body of the file has one
-            numbers = {"pos": _text(*segment.com), "diaginertia": _text(*segment.inertia)}
+            numbers = {"pos": written(*segment.com), "diaginertia": written(*segment.inertia)}
             inertial.attrib.update(numbers, mass=written(segment.mass))
         for joint in pelvis.iter("joint"):
             spring = self.springs.get(_sideless(joint.attrib["name"]))
@@ -254,5 +254,3 @@ def _sideless(name: str) -> str:
     return name.removeprefix("left_").removeprefix("right_")
 
 
-def _text(*values: float) -> str:
-    return " ".join(written(value) for value in values)
