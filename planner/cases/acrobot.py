@@ -40,9 +40,9 @@ Start = Literal["paper", "hanging"]
 Guess = Literal["paper", "zero", "sine"]
 
 TOLERANCE = 0.1
-"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian costs. Without a motor
-at the shoulder the last radian can cost 15 (at total costs of 3.4, from hanging, and 6.6): a miss of 0.08 rad at a
-weight of 200."""
+"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian costs. Without a
+motor at the shoulder the last radian can cost 15 (at total costs of 3.4, from hanging, and 6.6): a miss of 0.08 rad at
+a weight of 200."""
 
 
 def acrobot(

@@ -25,7 +25,6 @@ import numpy as np
 from planner.model.mjcf.text import written
 
 SHOULDER_HEIGHT, HIP_HEIGHT, EYE_HEIGHT = 0.818, 0.530, 0.936  # H, figure 4.1
-SHOULDER_WIDTH, HIP_WIDTH = 0.259, 0.191  # H, figure 4.1
 UPPER_ARM, FOREARM, HAND, THIGH, SHANK = 0.186, 0.146, 0.108, 0.245, 0.246  # H, figure 4.1
 FOOT_HEIGHT, FOOT_LENGTH = 0.039, 0.152  # H, figure 4.1
 C7_HEIGHT = 0.830  # H, ours: a little above the shoulders

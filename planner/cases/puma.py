@@ -7,7 +7,7 @@ slow lift must hold the load everywhere on its path, so the outstretched arm lim
     arm                 a 560 of 1.25 m reach         ../mjcf/puma: a 762's inertias are not published
     rated payload       20 kg    the manufacturer's figure for the 762, whose reach is 1.25 m
     torque limits       the 560's (97.6, 186.4, 89.4, 24.2, 20.1, 21.3 N m: Armstrong, Khatib, Burdick 1986) times one
-                        factor, 2.63     ours: with it the motors can just hold the rated payload along the straight lift
+                        factor, 2.63     ours: it lets the motors just hold the rated payload along the straight lift
     payload             iron ball, its centre 0.22 m beyond the wrist       ours
     start, goal         hanging and upright, arm straight, at rest          ours: [20] has other poses
     t_f                 2.5 s    ours
@@ -57,8 +57,8 @@ JOINTS = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_bend", "hand_roll
 PEAK_560 = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])  # N m at the joints, Armstrong, Khatib, Burdick 1986
 
 TOLERANCE = 0.01
-"""rad and rad/s. At an optimum the miss times the final weight is the cost of one more radian: with a weight of 1e4, 0.01
-means 100 per rad, about a hundred times the cost of the whole lift. An impossible lift misses by far more."""
+"""rad and rad/s. At an optimum the miss times the final weight is the cost of one more radian: with a weight of 1e4
+0.01 means 100 per rad, about a hundred times the cost of the whole lift. An impossible lift misses by far more."""
 
 ROUNDING = 1e-12  # relative, of a torque at its limit
 

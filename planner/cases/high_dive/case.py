@@ -30,8 +30,8 @@ import numpy as np
 from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
-from planner.cases.high_dive.flight import Dive, Weights
 from planner.cases.high_dive.diver import Diver
+from planner.cases.high_dive.flight import Dive, Weights
 from planner.cases.horizon import LARGEST, stages
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
 POSTURE, CALM = 20.0, 0.05
-"""Weights per s, with a factor 1/2: POSTURE on the squared distance of a joint from the middle of its range over half the
-range, CALM on its squared rate, (rad/s)^2. Effort alone swings the limbs through the body, beyond the ranges of the
+"""Weights per s, with a factor 1/2: POSTURE on the squared distance of a joint from the middle of its range over half
+the range, CALM on its squared rate, (rad/s)^2. Effort alone swings the limbs through the body, beyond the ranges of the
 joints, and spins stretched arms about themselves; these weights keep every joint in its range. The posture weight grows
 after take-off and fades before the entry, where the body must be straight."""
 

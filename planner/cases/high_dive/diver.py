@@ -1,9 +1,11 @@
 """The diver: the model for a person's mass and height, the take-off and the time of flight.
 
-    number                       value             from
-    masses, lengths, inertias    shares of M, H    Winter, see anthropometry.py
-    ranges of the joints         RANGES            ours: usual ranges of motion, rounded
-    straight body                arms overhead     ours: all other joint angles are zero
+number                       value             from
+masses, lengths, inertias    shares of M, H    Winter, see anthropometry.py
+ranges of the joints         RANGES            ours: usual ranges of motion, rounded
+straight body                arms overhead     ours: all other joint angles are zero
+
+The frames of the bodies are those of anthropometry.py.
 """
 
 from __future__ import annotations
@@ -115,5 +117,3 @@ def straight(root: ElementTree.Element) -> list[float]:
     """The joint angles of a straight body with the arms overhead, in the order of the model's hinges."""
     names = [joint.attrib["name"] for joint in root.find("worldbody").iter("joint")]  # type: ignore[union-attr]
     return [np.pi if winter.sideless(name) == "shoulder" else 0.0 for name in names]
-
-
