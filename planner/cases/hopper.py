@@ -69,10 +69,10 @@ def hopper(
         smoothing: alpha, the compression over which the spring sets in, in.
         stiffness: k/m, 1/s^2.
         gravity: g, in/s^2.
-        final_weight: q_fin on (y(N) - height)^2 / 2.
-        speed_weight: On the final rate dy^2 / 2; the paper's Eq. 8 has no 1/2 there, so its 1 is our 2.
-        piston_weight: q on piston^2 / 2, times dt.
-        flow_weight: r on flow^2 / 2, times dt.
+        final_weight: Weight q_fin on (y(N) - height)^2 / 2.
+        speed_weight: Weight on the final rate dy^2 / 2; the paper's Eq. 8 has no 1/2 there, so its 1 is our 2.
+        piston_weight: Weight q on piston^2 / 2, times dt.
+        flow_weight: Weight r on flow^2 / 2, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.

@@ -79,19 +79,19 @@ def puma(
     """Lift a load with a Puma-like arm, from hanging to upright, with least effort of its motors.
 
     Args:
-        payload: In the hand, kg.
+        payload: Mass in the hand, kg.
         duration: t_f, s.
         horizon: N, stages; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls, by inverse dynamics: "straight" (every joint smoothly along the straight line), "tucked"
             (elbow bent on the way), "swung" (back first), or "swung-tucked".
-        rated: kg, what the torque limits can just hold everywhere along the straight lift.
-        position_weight: On the final |q - q_d|^2 / 2, q in rad.
-        velocity_weight: On the final |dq|^2 / 2, rad/s.
-        effort_weight: On |torque over its limit|^2 / 2, times dt.
-        wrist_weight: On |q|^2 / 2 of the three wrist joints on the way, rad, times dt: they need not wind up.
+        rated: Payload, kg, that the torque limits can just hold everywhere along the straight lift.
+        position_weight: Weight on the final |q - q_d|^2 / 2, q in rad.
+        velocity_weight: Weight on the final |dq|^2 / 2, rad/s.
+        effort_weight: Weight on |torque over its limit|^2 / 2, times dt.
+        wrist_weight: Weight on |q|^2 / 2 of the three wrist joints on the way, rad, times dt, against winding up.
         torques: "bounded" (every motor within its limit) or "free" (the limits only scale the effort).
-        speed_limit: Of every joint, rad/s; by default none.
+        speed_limit: Largest speed of every joint, rad/s; by default none.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.

@@ -50,14 +50,14 @@ def two_link(
         horizon: N, stages; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls: "paper" (forearm straight, upper arm smoothly up, by inverse dynamics) or "zero".
-        mass1: Upper arm, kg.
-        mass2: Forearm, kg.
-        length1: Upper arm, m.
-        length2: Forearm, m.
+        mass1: Mass of the upper arm, kg.
+        mass2: Mass of the forearm, kg.
+        length1: Length of the upper arm, m.
+        length2: Length of the forearm, m.
         gravity: g, m/s^2.
-        position_weight: On the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
-        velocity_weight: On the final |dq|^2 / 2, rad/s; twice the paper's c2.
-        effort_weight: On |u|^2 / 2, torques in N m, times dt.
+        position_weight: Weight on the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
+        velocity_weight: Weight on the final |dq|^2 / 2, rad/s; twice the paper's c2.
+        effort_weight: Weight on |u|^2 / 2, torques in N m, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.

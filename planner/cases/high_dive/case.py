@@ -69,20 +69,20 @@ def high_dive(
         somersaults: Turns over the head, a half more than a whole number: the hands come first; negative is backward.
         twists: Turns about the long axis, a multiple of a half; negative to the right.
         tower: Height of the platform above the water, m.
-        mass: Of the diver, kg.
-        height: Of the diver, m.
-        take_off_speed: Of the centre of mass upwards at take-off, m/s.
-        forward_speed: The same, away from the tower.
-        somersault_rate: Of the straight body at take-off, rad/s; with its inertia the angular momentum.
-        duration: t_f, s; by default that of the fall, until the hands touch the water.
+        mass: Mass of the diver, kg.
+        height: Height of the diver, m.
+        take_off_speed: Upward speed of the centre of mass at take-off, m/s.
+        forward_speed: Speed of the centre of mass away from the tower at take-off, m/s.
+        somersault_rate: Rate of the straight body at take-off, rad/s; it sets the angular momentum.
+        duration: t_f, s; by default the time of the fall until the hands touch the water.
         horizon: N, stages; by default 120 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         gravity: g, m/s^2.
-        final_weight: On the final angles of pelvis and joints, squared, times 1/2.
-        rate_weight: On the final rates of the joints, squared, times 1/2.
-        effort_weight: On u^2 / 2, torque in N m, times dt.
-        posture_weight: On (angle - middle)^2 / 2 over half the joint's range squared, times dt.
-        calm_weight: On the rates of the joints on the way, squared, times dt/2.
+        final_weight: Weight on the squared final angles of pelvis and joints / 2.
+        rate_weight: Weight on the squared final rates of the joints / 2.
+        effort_weight: Weight on u^2 / 2, torque in N m, times dt.
+        posture_weight: Weight on (angle - middle)^2 / 2 over half the joint's range squared, times dt.
+        calm_weight: Weight on the squared rates of the joints on the way / 2, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.

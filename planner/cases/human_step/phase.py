@@ -1,7 +1,7 @@
 """Step: a walker, his normal gait, and the planned part of a cycle.
 
 Time is a fraction of a cycle from right heel strike to right heel strike. The right leg swings from SWING[0] to
-SWING[1], the left leg half a cycle later. A swing is planned with one leg: the other stands, and its ankle and foot move
+SWING[1], the left leg half a cycle later. A swing is planned with one leg; ankle and foot of the other one move
 as in the normal gait. A cycle has both legs and the belt.
 """
 
