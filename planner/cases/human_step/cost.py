@@ -155,7 +155,7 @@ def step_cost(
 
 def _weights(step: Step, place: float, turn: float, joints: dict[str, float], period: float = 1.0) -> dict[str, float]:
     """1 / (period tolerance^2) by joint, of tolerances of the pelvis' place and turn and of the legs' joints."""
-    tolerances = dict(zip(PELVIS, np.repeat([place, turn], 3).tolist(), strict=True))
+    tolerances = dict(zip(PELVIS, 3 * [place] + 3 * [turn], strict=True))
     tolerances |= {f"{side}_{name}": value for side in step.walker.legs for name, value in joints.items()}
     return {joint: 1.0 / (period * tolerance**2) for joint, tolerance in tolerances.items()}
 
