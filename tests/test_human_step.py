@@ -13,7 +13,7 @@ from planner.base.gl import load_mujoco
 from planner.cases import anthropometry, build, human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, measures, normal_height, robot_wrench
-from planner.cases.human_step.step import Step
+from planner.cases.human_step.phase import Step
 from planner.cases.human_step.walker import BRACES, PASSIVE, PELVIS, SIDES, STOP, TOUCH, Walker
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import generalized_forces

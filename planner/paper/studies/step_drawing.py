@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.step import SWING
+from planner.cases.human_step.phase import SWING
 from planner.paper.studies.step import CYCLE_TIME, FRAMES
 from planner.view.plots.stick_figures import Motion, Stick, draw_stick_figures
 from planner.view.plots.style import HUES, SOFT, dress, figure_of, save
