@@ -13,7 +13,7 @@ from planner.view.render import overlay
 from planner.view.render.camera import Box
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Caption, Film
-from planner.view.render.overlay import Overlay
+from planner.view.render.overlay import Overlay, Words
 from planner.view.render.scene import Scene
 from planner.view.render.video import _captioned, render_frame, render_strip, render_video
 
@@ -82,7 +82,7 @@ def test_the_camera_follows_what_strays_only_so_far():
 
 
 def test_the_warning_appears_when_it_happens():
-    words = Overlay(STAGE, 640, 360, largest=np.array([10.0]), unstable=0.1)
+    words = Overlay(STAGE, 640, 360, Words(np.array([10.0]), unstable=0.1))
     grey = np.full((360, 640, 3), 128, np.uint8)
     readings = np.array([[1.0, 1.0]])
 

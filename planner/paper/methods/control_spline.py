@@ -101,9 +101,11 @@ def solve_by_splines(
     if choice("gradient", gradient, GRADIENTS) == "continuous":
         integral = AdjointCost(ContinuousProblem(problem), basis, problem.x0, Integration(tolerance))
 
-        def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
+        def continuous(free: np.ndarray) -> tuple[float, np.ndarray]:
             J, by_P = integral(free.reshape(shape))
             return J, by_P.ravel()
+
+        cost = continuous
 
     free, facts = bfgs(cost, first, gradient_tolerance, max_iterations, scale=max(1.0, abs(cost(first)[0])))
     discrete_cost = exact(free)[0]

@@ -24,7 +24,8 @@ def table(columns: Mapping[str, str], records: Iterable[Mapping[str, Any]]) -> l
     """Lines of a Markdown table.
 
     Args:
-        columns: Head -> format of the cells, such as "{cost:.3f}". Columns of cells that begin with numbers are right-aligned.
+        columns: Head -> format of the cells, such as "{cost:.3f}". A column whose cells all begin with a number is
+            right-aligned.
         records: One for each row; their values fill the formats.
     """
     rows = [[form.format(**record) for form in columns.values()] for record in records]

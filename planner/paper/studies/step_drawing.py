@@ -9,7 +9,8 @@ import numpy as np
 
 from planner.cases.human_step.step import SWING
 from planner.paper.studies.step import CYCLE_TIME, FRAMES
-from planner.view.plots.stick_figures import Motion, Stick, draw_stick_figures
+from planner.problem.pictures import Motion, Stick, StickFigures
+from planner.view.plots.stick_figures import draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 
 POSES = 8
@@ -34,12 +35,9 @@ def draw_step(results: dict[str, Any], path: Path) -> None:
         Stick((other, hip), "hips", hue=None),
         Stick((hip, knee, ankle, heel, toe, ankle), "the leg that swings", hue=1),
     ]
-    t = np.linspace(0.0, 100.0, POSES)
-    figure = draw_stick_figures(
-        motions, sticks, poses=POSES, times=tuple(f"{share:.0f} %" for share in t), ground=0.0,
-        title="The swing: passive leg, optimized motion of the pelvis",
-    )  # fmt: skip
-    save(figure, path)
+    times = tuple(f"{share:.0f} %" for share in np.linspace(0.0, 100.0, POSES))
+    title = "The swing: passive leg, optimized motion of the pelvis"
+    save(draw_stick_figures(StickFigures("", motions, sticks, times, 0.0, title)), path)
 
 
 def draw_step_cycle(results: dict[str, Any], path: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -110,6 +111,18 @@ def dress(axes: Axes, title: str, ylabel: str, xlabel: str = "") -> None:
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color("#999999")
+
+
+def title_above(figure: Figure, title: str) -> None:
+    """A title above all panels; none where it is empty."""
+    if title:
+        figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
+    """One legend under all panels, in a row or in so many columns at most."""
+    most = len(handles) if columns is None else min(len(handles), columns)
+    figure.legend(handles=handles, loc="outside lower center", ncols=most, frameon=False, fontsize=8.5)
 
 
 def right_axis(axes: Axes, ylabel: str) -> Axes:

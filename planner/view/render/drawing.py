@@ -17,8 +17,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ _VIDEO_OVERSIZE = 1.5  # two thirds of the time that 2 takes, and in motion nobo
 
 @dataclass(frozen=True)
 class Job:
-    """What to make of films.
+    """A video, strip or still to make of films.
 
     Attributes:
         kind: "video", "strip" or "frame".
@@ -112,12 +113,17 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
             first = i == 0 if len(films) > 1 else j == 0  # of the cameras
             last_row, last_column = i == len(seen) - 1, j == len(row) - 1
             beside = [other for other in row if other is not film] if len(films) > 1 else []
-            words = _Words(
-                largest, first, last_row and j == 0, last_row and (len(films) > 1 or first),
-                job.speed if last_row and last_column else None,
+            captioned = last_row and (len(films) > 1 or first)
+            views = () if film.appearance is None else film.appearance.views
+            words = overlay.Words(
+                largest, numbers=first, legend=last_row and j == 0,
+                speed=job.speed if last_row and last_column else None,
+                caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
+                label=views[0].label if views else "",
             )  # fmt: skip
-            narrow = len(row) > 1 or len(seen) > 1
-            tiles[-1].append(_Tile(film, (widths[j], heights[i]), job, words, beside, narrow))
+            oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
+            scene = partial(Scene, oversize=oversize, beside=beside, narrow=len(row) > 1 or len(seen) > 1)
+            tiles[-1].append(_Tile(film, (widths[j], heights[i]), words, scene))
     return tiles
 
 
@@ -140,32 +146,15 @@ def _shares(pixels: int, parts: int) -> list[int]:
     return [each] * (parts - 1) + [pixels - each * (parts - 1)]
 
 
-class _Words(NamedTuple):
-    """What is written into one part of a picture."""
-
-    largest: np.ndarray  # (R,) of each readout
-    numbers: bool
-    legend: bool
-    caption: bool
-    speed: float | None
-
-
 class _Tile:
     """A film from one camera, with its words. A context manager."""
 
     def __init__(
-        self, film: Film, size: tuple[int, int], job: Job, words: _Words, beside: Sequence[Film], narrow: bool
+        self, film: Film, size: tuple[int, int], words: overlay.Words, scene: Callable[..., Scene]
     ) -> None:  # fmt: skip
         self.film = film
         self._appearance = film.appearance or Appearance(title="")
-        label = self._appearance.views[0].label if self._appearance.views else ""
-        self._words = overlay.Overlay(
-            self._appearance, *size, largest=words.largest, speed=words.speed, legend=words.legend,
-            caption=film.caption if words.caption else None, unstable=film.unstable if words.caption else math.inf,
-            numbers=words.numbers, label=label,
-        )  # fmt: skip
-        oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
-        self._scene = Scene(film, *size, oversize=oversize, beside=beside, narrow=narrow)
+        self._words, self._scene = overlay.Overlay(self._appearance, *size, words), scene(film, *size)
 
     def __enter__(self) -> _Tile:
         self._scene.__enter__()
