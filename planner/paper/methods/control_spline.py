@@ -74,7 +74,7 @@ def solve_by_splines(
     """Controls of least cost among splines.
 
     Args:
-        problem: What to solve; its first guess is brought to the nearest spline.
+        problem: To solve; the nearest spline to its first guess is the first one.
         coefficients: n, of each control, more than the degree; 17 are the quintics on 12 intervals of section 2.1.
         degree: Of the splines.
         gradient: "discrete" (that of the Problem's own J) or "continuous" (Eq. 7, as the paper).

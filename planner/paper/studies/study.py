@@ -26,7 +26,7 @@ class Study:
 
     Attributes:
         name: In the command and in file names.
-        title: What it shows, in some words.
+        title: One line about it.
         run: Computes the results, as JSON values.
         page: A page of Markdown from the results.
         rows: Rows of the table from the results.

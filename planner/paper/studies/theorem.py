@@ -104,7 +104,7 @@ def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) 
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
         model: The cost's Hessians and gradients.
-        step: What a sweep made of them. What regularises it counts as part of R.
+        step: Result of a sweep. Its regularisation counts as part of R.
     """
     ndx, nu = B.shape[1:]
     sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope, 0.5 * step.slope)
@@ -209,9 +209,10 @@ def _iterations(entry: dict[str, Any]) -> str:
     return f" in {_few(entry['iterations'])} iterations" if entry["iterations"] else ""
 
 
-def _steps(case: dict[str, Any], update: str) -> str:
-    step = case[update]["failed_step"]
-    return f"{case['case']} {step:.2g}" if step is not None else f"{case['case']} none failed"
+def _steps(results: dict[str, Any], update: str) -> str:
+    """Median of the last steps of the starts that failed, of every case."""
+    steps = {case["case"]: case[update]["failed_step"] for case in results["cases"]}
+    return "; ".join(f"{case} {'none failed' if step is None else f'{step:.2g}'}" for case, step in steps.items())
 
 
 def _ended(entry: dict[str, Any]) -> str:
@@ -232,62 +233,36 @@ def _page(results: dict[str, Any]) -> str:
                 "ended": _ended(entry), "few": _few(entry["iterations"]), "listed": _minima(entry), **entry,
             })  # fmt: skip
     lines = [
-        "# Theorems 1 and 2 in numbers (section 3.4)",
-        "",
-        "![Eq. 42 along solves; iterations and final costs from random starts](theorems.png)",
-        "",
-        "## Theorem 1: Eq. 42 as an identity",
-        "",
+        "# Theorems 1 and 2 in numbers (section 3.4)", "",
+        "![Eq. 42 along solves; iterations and final costs from random starts](theorems.png)", "",
+        "## Theorem 1: Eq. 42 as an identity", "",
         "Three numbers must be one: grad J . dU (Eq. 39), minus the sum of squares on the right of Eq. 42, and the",
         "slope that the Riccati sweep returns. Largest relative difference to the sum of squares, and the slope",
         "nearest to zero, which must be negative. At iterates, what remains near the end of a solve is rounding of a",
-        "gradient that is nearly zero:",
-        "",
-        *table(
-            {
-                "where": "{where}",
-                "LQ problems": "{iterates}",
-                "grad J . dU": "{gradient_error:.1e}",
-                "the sweep's slope": "{sweep_error:.1e}",
-                "slope nearest to zero": "{largest_slope:.1e}",
-                "steps that lowered J": "{lowered}",
-            },
-            along,
-        ),
-        "",
-        "## Theorem 2: convergence from random starts",
-        "",
+        "gradient that is nearly zero:", "",
+        *table({
+            "where": "{where}", "LQ problems": "{iterates}", "grad J . dU": "{gradient_error:.1e}",
+            "the sweep's slope": "{sweep_error:.1e}", "slope nearest to zero": "{largest_slope:.1e}",
+            "steps that lowered J": "{lowered}",
+        }, along), "",
+        "## Theorem 2: convergence from random starts", "",
         f"Smooth random controls (six cosines, seeds 0 to {results['starts'] - 1}) of a given RMS; Armijo's rule. A",
         f"solve has converged when the LQ model promises less than {TOLERANCE:g} of the cost. Costs that differ by",
-        f"less than {100.0 * SAME:g} % are one local minimum.",
-        "",
-        *table(
-            {
-                "case": "{case}",
-                "update": "{update}",
-                "RMS": "{size:g}",
-                "converged": "{share}",
-                "limit": "{limit}",
-                "ended": "{ended}",
-                "iterations: least / median / most": "{few}",
-                "local minima: cost (starts)": "{listed}",
-                "s": "{seconds:.1f}",
-            },
-            many,
-        ),
-        "",
+        f"less than {100.0 * SAME:g} % are one local minimum.", "",
+        *table({
+            "case": "{case}", "update": "{update}", "RMS": "{size:g}", "converged": "{share}", "limit": "{limit}",
+            "ended": "{ended}", "iterations: least / median / most": "{few}",
+            "local minima: cost (starts)": "{listed}", "s": "{seconds:.1f}",
+        }, many), "",
         "Open-loop is Eq. 43 as printed. MAX_ITERATIONS is slow convergence, not divergence: every step lowers the",
         "cost, but the LQ problem leaves out the curvature of the dynamics, and where that is large (a final state far",
         "from the goal, arms that whirl) it promises too much and only short steps are taken; that this is the whole",
         "reason is not shown here, exact second derivatives would tell. Median of the last",
         f"{LAST} step lengths of the starts that failed, where 1 is the LQ problem's own, with the feedback update: "
-        + "; ".join(_steps(case, "feedback") for case in results["cases"])
-        + "; open-loop: "
-        + "; ".join(_steps(case, "open-loop") for case in results["cases"])
-        + ".",
+        f"{_steps(results, 'feedback')}; open-loop: {_steps(results, 'open-loop')}.",
         "NOT_FINITE are starts whose first rollout leaves the range of numbers; Theorem 2 assumes it does not. The",
         "theorem promises a local minimum and says nothing of which: the table shows how many there are.",
-    ]
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
@@ -317,9 +292,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             "3.4, Theorem 2", "The same, with any of the usual line searches",
             f"with the feedback update: {ended('feedback')}. Local minima: "
             + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_),
-            "what is missing was still descending at its limit, by short steps: median "
-            + "; ".join(_steps(case, "feedback") for case in cases_)
-            + ". Which local minimum is reached depends on the start, of which the theorem says nothing",
+            f"what is missing was still descending at its limit, by short steps: median {_steps(results, 'feedback')}. "
+            "Which local minimum is reached depends on the start, of which the theorem says nothing",
         ),
     ]  # fmt: skip
 

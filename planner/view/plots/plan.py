@@ -1,6 +1,6 @@
 """A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
 
-Which states and controls are drawn is the machine's to say (`Appearance.plots`); nothing here knows a machine. The
+The machine's `Appearance.plots` lists the states and controls to draw. The
 plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all can
 still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
 """
@@ -67,8 +67,8 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     """The figure of a plan, and of its replays.
 
     Args:
-        plan: What was planned. Its problem's appearance lists the panels; without one, all states and controls.
-        shown: What MuJoCo did with it: a proof for both replays, one replay, or None.
+        plan: The plan. Its problem's appearance lists the panels; without one, all states and controls.
+        shown: Its replays in MuJoCo: a proof for both, one replay, or None.
     """
     replays = _replays(shown)
     panels = _panels(plan)
@@ -101,7 +101,7 @@ def _judged(shown: Proof | Replay | None) -> Replay | None:
 
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
-    """The panels that the plan's stage lists; for a plan without any, its states and its controls."""
+    """The panels that the plan's appearance lists; for a plan without any, its states and its controls."""
     appearance = appearance_of(plan.problem)
     if appearance is not None and appearance.plots:
         return appearance.plots
@@ -125,7 +125,7 @@ def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
 
 
 def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
-    """One panel of the stage; with `difference`, replays minus plan on an axis of its own beneath."""
+    """One panel; with `difference`, replays minus plan on an axis of its own beneath."""
     curves = _curves(panel, plan, replays)
     first = next((curve for curve in curves if not curve.held), None)
     beneath = None

@@ -65,7 +65,7 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
 
     Args:
         films: One, or for a video or a still two of the same plan, at the same times, to be shown side by side.
-        job: What to make.
+        job: The picture or video to make.
         progress: Called with (frames done, frames in all) of a video.
     """
     if gl.can_render_here():

@@ -38,10 +38,10 @@ _ARRAYS = (
 
 
 class Caption(NamedTuple):
-    """What is written under a film that is shown beside another.
+    """Words under a film that is shown beside another.
 
     Attributes:
-        mode: Which of the two it is.
+        mode: Open loop or with gains.
         verdict: "PASS", "FAIL" or "".
         detail: How it ended.
     """
@@ -60,7 +60,7 @@ class Film:
         appearance: How it is shown; None shows the whole motion, the plan in the same place.
         t: (F,) s.
         qpos: (F, nq) of the simulated machine.
-        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the stage gives.
+        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the appearance gives.
         forces: (F, C, 3) contact forces, in the world.
         points: (F, C, 3) where they act; NaN without contact.
         readings: (F, R, 2) the readouts, in the simulation and in the plan.
@@ -70,7 +70,7 @@ class Film:
         path_qpos: (P, nq) of the simulated machine.
         path_ghost_qpos: (P, nq) of the ghost.
         unstable: s, when the simulation ran away; infinite when it did not.
-        caption: What is written under it, or None.
+        caption: Words under it, or None.
         assets: Files that the model's text names.
     """
 
@@ -100,10 +100,10 @@ class Film:
         Args:
             replay: What to show.
             t: (F,) s, within the replay.
-            caption: What is written under it.
+            caption: Words under it.
 
         Raises:
-            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the stage's ghost
+            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the ghost
                 is no motion of this machine.
         """
         known = _known(replay)
@@ -143,7 +143,7 @@ class Film:
 
     @property
     def views(self) -> tuple[Film, ...]:
-        """The film once for each of the stage's cameras."""
+        """The film once for each camera of its appearance."""
         views = () if self.appearance is None else self.appearance.views
         return tuple(
             replace(self, appearance=self.appearance.seen_from(view)) for view in views if self.appearance
@@ -180,7 +180,7 @@ class Film:
 
 
 def _appearance_values(appearance: Appearance) -> dict[str, Any]:
-    """What a film needs of an appearance, as JSON values: of its ghost, the states are already in the film."""
+    """An appearance as JSON values, without plots, pictures and the ghost's states: the film holds these already."""
     ghost = appearance.ghost and {
         "label": appearance.ghost.label,
         "colour": appearance.ghost.colour,
