@@ -3,7 +3,7 @@
 The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
 
 If this process cannot draw, because mujoco was imported before there was a choice of a library, the same films are
-drawn in a child process (python -m planner.view.render.drawing JOBFILE ...).
+drawn in a child process (python -m planner.view.render.drawing JOBFILE).
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from __future__ import annotations
 import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -210,18 +211,17 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
 
 def _draw_in_child(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndarray:
     with tempfile.TemporaryDirectory(prefix="planner-") as folder:
-        files = [Path(folder) / f"job{number}.npz" for number in range(len(films))]
-        for film, file in zip(films, files, strict=True):
-            film.save(file, **asdict(job))
+        file = Path(folder) / "job"
+        file.write_bytes(pickle.dumps((films, job)))
         # The child must find this very package, whatever folder it is started in.
         places = [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
         child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "planner.view.render.drawing", *map(str, files)],
+            [sys.executable, "-P", "-m", "planner.view.render.drawing", str(file)],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
         )  # fmt: skip
         try:
-            return _follow(child, files[0], progress)
+            return _follow(child, file, progress)
         finally:
             child.kill()  # does nothing to a finished process
             child.communicate()
@@ -244,16 +244,15 @@ def _follow(child: subprocess.Popen[str], file: Path, progress: Progress | None)
     return np.load(file.with_suffix(".npy"), allow_pickle=False)
 
 
-def _child(files: list[Path]) -> int:
-    """The child's side: do the job in the files, report on stdout, leave the picture beside the first."""
-    loaded = [Film.load(file) for file in files]
+def _child(file: Path) -> int:
+    """The child's side: do the job in the file, report on stdout, leave the picture beside it."""
+    films, job = pickle.loads(file.read_bytes())
     try:
-        films, job = [film for film, _ in loaded], Job(**loaded[0][1])
         image = _draw(films, job, lambda done, total: _report(done=done, total=total))
     except PlannerError as error:
         _report(error=type(error).__name__, message=str(error))
         return 1
-    np.save(files[0].with_suffix(".npy"), image)
+    np.save(file.with_suffix(".npy"), image)
     return 0
 
 
@@ -263,4 +262,4 @@ def _report(**values: Any) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(_child([Path(file) for file in sys.argv[1:]]))
+    sys.exit(_child(Path(sys.argv[1])))

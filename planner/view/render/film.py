@@ -1,23 +1,20 @@
 """Film: everything a renderer needs to know about a replay, as plain arrays, one row per frame.
 
-Made here from a Replay, drawn elsewhere, perhaps in another process: a film goes into an .npz without pickle. A replay
-that ran away stays in the last pose that it had.
+Made here from a Replay, drawn elsewhere, perhaps in another process: a film can be pickled. A replay that ran away
+stays in the last pose that it had.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.problem.appearance import Appearance, Ghost, Readout, View
-from planner.problem.archive import ASSET
+from planner.problem.appearance import Appearance, Ghost
 from planner.problem.default_appearance import appearance_of
 
 if TYPE_CHECKING:
@@ -30,11 +27,6 @@ _EXPOSURE = 0.01
 
 # Poses along the whole motion, for what is seen of it at once: trails and the place of the camera.
 _PATH = 240
-
-_ARRAYS = (
-    "t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift",
-    "path_t", "path_qpos", "path_ghost_qpos",
-)  # fmt: skip
 
 
 class Caption(NamedTuple):
@@ -121,7 +113,7 @@ class Film:
         forces, points = _arrows(replay.contacts, t)
         return cls(
             mjcf=replay.twin.mjcf,
-            appearance=appearance,
+            appearance=appearance and replace(appearance, plots=(), pictures=None),  # functions cannot be pickled
             t=t,
             qpos=_interpolate(t, sampled, replay.qpos[:known]),
             ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
@@ -148,53 +140,6 @@ class Film:
         return tuple(
             replace(self, appearance=self.appearance.seen_from(view)) for view in views if self.appearance
         ) or (self,)
-
-    def save(self, path: Path, **extra: Any) -> None:
-        """Write the film, and JSON values beside it, to an .npz file."""
-        appearance = None if self.appearance is None else _appearance_values(self.appearance)
-        unstable = self.unstable if math.isfinite(self.unstable) else None
-        meta = json.dumps(
-            {"mjcf": self.mjcf, "appearance": appearance, "unstable": unstable, "caption": self.caption, "extra": extra}
-        )
-        contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
-        contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
-        np.savez(path, meta=np.array(meta), **contents)
-
-    @classmethod
-    def load(cls, path: Path) -> tuple[Film, dict[str, Any]]:
-        """The film in a file that save() wrote, and what was beside it."""
-        with np.load(path, allow_pickle=False) as file:
-            meta = json.loads(str(file["meta"]))
-            arrays = {name: file[name] for name in _ARRAYS}
-            named = [name for name in file.files if name.startswith(ASSET)]
-            assets = {name.removeprefix(ASSET): file[name].tobytes() for name in named}
-        appearance = meta["appearance"]
-        if appearance is not None:
-            appearance = _appearance_of_values(appearance)
-        unstable = math.inf if meta["unstable"] is None else meta["unstable"]
-        caption = None if meta["caption"] is None else Caption(*meta["caption"])
-        film = cls(
-            mjcf=meta["mjcf"], appearance=appearance, **arrays, unstable=unstable, caption=caption, assets=assets
-        )
-        return film, meta["extra"]
-
-
-def _appearance_values(appearance: Appearance) -> dict[str, Any]:
-    """An appearance as JSON values, without plots, pictures and the ghost's states: the film holds these already."""
-    ghost = appearance.ghost and {
-        "label": appearance.ghost.label,
-        "colour": appearance.ghost.colour,
-        "opacity": appearance.ghost.opacity,
-    }
-    return {**asdict(replace(appearance, plots=(), pictures=None, ghost=None)), "ghost": ghost}
-
-
-def _appearance_of_values(values: dict[str, Any]) -> Appearance:
-    ghost = values["ghost"] and Ghost(states=np.zeros((0, 0)), **values["ghost"])
-    readouts = tuple(Readout(**readout) for readout in values["readouts"])
-    views = tuple(View(**view) for view in values["views"])
-    names = {"readouts": readouts, "views": views, "ghost": ghost, "scenery": tuple(values["scenery"])}
-    return Appearance(**{**values, **names})
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:
