@@ -28,7 +28,7 @@ from planner.view.render.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"width": 320, "height": 180}
-STAGE = Appearance(
+APPEARANCE = Appearance(
     title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
     goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal",
     look_at=(13.0, 0.0, 24.0), follow=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
@@ -36,7 +36,7 @@ STAGE = Appearance(
 )  # fmt: skip
 
 
-def make_replay(appearance=STAGE, *, plan_offset=0.0, force=400.0):
+def make_replay(appearance=APPEARANCE, *, plan_offset=0.0, force=400.0):
     """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
     t = np.linspace(0.0, 0.2, 201)
     y = 10.0 * np.sin(np.pi * t / 0.2) - 2.0
@@ -96,8 +96,8 @@ def test_film_can_be_pickled():
     again = pickle.loads(pickle.dumps(film))
     assert again.mjcf == film.mjcf
     assert again.appearance is not None
-    assert again.appearance.readouts == STAGE.readouts
-    assert again.appearance.distance == STAGE.distance
+    assert again.appearance.readouts == APPEARANCE.readouts
+    assert again.appearance.distance == APPEARANCE.distance
     for name in ("t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
 
@@ -180,7 +180,7 @@ def test_rendering_turned_off_by_the_user(monkeypatch):
 def test_mujoco_loads_where_nothing_can_draw(wish):
     """With MUJOCO_GL=osmesa and no libOSMesa, `import mujoco` alone would die; everything but drawing must work."""
     code = (
-        "import os, sys; from planner import gl; gl._load = lambda names: None; before = os.environ.get('MUJOCO_GL');"
+        "import os; from planner.base import gl; gl._load = lambda names: None; before = os.environ.get('MUJOCO_GL');"
         "mujoco = gl.load_mujoco(); mujoco.MjModel.from_xml_string('<mujoco/>');"
         "assert not gl.can_render_here(); assert os.environ.get('MUJOCO_GL') == before"
     )
@@ -321,7 +321,8 @@ CHILD = """
 import sys
 import mujoco                                    # first, and with nothing to draw with
 sys.path[:0] = [{root!r}, {tests!r}]
-from planner import gl, render
+from planner.base import gl
+from planner.view.render import video as render
 from test_render import make_replay
 assert not gl.can_render_here()
 reports = []

@@ -9,14 +9,13 @@ from legs import leg
 from PIL import Image
 from test_render import changed, decode
 from test_side_by_side import make_proof
-from treadmills import BELT_SPEED, FRICTION, STAGE, TREADMILL, WEIGHT, standing
+from treadmills import APPEARANCE, BELT_SPEED, FRICTION, TREADMILL, WEIGHT, standing
 
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
-from planner.proof import touches
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.replaying import compile_model
 from planner.view.render.drawing import Job, carry_out
@@ -41,9 +40,9 @@ def lifted(replay, by):
 
 
 def staged(replay, **changes):
-    """The replay with another stage."""
+    """The replay with another appearance."""
     plan = replay.plan
-    problem = type(plan.problem)(**{**vars(plan.problem), "stage": replace(STAGE, **changes)})
+    problem = type(plan.problem)(**{**vars(plan.problem), "appearance": replace(APPEARANCE, **changes)})
     return replace(replay, plan=replace(plan, problem=problem))
 
 
@@ -71,14 +70,14 @@ def test_forces_are_those_on_the_feet_whichever_shape_mujoco_names_first():
     box = TREADMILL.replace('<joint name="belt" type="slide" axis="1 0 0"/>', "")
     plane = box.replace('type="box" size="60 .5 .1" pos="0 0 -.1"', 'type="plane" size="60 .5 .1"')
     for text in (box, plane):
-        seen = standing(text=text).touches
+        seen = standing(text=text).contacts
         assert seen.names == ("left_foot on belt", "right_foot on belt")
         assert seen.forces[-1, :, 2].sum() == pytest.approx(WEIGHT, rel=0.02)
 
 
 def test_a_long_simulation_keeps_means(monkeypatch, replay):
-    monkeypatch.setattr(touches, "MOST_SAMPLES", 101)
-    few, many = standing().touches, replay.contacts
+    monkeypatch.setattr(contact_history, "MOST_SAMPLES", 101)
+    few, many = standing().contacts, replay.contacts
     assert len(few.t) == 101  # of 401 steps: four each, the last alone
     np.testing.assert_allclose(few.forces[:100], many.forces[:400].reshape(100, 4, 2, 3).mean(axis=1), atol=1e-9)
     np.testing.assert_allclose(few.t[:2], [1.5e-3, 5.5e-3])
@@ -87,9 +86,9 @@ def test_a_long_simulation_keeps_means(monkeypatch, replay):
 
 
 def test_not_more_pairs_than_can_be_kept(monkeypatch):
-    monkeypatch.setattr(touches, "MOST_PAIRS", 1)
+    monkeypatch.setattr(contact_history, "MOST_PAIRS", 1)
     one = standing()
-    assert one.touches.names == ("left_foot on belt",)
+    assert one.contacts.names == ("left_foot on belt",)
     assert one.contact_force[300:].mean() == pytest.approx(WEIGHT, rel=0.02)  # the sum has all
 
 
@@ -105,25 +104,25 @@ def test_a_machine_that_cannot_touch_is_not_looked_at():
 # Data
 
 
-def test_a_stage_is_seen_from_each_of_its_views():
-    side, front = (STAGE.seen_from(view) for view in STAGE.views)
+def test_an_appearance_is_seen_from_each_of_its_views():
+    side, front = (APPEARANCE.seen_from(view) for view in APPEARANCE.views)
     assert (side.azimuth, front.azimuth, front.elevation) == (90.0, 180.0, -8.0)
-    assert (front.distance, front.look_at) == (STAGE.distance, STAGE.look_at)  # the stage's own
-    near = STAGE.seen_from(View(0.0, 0.0, distance=1.0, look_at=(0.0, 0.0, 9.0)))
+    assert (front.distance, front.look_at) == (APPEARANCE.distance, APPEARANCE.look_at)  # the appearance's own
+    near = APPEARANCE.seen_from(View(0.0, 0.0, distance=1.0, look_at=(0.0, 0.0, 9.0)))
     assert (near.distance, near.look_at) == (1.0, (0.0, 0.0, 9.0))
 
 
 def test_a_pickled_film_keeps_views_and_ghost(replay):
     film = Film.of(staged(replay, ghost=lifted(replay, 0.5)), AT)
     again = pickle.loads(pickle.dumps(film))
-    assert again.appearance.views == STAGE.views
-    assert again.appearance.scenery == STAGE.scenery
+    assert again.appearance.views == APPEARANCE.views
+    assert again.appearance.scenery == APPEARANCE.scenery
     assert (again.appearance.ghost.label, again.appearance.ghost.opacity) == ("lifted", 0.8)
     assert tuple(again.appearance.ghost.colour) == (0.9, 0.1, 0.9)
     for name in ("forces", "points", "ghost_qpos", "path_ghost_qpos"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
     assert [seen.appearance.azimuth for seen in again.views] == [90.0, 180.0]
-    assert Film.of(staged(replay, views=()), AT).views[0].stage.azimuth == STAGE.azimuth
+    assert Film.of(staged(replay, views=()), AT).views[0].appearance.azimuth == APPEARANCE.azimuth
 
 
 def test_a_given_ghost_is_spread_over_the_motion(replay):
@@ -147,7 +146,7 @@ def test_a_ghost_that_is_no_motion_of_the_machine(replay, states, words):
         Film.of(staged(replay, ghost=Ghost(states, "wrong")), AT)
 
 
-def test_a_stage_nobody_wrote_takes_a_belt_for_scenery():
+def test_an_appearance_nobody_wrote_takes_a_belt_for_scenery():
     assert default_appearance(Mechanism.from_mjcf(leg())).scenery == ()
     sliding = '<body name="belt"><joint name="run" type="slide"/>'
     text = leg().replace('<geom name="floor" type="plane" size="0 0 1" euler="0 -0.0 0"/>', "")
@@ -214,7 +213,7 @@ def test_a_strip_has_a_row_for_each_camera(tmp_path, replay):
     strip = np.asarray(Image.open(tmp_path / "strip.png"))
     assert strip.shape == (201, 300, 3)
     assert changed(strip[:80], strip[100:180]) > 500
-    render_strip(staged(replay, views=STAGE.views[:1]), tmp_path / "one.png", poses=3, width=300, height=100)
+    render_strip(staged(replay, views=APPEARANCE.views[:1]), tmp_path / "one.png", poses=3, width=300, height=100)
     one = np.asarray(Image.open(tmp_path / "one.png"))
     assert changed(strip[:100], one) == 0  # the first camera's row is what it would draw alone
 
@@ -237,7 +236,9 @@ def test_scenery_has_no_ghost(replay):
     """A ghost aside would bring its belt and strut; with them as scenery, nothing of it is seen below its feet."""
     lift = lifted(replay, 0.5)
     aside = {"ghost": lift, "ghost_offset": (0.0, -1.0, 0.6)}
-    bare, full = (Film.of(staged(replay, **aside, scenery=names), AT[1:]).views[0] for names in (STAGE.scenery, ()))
+    bare, full = (
+        Film.of(staged(replay, **aside, scenery=names), AT[1:]).views[0] for names in (APPEARANCE.scenery, ())
+    )
     none = Film.of(staged(replay, ghost=lifted(replay, 90.0)), AT[1:]).views[0]
     with Scene(bare, 320, 240) as one, Scene(full, 320, 240) as two, Scene(none, 320, 240) as three:
         without, ghostly, clean = one.draw(0), two.draw(0), three.draw(0)
@@ -308,5 +309,5 @@ def test_short_arrows_are_slim_and_none_is_a_speck():
     assert scene.geoms[0].size[0] < 0.05 * 0.1 < scene.geoms[1].size[0]
 
 
-def test_stages_without_views_have_one():
+def test_appearances_without_views_have_one():
     assert Appearance(title="").views == ()

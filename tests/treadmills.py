@@ -40,13 +40,13 @@ TREADMILL = f"""<mujoco model="treadmill"><option timestep="1e-3" cone="elliptic
   <contact><pair geom1="belt" geom2="left_foot" {PAIR}/>
     <pair geom1="belt" geom2="right_foot" {PAIR}/></contact></mujoco>"""
 
-STAGE = Appearance(
+APPEARANCE = Appearance(
     title="standing", readouts=(Readout("height", 2, "m"),), scenery=("belt", "strut"), look_at=(0.0, 0.0, 0.5),
     distance=3.0, views=(View(90.0, -8.0, label="side"), View(180.0, -8.0, label="front")), force_scale=0.004,
 )  # fmt: skip
 
 
-def standing(appearance=STAGE, steps=400, text=TREADMILL):
+def standing(appearance=APPEARANCE, steps=400, text=TREADMILL):
     """MuJoCo's replay of one who is dragged along by the belt until friction holds what his spring does; x = (q, v)."""
     mujoco, model = load_mujoco(), compile_model(text)
     data, recorder = mujoco.MjData(model), ContactRecorder(model, steps)
