@@ -241,5 +241,4 @@ def test_meshes_travel_with_the_plan(tmp_path):
     with pytest.raises(planner.ModelError, match="MuJoCo refuses"):
         compile_model(again.twin.mjcf)
     film = Film.of(planner.replay(plan), np.array([0.0]))
-    film.save(tmp_path / "film.npz")
-    assert Film.load(tmp_path / "film.npz")[0].assets == plan.twin.assets
+    assert film.assets == plan.twin.assets
