@@ -56,7 +56,7 @@ def test_another_model_comes_with_its_own_meshes(plan, tmp_path, monkeypatch):
     assert twin.assets == {"wedge.obj": (other / "parts" / "wedge.obj").read_bytes()}
     assert height(twin) > 10.0 * height(plan.twin)
     np.testing.assert_array_equal(twin.to_x, plan.twin.to_x)
-    assert planner.prove(plan, mjcf=other / "model.xml").passed
+    assert planner.prove(plan, mjcf=other / "model.xml", rollouts=0).passed
 
     plan.save("plan.npz")
     assert main(["prove", "plan.npz", "--mjcf", "other/model.xml", "--rollouts", "0"]) == 0
@@ -76,7 +76,7 @@ def test_a_text_keeps_the_files_of_the_plan(plan, tmp_path, monkeypatch, before)
     twin = with_model(plan.twin, text)
     assert twin.assets == plan.twin.assets
     assert height(twin) == height(plan.twin)
-    assert not planner.prove(plan, mjcf=text).passed  # it is twice as heavy
+    assert not planner.prove(plan, mjcf=text, rollouts=0).passed  # it is twice as heavy
 
 
 def test_no_other_model(plan):

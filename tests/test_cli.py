@@ -1,17 +1,22 @@
-"""The command line as a user meets it: subprocesses, exit codes, what is on stdout and what is left on disk."""
+"""The command line as a user meets it: exit codes, what is on stdout and what is left on disk.
 
+Commands run in this process; those whose start, end or signals are tested run in one of their own.
+"""
+
+import contextlib
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import planner
+from planner.__main__ import main
 from planner.cli.results import OUTPUTS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -19,11 +24,28 @@ PLANNER = [sys.executable, "-m", "planner"]
 FILES = {"plan.npz", "proof.json", "plots.png", "proof.png", "report.html"}  # of a run without video
 
 
-def run(*words, cwd, **options):
-    """The command in a process of its own, without the perturbed rollouts (test_run.py has them)."""
+def without_rollouts(words):
+    """A command line without the perturbed rollouts (test_run.py has them)."""
     if words and words[0] in ("run", "prove", "report") and "--rollouts" not in words and len(words) > 2:
         words = (*words, "--rollouts", 0)
-    return subprocess.run([*PLANNER, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=300, **options)
+    return [str(word) for word in words]
+
+
+def run(*words, cwd):
+    """The command in this process."""
+    words, out, err = without_rollouts(words), io.StringIO(), io.StringIO()
+    with contextlib.chdir(cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = main(words)
+        except SystemExit as end:  # --help
+            code = end.code
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def launch(*words, cwd, **options):
+    """The command in a process of its own."""
+    command = [*PLANNER, *without_rollouts(words)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, **options)
 
 
 def refused(done, *fragments):
@@ -41,11 +63,11 @@ def refused(done, *fragments):
 def finished(tmp_path_factory):
     """One run of the hopper without pictures."""
     folder = tmp_path_factory.mktemp("run")
-    done = run("run", "hopper", "--height", 12, "--no-video", "--out", "out", cwd=folder)
+    done = launch("run", "hopper", "--height", 12, "--no-video", "--out", "out", cwd=folder)
     return folder, done
 
 
-def test_run_leaves_a_whole_set(finished):
+def test_run_writes_plan_proof_plots_and_report(finished):
     folder, done = finished
     assert done.returncode == 0, done.stderr
     assert "PASS (open-loop)" in done.stdout
@@ -68,14 +90,14 @@ def test_run_leaves_a_whole_set(finished):
     assert "http" not in page.replace("http://www.w3.org", "")  # self-contained
 
 
-def test_same_input_same_files(finished, tmp_path):
+def test_the_same_command_writes_the_same_bytes_in_another_process(finished, tmp_path):
     folder, _ = finished
     assert run("run", "hopper", "--height", 12, "--no-video", "--out", tmp_path, cwd=tmp_path).returncode == 0
     for name in ("plan.npz", "proof.json"):
         assert (tmp_path / name).read_bytes() == (folder / "out" / name).read_bytes()
 
 
-def test_json_is_one_document(tmp_path):
+def test_with_json_stdout_is_one_document(tmp_path):
     done = run("run", "hopper", "--no-video", "--json", "--no-refine", "--out", "o", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.returncode == document["exit_code"] == 0
@@ -110,7 +132,7 @@ def test_flags_reach_the_plan(tmp_path, flags):
 
 
 @pytest.mark.parametrize("words", [("two-link",), ("acrobot",), ("acrobot", "--start", "hanging")], ids=" ".join)
-def test_the_arms_converge_and_pass(tmp_path, words):
+def test_the_arms_pass_and_their_stored_plans_prove_the_same(tmp_path, words):
     done = run("run", *words, "--no-video", "--json", "--out", "o", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.returncode == 0, done.stderr
@@ -120,7 +142,7 @@ def test_the_arms_converge_and_pass(tmp_path, words):
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "o" / "proof.json").read_bytes()
 
 
-def test_starts_reach_the_plan(tmp_path):
+def test_several_starts_keep_the_cheapest_and_repeat_by_their_seed(tmp_path):
     words = ["solve", "two-link", "--horizon", 40, "--starts", 3, "--seed", 4, "--json"]
     done = run(*words, "--out", "p.npz", cwd=tmp_path)
     document = json.loads(done.stdout)
@@ -134,7 +156,7 @@ def test_starts_reach_the_plan(tmp_path):
     assert (tmp_path / "q.npz").read_bytes() == (tmp_path / "p.npz").read_bytes()
 
 
-def test_a_problem_file_runs_like_a_case(tmp_path):
+def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
     done = run("run", EXAMPLES / "crane.toml", "--no-video", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "PASS" in done.stdout
@@ -148,7 +170,7 @@ def test_a_problem_file_runs_like_a_case(tmp_path):
     assert planner.Plan.load(tmp_path / "p.npz").parameters["starts"] == 2
 
 
-def test_a_wrong_problem_file_gets_one_sentence(tmp_path):
+def test_a_wrong_problem_file_is_refused_in_one_sentence(tmp_path):
     text = (EXAMPLES / "crane.toml").read_text().replace("crane.xml", str(EXAMPLES / "crane.xml"))
     for old, new, fragments in (
         ("trolley = 2.0", "troley = 2.0", ("troley", "Did you mean 'trolley'?")),
@@ -161,7 +183,7 @@ def test_a_wrong_problem_file_gets_one_sentence(tmp_path):
         assert [p.name for p in tmp_path.iterdir()] == ["p.toml"]
 
 
-def test_a_plan_of_another_machine(finished, tmp_path):
+def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
     folder, _ = finished
     other = planner.cases.acrobot().twin
     assert other is not None
@@ -171,7 +193,7 @@ def test_a_plan_of_another_machine(finished, tmp_path):
 
 
 def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
-    done = run(
+    done = launch(
         "run", "hopper", "--integrator", "euler", "--horizon", 50, "--no-video", "--json", "--no-refine", "--out", "o",
         cwd=tmp_path,
     )  # fmt: skip
@@ -183,14 +205,14 @@ def test_a_failing_plan_is_saved_and_exits_1(tmp_path):
     assert "FAIL" in (tmp_path / "o" / "report.html").read_text()
 
 
-def test_not_converging_gives_advice_and_exits_1(tmp_path):
+def test_a_solve_that_does_not_converge_gives_advice_and_exits_1(tmp_path):
     done = run("solve", "hopper", "--max-iterations", 2, "--out", "p.npz", cwd=tmp_path)
     assert done.returncode == 1
     assert "raise max_iterations" in done.stdout
     assert planner.Plan.load(tmp_path / "p.npz").status is planner.Status.MAX_ITERATIONS
 
 
-def test_stored_plans_prove_and_report(finished, tmp_path):
+def test_a_stored_plan_is_proved_and_reported(finished, tmp_path):
     folder, _ = finished
     plan = folder / "out" / "plan.npz"
     done = run("prove", plan, "--out", "proof.json", cwd=tmp_path)
@@ -201,7 +223,7 @@ def test_stored_plans_prove_and_report(finished, tmp_path):
     assert (tmp_path / "r" / "report.html").is_file()
 
 
-def test_prove_against_another_model(finished, tmp_path):
+def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
     folder, _ = finished
     plan = planner.Plan.load(folder / "out" / "plan.npz")
     other = tmp_path / "other.xml"
@@ -249,25 +271,26 @@ def test_prove_against_another_model(finished, tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
-def test_bad_input_gets_one_sentence(tmp_path, words, fragments):
+def test_wrong_words_are_refused_in_one_sentence(tmp_path, words, fragments):
     refused(run(*words, cwd=tmp_path), *fragments)
     assert list(tmp_path.iterdir()) == []  # nothing half-written
 
 
-def test_bad_input_with_json_is_json(tmp_path):
-    done = run("run", "hopper", "--height", "-3", "--json", cwd=tmp_path)
+def test_a_refusal_exits_2_with_one_sentence_and_no_traceback(tmp_path):
+    refused(launch("run", "hopper", "--height", "-3", cwd=tmp_path), "height is -3.0")
+    done = launch("run", "hopper", "--height", "-3", "--json", cwd=tmp_path)
     assert done.returncode == 2
     assert json.loads(done.stdout)["error"].startswith("height is -3.0")
 
 
-def test_foreign_plan(tmp_path):
+def test_prove_refuses_files_that_are_no_plans(tmp_path):
     (tmp_path / "x.npz").write_bytes(b"PK\x03\x04nonsense")
     refused(run("prove", "x.npz", cwd=tmp_path), "x.npz is not a plan")
     np.savez(tmp_path / "y.npz", a=np.zeros(3))
     refused(run("prove", "y.npz", cwd=tmp_path), "y.npz is not a plan")
 
 
-def test_unwritable_folders(tmp_path):
+def test_folders_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "file").write_text("mine")
     refused(run("run", "hopper", "--no-video", "--out", "file/sub", cwd=tmp_path), "file")
     refused(run("run", "hopper", "--no-video", "--out", "file", cwd=tmp_path), "file")
@@ -315,12 +338,14 @@ def test_ctrl_c_keeps_the_best_plan(tmp_path):
         [*PLANNER, *words], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert child.stderr is not None
-    for line in child.stderr:
-        if line.strip().startswith("9 "):  # the tenth iteration is done
-            break
-    time.sleep(0.2)
-    child.send_signal(signal.SIGINT)
-    out, _ = child.communicate(timeout=60)
+    try:
+        for line in child.stderr:
+            if line.strip().startswith("9 "):  # the tenth iteration is done
+                break
+        child.send_signal(signal.SIGINT)
+        out, _ = child.communicate(timeout=60)
+    finally:
+        child.kill()
     assert child.returncode == 1, out
     plan = planner.Plan.load(tmp_path / "p.npz")
     assert plan.status is planner.Status.INTERRUPTED
@@ -329,7 +354,7 @@ def test_ctrl_c_keeps_the_best_plan(tmp_path):
     assert plan.cost == pytest.approx(plan.problem.cost.value(plan.xs, plan.us), rel=1e-12)
 
 
-def test_list_help_version_warmup(tmp_path):
+def test_list_shows_every_case_with_its_parameters(tmp_path):
     done = run("list", cwd=tmp_path)
     assert done.returncode == 0
     assert "hopper" in done.stdout
@@ -340,16 +365,26 @@ def test_list_help_version_warmup(tmp_path):
     for case in cases:
         hidden = {"ends", "angles"}  # numbers of a plan, nothing to type
         assert set(case["parameters"]) == set(planner.cases.build(case["case"]).parameters) - hidden
+
+
+def test_help_shows_flags_with_defaults_and_units(tmp_path):
     text = run("run", "hopper", "--help", cwd=tmp_path)
     assert text.returncode == 0
     for word in ("--height", "Default: 20.0", "--no-refine", "--no-video", "--json", "in/s^2"):
         assert word in text.stdout
-    assert "planner" in run("--version", cwd=tmp_path).stdout
+
+
+def test_version_and_no_command_at_all_exit_0(tmp_path):
+    assert "planner" in launch("--version", cwd=tmp_path).stdout
     assert run(cwd=tmp_path).returncode == 0
-    assert run("warmup", cwd=tmp_path).stdout == ""  # compiled long ago
 
 
-def test_a_reader_that_leaves_is_no_error(tmp_path):
+def test_warmup_says_nothing_where_all_is_compiled(tmp_path):
+    assert run("warmup", cwd=tmp_path).returncode == 0
+    assert launch("warmup", cwd=tmp_path).stdout == ""
+
+
+def test_a_pipe_that_closes_early_is_no_error(tmp_path):
     code = f"{sys.executable} -m planner list | head -n 1"
     done = subprocess.run(["sh", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.stdout.count("\n") == 1
@@ -357,17 +392,17 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
 
 
 @pytest.mark.slow
-def test_runs_without_a_writable_home(tmp_path):
+def test_without_a_writable_home_it_compiles_for_itself(tmp_path):
     """Compiles for this process only, and says that it compiles."""
     environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    done = run(
+    done = launch(
         "solve", "hopper", "--quiet", "--out", "p.npz", cwd=tmp_path, env=environment | {"HOME": "/proc/nowhere"}
     )
     assert done.returncode == 0, done.stderr
     assert "first run only" in done.stderr
 
 
-def test_a_full_standard_output_undoes_nothing(tmp_path):
+def test_a_full_stdout_exits_2_and_keeps_the_files(tmp_path):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
             [*PLANNER, "run", "hopper", "--no-video", "--quiet", "--rollouts", "0", "--out", "o"],

@@ -1,6 +1,5 @@
 """The same problem at a finer step, and a first guess for it from the plan there was."""
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +11,6 @@ import planner
 from planner.cases.problem_file import load
 from planner.problem.finer import finer, halved
 from planner.solvers.warm_start import roll_out, warm_start
-
-module = importlib.import_module("planner.refine")  # the name is the function's in planner
 
 
 @pytest.mark.parametrize("case", ["two-link", "acrobot", "hopper"])

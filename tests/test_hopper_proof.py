@@ -30,7 +30,7 @@ def figures(proof):
 @pytest.mark.parametrize("height", [5.0, 13.7, 20.0, 41.0, 60.0])
 def test_default_plans_pass_open_loop(height):
     plan = planner.solve(planner.cases.hopper(height=height))
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert plan.success
     assert (proof.verdict, proof.mode) == ("PASS", "open-loop"), proof.reason
     assert proof.refined_feedback.passed
@@ -48,7 +48,7 @@ def test_default_plans_pass_open_loop(height):
     [(5.0, 0.010, 0.026, 0.008), (20.0, 0.011, 0.032, 0.005), (50.0, 0.031, 0.070, 0.015)],
 )
 def test_fidelity_stays_where_it_was(height, rms, final, event):
-    values = figures(planner.prove(planner.solve(planner.cases.hopper(height=height))))
+    values = figures(planner.prove(planner.solve(planner.cases.hopper(height=height)), rollouts=0))
     assert values["rms_height_error"] <= rms
     assert values["final_height_error"] <= final
     assert values["worst_event_error"] <= event
@@ -56,7 +56,7 @@ def test_fidelity_stays_where_it_was(height, rms, final, event):
 
 
 def fails(plan, **changes):
-    proof = planner.prove(plan, **changes)
+    proof = planner.prove(plan, **changes, rollouts=0)
     assert (proof.verdict, proof.mode) == ("FAIL", None)
     assert proof.reason.endswith(".")
     return proof
@@ -82,7 +82,7 @@ def test_damped_leg_fails(plan, damping):
 def test_heavy_foot_fails_and_the_error_falls_with_its_mass(plan):
     def rms(mass):
         text = edited(plan.twin.mjcf, {FOOT: {"mass": str(mass)}})
-        return figures(planner.prove(plan, mjcf=text))["rms_height_error"]
+        return figures(planner.prove(plan, mjcf=text, rollouts=0))["rms_height_error"]
 
     fails(plan, mjcf=edited(plan.twin.mjcf, {FOOT: {"mass": "0.01"}}))
     assert rms(1e-3) > 5.0 * rms(1e-4)  # lift-off shares momentum in proportion to the foot's mass
@@ -119,7 +119,7 @@ def test_parity_sees_a_wrong_constant(plan, edit):
 
 def test_parameters_reach_the_model():
     plan = planner.solve(planner.cases.hopper(height=9.0, stiffness=80.0, gravity=300.0, smoothing=0.03))
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.reason
 
 
@@ -166,15 +166,15 @@ def test_arriving_in_motion_fails():
 )
 def test_a_step_that_cannot_be_is_one_sentence(plan, timestep, words):
     with pytest.raises(planner.PlannerError, match=words):
-        planner.prove(plan, mjcf=edited(plan.twin.mjcf, {"option": {"timestep": timestep}}))
+        planner.prove(plan, mjcf=edited(plan.twin.mjcf, {"option": {"timestep": timestep}}), rollouts=0)
 
 
 def test_another_machine_is_refused_by_name(plan):
     text = "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
     with pytest.raises(planner.ModelError, match="not the machine"):
-        planner.prove(plan, mjcf=text)
+        planner.prove(plan, mjcf=text, rollouts=0)
     with pytest.raises(planner.ModelError, match="MuJoCo refuses"):
-        planner.prove(plan, mjcf="<mujoco><worldbody><nonsense/></worldbody></mujoco>")
+        planner.prove(plan, mjcf="<mujoco><worldbody><nonsense/></worldbody></mujoco>", rollouts=0)
 
 
 def test_refined_step_and_samples(plan):
@@ -203,7 +203,7 @@ def test_feedback_recovers_from_a_disturbed_start(plan):
 
 
 def test_proof_is_deterministic_and_json_is_finite(plan):
-    one, two = planner.prove(plan).to_dict(), planner.prove(plan).to_dict()
+    one, two = planner.prove(plan, rollouts=0).to_dict(), planner.prove(plan, rollouts=0).to_dict()
     assert one == two
     assert {"verdict", "mode", "reason", "parity", "same_step", "refined_open_loop", "refined_feedback", "goal"} <= set(
         one

@@ -35,7 +35,7 @@ def problem(integrator, dt, damping=0.0):
 
 def test_a_right_plan_passes():
     plan = planner.solve(problem("rk4", 0.02))
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert plan.success
     assert proof.passed, proof.reason
     assert proof.refined_open_loop.measured[0].name == "end_state_error"
@@ -46,19 +46,19 @@ def test_states_that_are_not_the_rollout_fail():
     plan = planner.solve(problem("rk4", 0.02))
     xs = plan.xs.copy()
     xs[1:-1] = 1e3
-    proof = planner.prove(replace(plan, xs=xs))
+    proof = planner.prove(replace(plan, xs=xs), rollouts=0)
     assert proof.verdict == "FAIL"
     assert "stage_error" in [figure.name for figure in proof.plan.failures]
 
 
 def test_a_plan_of_coarse_euler_steps_fails():
-    proof = planner.prove(planner.solve(problem("euler", 0.05)))
+    proof = planner.prove(planner.solve(problem("euler", 0.05)), rollouts=0)
     assert proof.verdict == "FAIL"
     assert proof.mode is None
 
 
 def test_a_model_with_damping_fails_open_loop():
-    proof = planner.prove(planner.solve(problem("rk4", 0.02, damping=0.3)))
+    proof = planner.prove(planner.solve(problem("rk4", 0.02, damping=0.3)), rollouts=0)
     assert not proof.refined_open_loop.passed
 
 
@@ -75,4 +75,4 @@ def test_without_a_twin_there_is_nothing_to_replay():
     p = problem("rk4", 0.02)
     plan = planner.solve(planner.Problem(p.dynamics, p.cost, [0.0, 0.0]))
     with pytest.raises(planner.PlannerError, match="no MuJoCo model"):
-        planner.prove(plan)
+        planner.prove(plan, rollouts=0)

@@ -23,7 +23,7 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
     assert (starts, seed) == (1, 0)
     plan = planner.solve(problem)
     assert plan.success
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.reason
     np.testing.assert_allclose(proof.replay.xs[-1], [2.0, 0.0, 0.0, 0.0], atol=1e-3)
     crane = planner.Mechanism.from_mjcf(EXAMPLES / "crane.xml", contacts="off")
@@ -49,7 +49,7 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
     assert stored.problem.parameters == plan.parameters
     assert stored.problem.appearance == plan.problem.appearance
     np.testing.assert_array_equal(stored.problem.first_guess, plan.problem.first_guess)
-    proofs = planner.prove(plan), planner.prove(stored)
+    proofs = planner.prove(plan, rollouts=0), planner.prove(stored, rollouts=0)
     assert proofs[1].passed
     assert proofs[1].to_dict() == proofs[0].to_dict()
 
@@ -126,13 +126,15 @@ def test_starts_and_seed_are_the_files_unless_given(tmp_path):
 
 def test_the_goal_is_judged_where_a_final_weight_acts(tmp_path):
     free = "[weights]\nfinal_position = { slider = 1e4 }\nfinal_velocity = 0.0\n"
-    heavy = planner.prove(planner.solve(load(write(tmp_path, free, goal="[1.0, 2.0]")).problem))
+    heavy = planner.prove(planner.solve(load(write(tmp_path, free, goal="[1.0, 2.0]")).problem), rollouts=0)
     assert heavy.goal.passed  # the pole may be anywhere
     assert abs(heavy.replay.xs[-1, 1] - 2.0) > 0.5
-    light = planner.prove(planner.solve(load(write(tmp_path, "[weights]\nfinal_position = 0.01\n")).problem))
+    light = planner.prove(
+        planner.solve(load(write(tmp_path, "[weights]\nfinal_position = 0.01\n")).problem), rollouts=0
+    )
     assert light.verdict == "FAIL"
     assert "goal" in light.reason
-    none = planner.prove(planner.solve(load(write(tmp_path, free.replace("1e4", "0.0"))).problem))
+    none = planner.prove(planner.solve(load(write(tmp_path, free.replace("1e4", "0.0"))).problem), rollouts=0)
     assert none.goal.not_applicable == "nothing is asked of the goal because no final weight is above 0"
 
 

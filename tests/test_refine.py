@@ -1,6 +1,5 @@
 """Refinement: plans that their own step has deceived become plans that MuJoCo repeats, and nothing else is refined."""
 
-import importlib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,9 +10,8 @@ from swings import mechanism, quick, solved, strange, swing
 import planner
 from planner.base.measured import Measured, Section
 from planner.problem.plan import Status
+from planner.proof import refinement
 from planner.proof.refinement import Refinement, refine
-
-module = importlib.import_module("planner.refine")  # the name is the function's in planner
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +151,7 @@ def test_a_range_that_only_a_replay_gone_astray_reaches():
     assert text != plan.twin.mjcf
     limited = planner.prove(plan, mjcf=text, rollouts=0)
     assert limited.replay.reached
-    assert module._from_discretisation(limited) == ""
+    assert refinement._from_discretisation(limited) == ""
 
 
 # Ends
@@ -179,7 +177,7 @@ def test_the_time_ends_it(failed, monkeypatch):
     _, proof = failed
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations
     seconds = iter(range(1000))
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    monkeypatch.setattr(refinement, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
     refined = refine(plan, proof, seconds=8.0, prove=lambda _: proof)
     assert refined.reason == "The time limit of 8 s was reached."
     assert len(refined.path) == 2
@@ -200,7 +198,7 @@ def test_the_callback_and_ctrl_c_end_it(failed, monkeypatch):
     def interrupted(problem, **_):
         return replace(plan, problem=problem, status=Status.INTERRUPTED)
 
-    monkeypatch.setattr(module, "solve", interrupted)
+    monkeypatch.setattr(refinement, "solve", interrupted)
     refined = refine(plan, proof, prove=lambda _: proof)
     assert refined.reason == "It was interrupted."
     assert len(refined.path) == 2
@@ -208,7 +206,7 @@ def test_the_callback_and_ctrl_c_end_it(failed, monkeypatch):
 
 def test_a_plan_that_runs_away_ends_it(failed, monkeypatch):
     plan, proof = failed
-    monkeypatch.setattr(module, "solve", lambda problem, **_: replace(plan, status=Status.NOT_FINITE))
+    monkeypatch.setattr(refinement, "solve", lambda problem, **_: replace(plan, status=Status.NOT_FINITE))
     refined = refine(plan, proof)
     assert refined.plan is plan
     assert "lead to infinite states" in refined.reason

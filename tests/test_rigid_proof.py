@@ -33,7 +33,7 @@ def acrobot_plan():
 
 
 def test_a_runge_kutta_plan_of_the_acrobot_passes_with_feedback(acrobot_plan):
-    proof = planner.prove(acrobot_plan)
+    proof = planner.prove(acrobot_plan, rollouts=0)
     assert (proof.verdict, proof.mode) == ("PASS", "feedback"), proof.reason
     assert proof.parity.passed
     assert not proof.parity.not_applicable
@@ -51,7 +51,7 @@ def test_a_runge_kutta_plan_of_the_acrobot_passes_with_feedback(acrobot_plan):
 
 
 def test_a_plan_of_coarse_semi_implicit_steps_fails():
-    proof = planner.prove(swing_up("semi-implicit-euler", 0.02))
+    proof = planner.prove(swing_up("semi-implicit-euler", 0.02), rollouts=0)
     assert (proof.verdict, proof.mode) == ("FAIL", None)
     assert proof.plan.passed
     assert proof.parity.passed
@@ -69,7 +69,7 @@ def test_the_growth_rate_is_the_pendulums_own():
     twin = planner.Twin(text, np.eye(2), np.zeros(2), np.eye(2)[None], np.zeros((1, 2)))
     dynamics, T, w = planner.FunctionDynamics(falling, 2, 1, 0.01), 3.0, np.sqrt(9.81)
     cost = planner.TrackingCost.reach([0.0, 0.0], 300, final=1.0, effort=1.0, dt=0.01)
-    proof = planner.prove(planner.solve(Problem(dynamics, cost, [0.0, 0.0], twin=twin)))
+    proof = planner.prove(planner.solve(Problem(dynamics, cost, [0.0, 0.0], twin=twin)), rollouts=0)
     phi = np.array([[np.cosh(w * T), np.sinh(w * T) / w], [w * np.sinh(w * T), np.cosh(w * T)]])
     assert values(proof.growth)["growth_rate_open_loop"] == pytest.approx(np.log(np.linalg.norm(phi, 2)) / T, rel=1e-4)
 
@@ -81,7 +81,7 @@ def test_a_case_can_give_a_goal_alone(acrobot_plan):
         return planner.base.measured.Section("goal", (planner.base.measured.Measured("distance", 1.0, "m", 0.5),))
 
     problem = replace(acrobot_plan.problem, requirements=Requirements(goal=unreachable))
-    proof = planner.prove(replace(acrobot_plan, problem=problem))
+    proof = planner.prove(replace(acrobot_plan, problem=problem), rollouts=0)
     assert (proof.verdict, proof.goal.failures[0].name) == ("FAIL", "distance")
     assert proof.parity.passed
     assert "end_state_error" in values(proof.refined_feedback)
@@ -89,7 +89,7 @@ def test_a_case_can_give_a_goal_alone(acrobot_plan):
 
 def test_a_model_that_differs_fails_by_the_name_of_its_joint(acrobot_plan):
     text = edited(acrobot_plan.twin.mjcf, {".//joint[@name='elbow']": {"damping": "0.001"}})
-    proof = planner.prove(acrobot_plan, mjcf=text)
+    proof = planner.prove(acrobot_plan, mjcf=text, rollouts=0)
     assert proof.verdict == "FAIL"
     assert proof.reason.startswith("parity: bias force error")
     assert "damping at joint 'elbow'" in proof.reason
@@ -201,7 +201,7 @@ def test_clamps_are_said_with_how_much_they_took(where, attribute, words):
 
 def test_ranges_stand_in_the_proof():
     plan = rolled_out(problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 100))
-    proof = planner.prove(plan)
+    proof = planner.prove(plan, rollouts=0)
     assert proof.verdict == "FAIL"
     figure = next(f for f in proof.refined_open_loop.measured if f.name == "ranges_reached")
     assert (figure.value, figure.bound) == (1.0, None)
