@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from test_contact import MACHINES, SHARP, SOFT, each_touch, law_states, moved
+from pressed import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from trees import actuated, driven, machines, random_state, relative_error
 
 from planner.base.errors import PlannerError

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from legs import LEG, leg
-from test_models_of_others import PLACES, path
+from others import PLACES, path
 from trees import mujoco
 
 import planner

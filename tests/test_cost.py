@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gradients import assert_gradients, hessian, spd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from solves import Plain, swing
@@ -14,11 +15,6 @@ from planner.problem.costs.tracking import Quadratic, SumCost
 seeds = st.integers(0, 2**32 - 1)
 FLAT, BODY = StateSpace(4, 4), StateSpace(12, 10, ((1, 1), (6, 5)))
 spaces = pytest.mark.parametrize("space", [FLAT, BODY], ids=["vectors", "quaternions"])
-
-
-def spd(rng, n):
-    root = rng.normal(size=(n, n))
-    return root @ root.T + 0.1 * np.eye(n)
 
 
 def states(rng, space, count):
@@ -37,25 +33,6 @@ def near(rng, cost, size=0.7):
     """A trajectory whose rotations are away from the references, yet not half a turn."""
     dx = rng.uniform(-size, size, (cost.N + 1, cost.ndx))
     return cost.space.integrate(cost.x_ref, dx), rng.normal(size=(cost.N, cost.nu))
-
-
-def assert_gradients(cost, space, xs, us):
-    """Every component of q and r against central differences of the value, through integrate."""
-    model, h = cost.quadratize(xs, us), 1e-5
-    scale = max(1.0, np.abs(model.q).max(), np.abs(model.r).max())
-    for n, i in np.ndindex(len(xs), space.ndx):
-        values = []
-        for sign in (h, -h):
-            moved = xs.copy()
-            moved[n] = space.integrate(xs[n], sign * np.eye(space.ndx)[i])
-            values.append(cost.value(moved, us))
-        assert (values[0] - values[1]) / (2 * h) == pytest.approx(model.q[n, i], rel=1e-6, abs=1e-7 * scale)
-    for n, i in np.ndindex(*us.shape):
-        d = np.zeros_like(us)
-        d[n, i] = h
-        slope = (cost.value(xs, us + d) - cost.value(xs, us - d)) / (2 * h)
-        assert slope == pytest.approx(model.r[n, i], rel=1e-6, abs=1e-7 * scale)
-    return model
 
 
 @spaces
@@ -85,22 +62,6 @@ def test_vectors_have_the_weights_themselves(seed):
     expansion = cost.value(xs, us) + np.sum(model.q * dx) + np.sum(model.r * du)
     expansion += 0.5 * np.einsum("ni,nij,nj", dx, model.Q, dx) + 0.5 * np.einsum("ni,nij,nj", du, model.R, du)
     assert cost.value(ys, vs) == pytest.approx(expansion, rel=1e-11)
-
-
-def hessian(cost, space, xs, us, n, h=1e-4):
-    """Second differences of the value with respect to a deviation of x(n)."""
-    d = h * np.eye(space.ndx)
-
-    def value(dx):
-        moved = xs.copy()
-        moved[n] = space.integrate(xs[n], dx)
-        return cost.value(moved, us)
-
-    H = np.empty((space.ndx, space.ndx))
-    for i, j in np.ndindex(*H.shape):
-        terms = value(d[i] + d[j]) - value(d[i] - d[j]) - value(d[j] - d[i]) + value(-d[i] - d[j])
-        H[i, j] = terms / (4 * h * h)
-    return H
 
 
 def test_at_the_reference_gauss_newton_is_exact():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import CART, PELVIS, hanging_leg, moved_cart, standing_leg
-from test_cost import assert_gradients
+from gradients import assert_gradients
 from trees import mujoco
 
 import planner

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_models_of_others import PLACES, path
+from others import PLACES, path
 
 import planner
 from planner.base.errors import PlannerError

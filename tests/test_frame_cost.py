@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from gradients import assert_gradients, hessian, spd
+from hands import ARM, MACHINE, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from test_cost import assert_gradients, hessian, spd
 
 import planner
 from planner import Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
@@ -16,37 +17,12 @@ from planner.problem.costs.frame import FrameCost, quaternion_of
 mujoco = load_mujoco()
 seeds = st.integers(0, 2**32 - 1)
 
-MACHINE = """
-<mujoco>
-  <option gravity="0 0 -9.81"><flag contact="disable"/></option>
-  <worldbody>
-    <site name="fixed" pos="1 2 3"/>
-    <body name="trunk">
-      <freejoint name="root"/>
-      <inertial pos="0 0 0" mass="3" diaginertia="0.1 0.2 0.3"/>
-      <body name="arm" pos="0.1 0.2 0" euler="0 30 10">
-        <joint name="shoulder" axis="0 1 0"/>
-        <inertial pos="0.2 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
-        <body name="palm" pos="0.4 0 0">
-          <joint name="wrist" type="ball"/>
-          <inertial pos="0.05 0 0" mass="0.2" diaginertia="0.001 0.002 0.003"/>
-          <site name="hand" pos="0.1 0.02 0" euler="10 20 30"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 NQ, NV = 12, 10
 
 
 @pytest.fixture(scope="module")
 def machine():
     return Mechanism.from_mjcf(MACHINE)
-
-
-def random_states(machine, rng, count):
-    return machine.space.integrate(machine.home, rng.uniform(-0.6, 0.6, (count, machine.space.ndx)))
 
 
 def pose(x, name="hand"):
@@ -138,25 +114,6 @@ def test_quaternions_of_matrices(seed):
     matrix = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
     back = quaternion_of(matrix[None, None])[0, 0]
     np.testing.assert_allclose(back * np.sign(back @ quaternion), quaternion, rtol=0, atol=1e-12)
-
-
-ARM = """
-<mujoco>
-  <option><flag contact="disable"/></option>
-  <worldbody>
-    <body>
-      <joint name="a" axis="0 1 0" damping="0.1"/>
-      <inertial pos="0 0 -0.5" mass="1" diaginertia="0.1 0.1 0.1"/>
-      <body pos="0 0 -1">
-        <joint name="b" axis="0 1 0" damping="0.1"/>
-        <inertial pos="0 0 -0.5" mass="1" diaginertia="0.1 0.1 0.1"/>
-        <site name="tip" pos="0 0 -1"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="a" joint="a"/><motor name="b" joint="b"/></actuator>
-</mujoco>
-"""
 
 
 def test_an_arm_reaches_for_a_point_or_turns_its_hand():

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from carts import arm, cart
 from scipy.optimize import root
-from test_objectives import arm, cart
 
 import planner
 from planner import Limits, cases

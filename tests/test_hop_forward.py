@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_models_of_others import PLACES
+from others import PLACES
 
 import planner
 

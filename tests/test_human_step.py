@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_mjcf import MJCF
+from walks import CYCLE, SWING
 
 import planner
 from planner.base.gl import load_mujoco
 from planner.cases import anthropometry, build, human_step
-from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, measures, normal_height, robot_wrench
-from planner.cases.human_step.step import Step
 from planner.cases.human_step.walker import BRACES, PASSIVE, PELVIS, SIDES, STOP, TOUCH, Walker
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import generalized_forces
@@ -21,9 +19,6 @@ from planner.model.mechanism import Frame, Mechanism
 
 mujoco = load_mujoco()
 DEGREE = np.pi / 180.0
-
-SWING = Step(Walker(legs=("right",), belt=False), NORMAL_GAIT, 1.2, 0.62, 114, 0.004)
-CYCLE = Step(Walker(), NORMAL_GAIT, 1.2, 0.0, 240, 0.005)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +91,10 @@ def test_the_body_is_the_studys():
 
 def test_the_file_is_the_default_walker():
     start, goal = CYCLE.states[[0, -1]]
-    file, walker = Mechanism.from_mjcf(MJCF / "human_step" / "human_step.xml", contacts="off"), Walker(motors=True)
+    file, walker = (
+        Mechanism.from_mjcf(Path(__file__).parents[1] / "mjcf" / "human_step" / "human_step.xml", contacts="off"),
+        Walker(motors=True),
+    )
     for name in ("mass", "com", "inertia", "T_home", "S", "damping", "stiffness", "spring_rest"):
         np.testing.assert_allclose(getattr(file, name), getattr(walker.mechanism, name), atol=1e-9, err_msg=name)
     assert file.joint_names == walker.mechanism.joint_names

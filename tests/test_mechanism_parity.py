@@ -2,46 +2,12 @@
 
 import numpy as np
 import pytest
+from rolled import TREE
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path
-
-TREE = """
-<mujoco>
-  <compiler angle="radian"/>
-  <option gravity="0 0 -9.81"><flag contact="disable"/></option>
-  <worldbody>
-    <body name="trunk">
-      <freejoint name="root"/>
-      <inertial pos="0.1 0 0.2" mass="12" diaginertia="0.3 0.4 0.2"/>
-      <body name="thigh" pos="0 0.1 -0.2">
-        <joint name="hip" axis="0 1 0" damping="0.3" stiffness="2" springref="0.1" armature="0.01"/>
-        <inertial pos="0 0 -0.2" mass="3" diaginertia="0.05 0.05 0.01"/>
-        <body name="shank" pos="0 0 -0.4">
-          <joint name="knee" axis="0 1 0"/>
-          <inertial pos="0.01 0 -0.2" mass="2" diaginertia="0.03 0.03 0.005"/>
-        </body>
-      </body>
-      <body name="boom" pos="0.2 0 0.3">
-        <joint name="boom" type="slide" axis="1 0 0" damping="0.2"/>
-        <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.02"/>
-        <body name="hand" pos="0.3 0 0">
-          <joint name="wrist" type="ball" damping="0.05" stiffness="0.4"/>
-          <inertial pos="0 0.02 0.1" mass="0.5" diaginertia="0.004 0.003 0.002"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor name="hip" joint="hip" gear="3"/>
-    <position name="boom" joint="boom" kp="40" kv="2"/>
-    <general name="knee" joint="knee" dyntype="filter" dynprm="0.05" gainprm="2"/>
-    <general name="spring" joint="boom" dyntype="integrator" gainprm="5" biasprm="0 -5 0" biastype="affine"/>
-  </actuator>
-</mujoco>
-"""
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,10 @@
 
 from copy import copy
 from functools import cache
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
+from others import PLACES, path
 from trees import (
     data_at,
     mujoco,
@@ -24,13 +23,6 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics import algorithms as rb
 from planner.model.mechanism import DIRECT, Mechanism
 
-
-def folder(package, inside):
-    spec = find_spec(package)
-    return Path(spec.submodule_search_locations[0]) / inside if spec and spec.submodule_search_locations else None
-
-
-PLACES = {"dm": folder("dm_control", "suite"), "gym": folder("gymnasium", "envs/mujoco/assets")}
 pytestmark = pytest.mark.skipif(
     None in PLACES.values(), reason="no models: pip install --no-deps dm-control==1.0.50 gymnasium==1.4.0"
 )
@@ -53,11 +45,6 @@ REFUSED = {
     "gym swimmer": (("fluid",), "fluid density, fluid viscosity"),
 }
 each = pytest.mark.parametrize("name", [*WHOLE, *REFUSED])
-
-
-def path(name):
-    place, stem = name.split()
-    return PLACES[place] / f"{stem}.xml"
 
 
 @cache

@@ -1,34 +1,20 @@
 """Criteria: energy and jerk against differences and what mechanics says of them, objectives in solves and in files."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from carts import refuse, write
+from carts import arm, cart, refuse, write
+from gradients import assert_gradients
 from scipy.linalg import block_diag
-from test_cost import assert_gradients
 from trees import CHAINS, driven, random_state
 
 import planner
-from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost, cases
+from planner import PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost
-from planner.paper.studies.objective import CART
 from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
 from planner.problem.objective import EFFORT_SHARE, plain, weights_of, with_objective
 from planner.proof.consistency import consistency
 from planner.solvers import lq
-
-
-def cart(N=50, duration=4.0, **limits):
-    """1 kg on a rail, a metre from rest to rest: the double integrator."""
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(CART), duration / N)
-    cost = TrackingCost.joints(dynamics, [1.0, 0.0], N, effort=1.0, final_position=1e3, final_velocity=1e3)
-    return Problem(dynamics, cost, [0.0, 0.0], limits=Limits(final="exact", **limits))
-
-
-def arm(N=50, **limits):
-    return replace(cases.two_link(horizon=N), limits=Limits(final="exact", **limits))
 
 
 def walk(dynamics, rng, N, size=0.3):

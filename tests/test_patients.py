@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_human_step import CYCLE, SWING
+from walks import CYCLE, SWING
 
 import planner
 from planner.__main__ import main

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from gradients import assert_gradients
+from hands import ARM, MACHINE, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from legs import leg, standing
-from test_cost import assert_gradients
-from test_frame_cost import ARM, MACHINE, random_states
 
 import planner
 from planner import Mechanism, PenaltyCost, PlannerError, Problem, RigidBodyDynamics, TrackingCost

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from hands import ARM
 from hypothesis import strategies as st
 from legs import leg, standing
 from solves import assert_consistent, assert_stationary, numpy_twin, same_bits
-from test_penalty_cost import ARM
-from test_tree_engine import drawn
-from trees import machines, relative_error
+from trees import drawn, machines, relative_error
 
 import planner
 from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, Status, TrackingCost

@@ -2,13 +2,11 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-import test_multistart
 from solves import same_bits, swing
-from test_multistart import wells
+from wells import judged, wells
 
 import planner
 from planner import PlannerError, Status
@@ -26,9 +24,7 @@ def coarse():
 def ranked(costs, rank, statuses=None):
     """The cost of the best of starts that end with these costs."""
     statuses = statuses or [GOOD] * len(costs)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(test_multistart, "best_of", partial(multistart.best_of, rank=rank))
-        return test_multistart.judged(list(zip(statuses, costs, strict=True))).cost
+    return judged(list(zip(statuses, costs, strict=True)), rank=rank).cost
 
 
 def test_the_rank_decides():

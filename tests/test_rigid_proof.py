@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rolled import LIMITED, acrobot, problem_of, rolled_out, swing_up, tree_plan
-from test_mechanism_parity import TREE
+from rolled import LIMITED, TREE, acrobot, problem_of, rolled_out, swing_up, tree_plan
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics

@@ -1,14 +1,11 @@
 """Films of both replays of a proof, and of replays that ran away."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from films import SMALL, STAGE, changed, decode, make_proof, make_replay
 from PIL import Image
-from test_render import SMALL, STAGE, changed, decode, make_replay
 
 from planner.base import gl
-from planner.base.measured import Measured, Section
 from planner.view.render import overlay
 from planner.view.render.camera import Box
 from planner.view.render.drawing import Job, carry_out
@@ -16,16 +13,6 @@ from planner.view.render.film import Caption, Film
 from planner.view.render.overlay import Overlay
 from planner.view.render.scene import Scene
 from planner.view.render.video import _captioned, render_frame, render_strip, render_video
-
-
-def make_proof(open_loop, gains, mode="feedback"):
-    def section(replay, passed):
-        return Section("refined", (Measured("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
-
-    return SimpleNamespace(
-        mode=mode, replay=gains, replays={"open-loop": open_loop, "feedback": gains},
-        refined_open_loop=section(open_loop, mode == "open-loop"), refined_feedback=section(gains, mode is not None),
-    )  # fmt: skip
 
 
 def run_away(replay, after=100, last=None):

@@ -1,16 +1,15 @@
 """Same input, same plan, bit for bit; and nothing is allocated inside iterations."""
 
-import hashlib
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 from solves import (
     each_engine,
     engines,
+    fingerprint,
     hopper,
     same_bits,
     stop_at,
@@ -24,19 +23,9 @@ from planner.solvers.slq import LINE_SEARCHES, UPDATES
 FRESH = """
 import hashlib, sys
 sys.path.insert(0, {folder!r})
-import test_slq_determinism as tests
-print(tests.fingerprint())
+import solves
+print(solves.fingerprint())
 """
-
-
-def fingerprint():
-    """Every bit of a plan of each engine."""
-    digest = hashlib.sha256()
-    for problem in engines().values():
-        plan = planner.solve(problem)
-        for a in (plan.xs, plan.us, plan.K, np.array(plan.history)):
-            digest.update(a.tobytes())
-    return digest.hexdigest()
 
 
 def test_the_same_bits_again_and_in_another_process():

@@ -10,7 +10,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 from solves import Plain, assert_consistent, assert_stationary, numpy_twin, rollout, same_bits
-from trees import CHAINS, actuated, chain, driven, machines, random_state, relative_error
+from trees import CHAINS, actuated, chain, drawn, machines, problem, relative_error
 
 import planner
 from planner import Problem, Status, TrackingCost
@@ -25,31 +25,6 @@ from planner.solvers.engine import CompiledEngine, NumpyEngine, _idle, borrow, g
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 each_update = pytest.mark.parametrize("update", ["feedback", "open-loop"])
 each_rule = pytest.mark.parametrize("line_search", ["armijo", "exact", "goldstein"])  # none that needs slopes
-
-
-def weights(rng, n, full):
-    """(n, n) positive definite: full, or a diagonal."""
-    if not full:
-        return np.diag(0.1 + rng.random(n))
-    root = rng.normal(size=(n, n))
-    return root @ root.T + 0.1 * np.eye(n)
-
-
-def problem(dynamics, rng, N=9, full=True):
-    """Weights that change from stage to stage, some of them zero, along a moving reference, from a state in motion."""
-    space, nq, nu = dynamics.space, dynamics.mechanism.nq, dynamics.nu
-    x0 = random_state(space, rng)
-    x0[nq:] *= 0.3
-    Q = np.array([weights(rng, space.ndx, full) * (rng.random() < 0.7) for _ in range(N + 1)])
-    R = np.array([weights(rng, nu, full) for _ in range(N)])
-    x_ref = np.array([space.integrate(x0, 0.3 * rng.normal(size=space.ndx)) for _ in range(N + 1)])
-    cost = TrackingCost(Q, R, x_ref, rng.normal(size=(N, nu)), space)
-    return Problem(dynamics, cost, x0, 0.1 * rng.normal(size=(N, nu)))
-
-
-def drawn(text, seed, integrator, full, prescribe=True):
-    dynamics, _, _, rng = driven(text, seed, K=1, integrator=integrator, dt=0.01, prescribe=prescribe)
-    return problem(dynamics, rng, full=full)
 
 
 def example(name, integrator="semi-implicit-euler", N=12, seed=0):

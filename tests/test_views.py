@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from films import changed, decode, make_proof
 from legs import leg
 from PIL import Image
-from test_render import changed, decode
-from test_side_by_side import make_proof
 from treadmills import BELT_SPEED, FRICTION, STAGE, TREADMILL, WEIGHT, standing
 
 from planner.base import gl
@@ -15,7 +14,7 @@ from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
-from planner.proof import touches
+from planner.proof import contact_history
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.replaying import compile_model
 from planner.view.render.drawing import Job, carry_out
@@ -70,14 +69,14 @@ def test_forces_are_those_on_the_feet_whichever_shape_mujoco_names_first():
     box = TREADMILL.replace('<joint name="belt" type="slide" axis="1 0 0"/>', "")
     plane = box.replace('type="box" size="60 .5 .1" pos="0 0 -.1"', 'type="plane" size="60 .5 .1"')
     for text in (box, plane):
-        seen = standing(text=text).touches
+        seen = standing(text=text).contacts
         assert seen.names == ("left_foot on belt", "right_foot on belt")
         assert seen.forces[-1, :, 2].sum() == pytest.approx(WEIGHT, rel=0.02)
 
 
 def test_a_long_simulation_keeps_means(monkeypatch, replay):
-    monkeypatch.setattr(touches, "MOST_SAMPLES", 101)
-    few, many = standing().touches, replay.contacts
+    monkeypatch.setattr(contact_history, "MOST_SAMPLES", 101)
+    few, many = standing().contacts, replay.contacts
     assert len(few.t) == 101  # of 401 steps: four each, the last alone
     np.testing.assert_allclose(few.forces[:100], many.forces[:400].reshape(100, 4, 2, 3).mean(axis=1), atol=1e-9)
     np.testing.assert_allclose(few.t[:2], [1.5e-3, 5.5e-3])
@@ -86,9 +85,9 @@ def test_a_long_simulation_keeps_means(monkeypatch, replay):
 
 
 def test_not_more_pairs_than_can_be_kept(monkeypatch):
-    monkeypatch.setattr(touches, "MOST_PAIRS", 1)
+    monkeypatch.setattr(contact_history, "MOST_PAIRS", 1)
     one = standing()
-    assert one.touches.names == ("left_foot on belt",)
+    assert one.contacts.names == ("left_foot on belt",)
     assert one.contact_force[300:].mean() == pytest.approx(WEIGHT, rel=0.02)  # the sum has all
 
 
