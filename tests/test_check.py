@@ -1,23 +1,32 @@
 """Stored plans are proved again, and what moved is named."""
 
 import json
+import shutil
 
 import pytest
 
 import planner
 from planner.__main__ import main
+from planner.sweeps import stored_plans
 from planner.sweeps.stored_plans import check, stored_proof
 
 
-@pytest.fixture
-def folder(tmp_path):
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Two plans with their proofs."""
+    folder = tmp_path_factory.mktemp("plans")
     plan = planner.solve(planner.cases.two_link(horizon=100))
-    (tmp_path / "arm").mkdir()
-    for path in (tmp_path / "arm" / "plan.npz", tmp_path / "second.npz"):
-        plan.save(path)
-        proof = planner.prove(plan, rollouts=0)
-        stored_proof(path).write_text(json.dumps(proof.to_dict()))
-    return tmp_path
+    proof = json.dumps(planner.prove(plan, rollouts=0).to_dict())
+    (folder / "arm").mkdir()
+    for path in (folder / "arm" / "plan.npz", folder / "second.npz"):
+        stored_proof(plan.save(path)).write_text(proof)
+    return folder
+
+
+@pytest.fixture
+def folder(stored, tmp_path):
+    """A copy of them to change."""
+    return shutil.copytree(stored, tmp_path / "plans")
 
 
 def change(folder, edit):
@@ -27,7 +36,7 @@ def change(folder, edit):
     file.write_text(json.dumps(stored))
 
 
-def test_what_was_stored_is_measured_again(folder):
+def test_plans_that_prove_as_stored_pass(folder):
     done = check(folder)
     assert [one.plan.name for one in done] == ["plan.npz", "second.npz"]
     assert all(one.passed and not one.changes for one in done)
@@ -67,7 +76,7 @@ def test_a_verdict_that_was_better_is_a_regression(folder):
     assert done.changes[0].now == "FAIL (None)"
 
 
-def test_a_figure_that_is_gone_is_a_regression(folder):
+def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
     change(folder, lambda stored: stored["goal"]["figures"].update(height={"value": 1.0, "passed": True}))
     assert not check(folder / "arm")[0].passed
 
@@ -83,7 +92,9 @@ def test_a_figure_that_is_gone_is_a_regression(folder):
         (lambda folder: change(folder, lambda s: s["asked"].update(rollouts="x")), "rollouts"),
     ],
 )
-def test_what_cannot_be_compared_is_a_regression_in_a_sentence(folder, edit, words):
+def test_a_damaged_plan_or_proof_is_a_regression_named_in_a_sentence(folder, monkeypatch, edit, words):
+    prove = planner.prove
+    monkeypatch.setattr(stored_plans, "prove", lambda plan, **asked: prove(plan, **{"rollouts": 0} | asked))
     edit(folder)
     done = check(folder)
     assert words in done[0].problem
@@ -91,7 +102,7 @@ def test_what_cannot_be_compared_is_a_regression_in_a_sentence(folder, edit, wor
     assert done[1].passed  # the others are still proved
 
 
-def test_wrong_usage_is_one_sentence(tmp_path, capsys):
+def test_wrong_paths_and_tolerances_are_refused_in_one_sentence(tmp_path, capsys):
     for arguments, words in (
         (["check", str(tmp_path / "none")], "does not exist"), (["check", str(tmp_path)], "holds no plans"),
         (["check", str(tmp_path), "--tolerance", "0"], "tolerance"),

@@ -12,6 +12,7 @@ import pytest
 import planner
 from planner.cases.hopper import PAPER, crossings, match_crossings
 from planner.model.mjcf.text import edited
+from planner.proof.consistency import consistency
 
 LEG = "worldbody/body/body/joint[@name='leg']"
 FOOT = "worldbody/body/body/inertial"
@@ -141,8 +142,12 @@ def edited_states(plan, where, value):
         (lambda p: replace(p, t=np.where(p.t == p.t[3], np.nan, p.t)), "time_error"),
     ],
 )
-def test_a_plan_that_is_not_what_it_says_fails(plan, change, figure):
-    assert figure in [f.name for f in fails(change(plan)).plan.failures]
+def test_a_plan_that_is_not_what_it_says_is_inconsistent(plan, change, figure):
+    assert figure in [f.name for f in consistency(change(plan), plan.problem).failures]
+
+
+def test_an_inconsistent_plan_fails(plan):
+    assert [f.name for f in fails(replace(plan, cost=plan.cost - 1.0)).plan.failures] == ["cost_error"]
 
 
 def test_a_plan_of_another_start_fails(plan):

@@ -10,6 +10,7 @@ import pytest
 
 import planner
 from planner.base.errors import FileError, ModelError
+from planner.cases import problem_file
 from planner.problem.plan import Plan
 from planner.proof.replaying import compile_model
 
@@ -30,7 +31,7 @@ def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plans")
     problems = {
         "case": planner.cases.hopper(height=7.5, horizon=40, smoothing=0.2),
-        "file": planner.cases.problem_file.load(CRANE).problem,
+        "file": problem_file.load(CRANE).problem,
     }
     result = {}
     for name, problem in problems.items():
@@ -45,14 +46,14 @@ def written(path, arrays, meta):
     return path
 
 
-def changes(meta):
+def changes(meta, values=VALUES):
     """The meta with every entry, and every entry of its tables, missing or something else."""
     for key in meta:
         yield {name: value for name, value in meta.items() if name != key}
-        for value in VALUES:
+        for value in values:
             yield meta | {key: value}
         if isinstance(meta[key], dict):
-            yield from (meta | {key: table} for table in changes(meta[key]))
+            yield from (meta | {key: table} for table in changes(meta[key], VALUES[::3]))
             yield meta | {key: meta[key] | {"unknown": 1}}
 
 
