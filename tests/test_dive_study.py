@@ -6,6 +6,8 @@ import pytest
 
 from planner.paper.studies.dive import PARTS, SHOWN, dive_markdown, dive_results, dive_rows, draw_dive
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def results():

@@ -14,6 +14,7 @@ others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others
 
 
 @others
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCRIPT["HOPPERS"])
 def test_a_model_of_others_hops_forward_and_mujoco_repeats_it(name):
     """Not only up: it lands elsewhere, after a time without any force of the ground, and stays there."""

@@ -8,7 +8,7 @@ import pytest
 from planner.__main__ import main
 from planner.paper.studies.hopper import HEIGHTS, PAPER_ITERATIONS, hopper_results, paper_plan
 
-pytestmark = pytest.mark.paper
+pytestmark = [pytest.mark.paper, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

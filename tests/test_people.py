@@ -15,12 +15,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import people
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("person", people.people(4, seed=7), ids=lambda person: f"{person['cycle_time']:.2f} s")
 def test_random_people_walk(person):
     row = people.attempt(person, "cycle", proof=False)
     assert row["success"], row["reasons"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("person", people.people(3, seed=8), ids=lambda person: f"{person['cycle_time']:.2f} s")
 def test_random_people_swing(person):
     row = people.attempt(person, "swing", proof=False)

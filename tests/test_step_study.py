@@ -12,6 +12,8 @@ from planner.paper.studies.step_drawing import draw_step, draw_step_cycle, draw_
 from planner.paper.studies.step_page import step_markdown, step_rows
 from planner.solvers.slq import solve
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def results():
