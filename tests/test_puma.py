@@ -277,7 +277,8 @@ def test_bad_paths_are_named():
         static_limit(np.zeros((3, 5)))
 
 
-def test_the_study_says_what_was_found(monkeypatch, tmp_path):
+@pytest.mark.slow
+def test_the_puma_study_finds_what_its_page_says(monkeypatch, tmp_path):
     monkeypatch.setattr(puma_study, "DURATIONS", (1.5,))
     monkeypatch.setattr(puma_study, "SHOWN", 1.5)
     monkeypatch.setattr(puma_study, "RESOLUTION", 40.0)

@@ -39,6 +39,7 @@ def test_rates_are_those_of_a_small_step():
     assert np.allclose(Rates(d)(x, u), (d.step(x[None], u[None])[0] - x) / d.dt, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_hamiltonian_is_constant_along_a_flow():
     """H does not depend on time, so it stays what it was (Eq. 3)."""
     flow = HamiltonianFlow(two_link(duration=0.5), tolerance=1e-11)
@@ -52,6 +53,7 @@ def test_the_hamiltonian_is_constant_along_a_flow():
     assert np.allclose([H(y) for y in ys], H(ys[0]), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_states_and_costates_keep_their_product():
     """The flow is symplectic: two changes of lambda(0) stay conjugate, X'L = L'X."""
     flow = HamiltonianFlow(two_link(duration=0.5), tolerance=1e-11)
@@ -59,6 +61,7 @@ def test_states_and_costates_keep_their_product():
     assert np.allclose(X.T @ L, L.T @ X, atol=1e-5 * np.abs(X.T @ L).max())
 
 
+@pytest.mark.slow
 def test_a_short_horizon_is_found_from_zero_and_is_slqs():
     problem = two_link(duration=SHORT, horizon=200)
     found = shoot(problem, np.zeros(4))
@@ -71,6 +74,7 @@ def test_a_short_horizon_is_found_from_zero_and_is_slqs():
     assert np.abs(found.xs - plan.xs).max() < 1e-2 * np.abs(plan.xs).max()
 
 
+@pytest.mark.slow
 def test_two_seconds_are_not_found_from_zero():
     """The paper, section 2.1: "the shooting method failed when applied to this problem"."""
     found = shoot(two_link(), np.zeros(4), max_evaluations=12)
@@ -78,6 +82,7 @@ def test_two_seconds_are_not_found_from_zero():
     assert found.message
 
 
+@pytest.mark.slow
 def test_the_jacobian_of_the_miss_is_exact():
     flow = HamiltonianFlow(two_link(duration=SHORT), tolerance=1e-11)
     start, span = np.array([0.5, 0.2, -0.3, 0.1]), np.array([SHORT])
