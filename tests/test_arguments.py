@@ -57,17 +57,17 @@ def refused(check, *given, **options):
 
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, np.nan, np.inf, [1.0], np.ones((30, 30))], ids=shown)
-def test_no_numbers(value):
+def test_values_that_are_no_numbers_are_refused(value):
     assert "expected a finite number" in refused(number, value)
 
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, 1.0, -1, [1], np.array([1, 2]), 2**63], ids=shown)
-def test_no_counts(value):
+def test_values_that_are_no_counts_are_refused(value):
     assert "expected a whole number of at least 0" in refused(count, value, least=0)
 
 
 @pytest.mark.parametrize("value", NO_ARRAYS, ids=shown)
-def test_no_arrays(value):
+def test_values_that_are_no_arrays_are_refused(value):
     assert refused(array, value, (2,)) == "x is not an array of numbers, expected shape (2,)."
     assert "expected numbers" in refused(numbers, value)
 
@@ -78,7 +78,7 @@ def test_a_table_of_booleans_is_no_matrix():
 
 
 @pytest.mark.parametrize("value", [3, 3.0, np.int64(3), np.float32(3.0), np.array(3.0), Fraction(3)], ids=repr)
-def test_numbers(value):
+def test_numbers_are_read(value):
     assert number("x", value) == 3.0
     np.testing.assert_array_equal(numbers("x", value), 3.0)
     np.testing.assert_array_equal(array("x", [value, 1], (2,)), [3.0, 1.0])
@@ -97,7 +97,7 @@ ARRAYS = [
 
 
 @pytest.mark.parametrize("value", ARRAYS, ids=lambda value: type(value).__name__)
-def test_arrays(value):
+def test_arrays_are_read(value):
     result = array("x", value, ("n",))
     assert result.dtype == np.float64
     np.testing.assert_array_equal(result, [3.0, 1.0])
@@ -110,7 +110,7 @@ def test_arrays_are_copies():
     np.testing.assert_array_equal(given, 1.0)
 
 
-def test_counts():
+def test_counts_are_read():
     assert count("x", 3) == count("x", np.int32(3)) == count("x", 3, most=3) == 3
     assert count("x", 2**63 - 1) == 2**63 - 1
     assert refused(count, 4, most=3) == "x is 4, expected a whole number of at least 1 and at most 3."

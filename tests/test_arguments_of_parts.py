@@ -65,7 +65,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("expected", WRONG)
-def test_wrong_parts_are_one_sentence(expected):
+def test_wrong_parts_are_refused_in_one_sentence(expected):
     with pytest.raises(PlannerError) as error:
         WRONG[expected]()
     assert str(error.value).startswith(expected)

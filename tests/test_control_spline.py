@@ -78,7 +78,7 @@ def test_the_hopper_converges_with_the_exact_gradient():
     [({"problem": None}, "expected a Problem"), ({"coefficients": 5}, "coefficients is 5"),
      ({"gradient": "exact"}, "gradient is 'exact'"), ({"degree": 0}, "degree is 0")],
 )  # fmt: skip
-def test_wrong_arguments_are_one_sentence(changes, words):
+def test_wrong_arguments_of_a_spline_are_refused_in_one_sentence(changes, words):
     with pytest.raises(planner.PlannerError, match=words):
         solve_by_splines(**({"problem": linear()} | changes))
 

@@ -38,7 +38,7 @@ def near(rng, cost, size=0.7):
 @spaces
 @settings(max_examples=10, deadline=None)
 @given(seed=seeds)
-def test_tracking_gradients(space, seed):
+def test_tracking_gradients_are_differences_of_the_value(space, seed):
     rng = np.random.default_rng(seed)
     cost = random_cost(rng, space)
     model = assert_gradients(cost, space, *near(rng, cost))
@@ -100,7 +100,7 @@ def test_a_turn_about_one_axis_costs_its_angle():
         (lambda: TrackingCost.reach([1.0, 0.0], 2, final="much", effort=1.0), "final is 'much', expected numbers."),
     ],
 )  # fmt: skip
-def test_wrong_tracking_is_one_sentence(make, expected):
+def test_wrong_tracking_costs_are_refused_in_one_sentence(make, expected):
     with pytest.raises(PlannerError) as error:
         make()
     assert str(error.value) == expected
@@ -109,7 +109,7 @@ def test_wrong_tracking_is_one_sentence(make, expected):
 # Sums
 
 
-def test_a_sum_is_the_sum():
+def test_the_value_and_model_of_a_sum_are_the_sums():
     rng = np.random.default_rng(1)
     a, b = random_cost(rng, BODY), random_cost(rng, BODY)
     xs, us = near(rng, a, 0.3)
@@ -145,7 +145,7 @@ class Narrow(Plain):
         return model._replace(q=model.q[:1])
 
 
-def test_wrong_sums_are_one_sentence():
+def test_sums_of_costs_that_do_not_fit_are_refused_in_one_sentence():
     rng = np.random.default_rng(2)
     a = random_cost(rng, BODY)
     for make, expected in [
@@ -266,7 +266,7 @@ def test_references_on_the_way_and_the_goal_at_the_end(machine):
         ({"machine": "robot"}, "the machine is 'robot', expected RigidBodyDynamics or a Mechanism."),
     ],
 )  # fmt: skip
-def test_wrong_joint_weights_are_one_sentence(machine, changes, expected):
+def test_wrong_joint_weights_are_refused_in_one_sentence(machine, changes, expected):
     arguments = {"machine": machine, "goal": "wave", "horizon": 4, "effort": 1.0, "dt": 0.1, **changes}
     with pytest.raises(PlannerError) as error:
         TrackingCost.joints(arguments.pop("machine"), arguments.pop("goal"), arguments.pop("horizon"), **arguments)

@@ -55,7 +55,7 @@ def test_forces_of_joints_that_have_springs_and_servos_of_their_own():
     np.testing.assert_allclose(DriveCost(dynamics, 4, 1.0).forces(xs, us)[:, 0], tau[:, 0], rtol=1e-10)
 
 
-def test_gradients():
+def test_gradients_are_differences_of_the_value():
     (xs, us), problem = _walk(5), moved_cart()
     cost = DriveCost(problem.dynamics, 4, 1e-2, 3.0)
     model = assert_gradients(cost, cost.space, xs, us[:4])

@@ -103,7 +103,7 @@ def rooted(t):
     store(duals(t, 1), 0, sqrt(load(duals(t, 0), 0)))
 
 
-def test_what_has_no_rule_does_not_compile():
+def test_an_operation_without_a_rule_does_not_compile():
     """A derivative that is silently dropped would be a wrong one."""
     with pytest.raises(TypingError):
         rooted(tables(1, 1)[0])

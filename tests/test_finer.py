@@ -91,7 +91,7 @@ class Own:
     ],
     ids=["discrete map", "own cost", "own term", "too many", "own dynamics"],
 )  # fmt: skip
-def test_what_cannot_be_made_finer_says_so(problem, fragment):
+def test_a_problem_that_cannot_be_made_finer_says_why(problem, fragment):
     with pytest.raises(planner.PlannerError, match=fragment) as caught:
         finer(problem)
     assert "\n" not in str(caught.value)

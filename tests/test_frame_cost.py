@@ -68,7 +68,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_gradients(machine, name):
+def test_gradients_are_differences_of_the_value(machine, name):
     rng = np.random.default_rng(0)
     xs, us = random_states(machine, rng, 3), rng.normal(size=(2, 3))
     cost = FrameCost(machine, "hand", dt=0.5, **CASES[name])
@@ -161,7 +161,7 @@ def test_an_arm_reaches_for_a_point_or_turns_its_hand():
         ({"machine": 3}, "the machine is 3, expected RigidBodyDynamics or a Mechanism."),
     ],
 )  # fmt: skip
-def test_wrong_targets_are_one_sentence(machine, changes, expected):
+def test_wrong_targets_are_refused_in_one_sentence(machine, changes, expected):
     arguments = {
         "machine": machine, "frame": "hand", "position": [0.0, 0.0, 1.0], "position_weight": 1.0, "dt": 0.1, **changes
     }  # fmt: skip

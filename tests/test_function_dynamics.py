@@ -231,7 +231,7 @@ def fine(x, u):
         ((lambda x, u: None, 2, 1, 0.1), "f(x, u) has shape (), expected (2,)."),
     ],
 )
-def test_wrong_arguments_are_one_sentence(arguments, expected):
+def test_wrong_arguments_are_refused_in_one_sentence(arguments, expected):
     with pytest.raises(PlannerError) as error:
         FunctionDynamics(*arguments)
     assert sentence(error) == expected
@@ -239,7 +239,7 @@ def test_wrong_arguments_are_one_sentence(arguments, expected):
 
 # The class promises PlannerError for "an f that does not return numbers of the right shape".
 @pytest.mark.parametrize("f", [lambda x, u: ["a", "b"], lambda x, u: [x[0], [x[0], x[1]]]], ids=["text", "ragged"])
-def test_what_is_not_numbers_is_one_sentence(f):
+def test_rates_that_are_no_numbers_are_refused_in_one_sentence(f):
     with pytest.raises(PlannerError) as error:
         FunctionDynamics(f, 2, 1, 0.1)
     sentence(error)
@@ -253,7 +253,7 @@ def test_what_is_not_numbers_is_one_sentence(f):
         (lambda x, u: (np.full((2, 2), np.nan), np.zeros((2, 1))), "jacobian's df/dx[0, 0, 0] is nan"),
     ],
 )
-def test_wrong_jacobians_are_one_sentence(jacobian, expected):
+def test_wrong_jacobians_are_refused_in_one_sentence(jacobian, expected):
     dynamics = FunctionDynamics(lambda x, u: [x[1], u[0]], 2, 1, 0.1, jacobian=jacobian)
     with pytest.raises(PlannerError) as error:
         dynamics.linearize(np.zeros((4, 2)), np.zeros((3, 1)))

@@ -106,7 +106,7 @@ def test_a_gait_survives_json():
         (lambda: reference(NORMAL_GAIT, lambda q: q, 1.0), "foot_points has shape (200, 16)"),
     ],
 )
-def test_what_is_no_gait_is_refused(make, fragment):
+def test_wrong_curves_of_a_gait_are_refused(make, fragment):
     with pytest.raises(PlannerError) as caught:
         make()
     assert fragment in str(caught.value)

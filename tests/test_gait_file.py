@@ -115,7 +115,7 @@ def fewer(*missing):
         ({"angles": changed("knee", lambda knee: 1e5 * knee)}, ("an angle of 5.838e+06 deg",)),
     ],
 )  # fmt: skip
-def test_what_is_no_gait_is_refused(tmp_path, form, fragments):
+def test_files_without_a_gait_are_refused(tmp_path, form, fragments):
     with pytest.raises(FileError) as caught:
         read_gait(write(tmp_path / "gait.csv", **form))
     message = str(caught.value)
@@ -139,7 +139,7 @@ def test_what_is_no_gait_is_refused(tmp_path, form, fragments):
         (b'a,"' + b"b" * 200_000 + b'"\n', "no CSV"),
     ],
 )
-def test_what_is_no_csv_is_refused(tmp_path, content, fragment):
+def test_files_that_are_no_csv_are_refused(tmp_path, content, fragment):
     path = tmp_path / "gait.csv"
     path.write_bytes(content)
     with pytest.raises(FileError) as caught:
@@ -148,7 +148,7 @@ def test_what_is_no_csv_is_refused(tmp_path, content, fragment):
     assert "\n" not in str(caught.value)
 
 
-def test_no_such_file(tmp_path):
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileError, match=r"cannot read the gait .*No such file"):
         read_gait(tmp_path / "none.csv")
 

@@ -111,7 +111,7 @@ def test_a_stick_figure_that_stands_still_can_be_drawn(tmp_path):
         ([Motion("lost", np.full((2, 2, 3), np.nan))], [LEG], {}, "expected finite"),
     ],
 )
-def test_what_is_no_stick_figure(motions, sticks, options, words):
+def test_wrong_stick_figures_are_refused(motions, sticks, options, words):
     with pytest.raises(PlannerError, match=words):
         draw_stick_figures(motions, sticks, **options)
 
@@ -182,6 +182,6 @@ def test_a_curve_may_have_times_of_its_own(tmp_path):
         ([Chart("a", "N", [Curve(str(i), np.zeros(3)) for i in range(9)])], "9 curves, expected at most 8"),
     ],
 )
-def test_what_is_no_chart(charts, words):
+def test_wrong_charts_are_refused(charts, words):
     with pytest.raises(PlannerError, match=words):
         draw_charts(np.arange(3.0), charts)

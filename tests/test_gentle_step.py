@@ -59,7 +59,7 @@ def test_a_weight_of_jerk_makes_a_smoother_robot(plans, phase):
 
 
 @pytest.mark.parametrize("phase", ["swing", "cycle"])
-def test_it_converges_with_the_studys_cost_too(phase):
+def test_jerk_converges_with_the_studys_cost(phase):
     plan = planner.solve(human_step(phase=phase, cost="study", jerk=1.0), max_iterations=LIMIT)
     assert plan.success
     assert plan.nit < 60
@@ -74,7 +74,7 @@ def test_more_weight_means_less_jerk(plans):
     assert jerks[0] > 1.5 * jerks[1] > 1.5**2 * jerks[2]
 
 
-def test_what_the_weights_weigh(plans):
+def test_jerk_and_force_are_weighed_as_documented(plans):
     """J is affine in both weights: jerk those of controls, effort those of accelerations, by their tolerances."""
     plan = plans["swing", "jerk"]
     xs, us, J = plan.xs, plan.us, plan.problem.cost.value(plan.xs, plan.us)
@@ -91,7 +91,7 @@ def test_what_the_weights_weigh(plans):
     assert more(effort=2.0) == pytest.approx(effort)
 
 
-def test_it_starts_on_the_normal_gait():
+def test_a_gentle_step_starts_on_the_normal_gait():
     """With its accelerations; and the first guess goes on with them."""
     problem = human_step(jerk=1.0)
     np.testing.assert_array_equal(problem.x0[-6:], CYCLE.accelerations[0])
@@ -112,7 +112,7 @@ def test_the_model_is_that_of_prescribed_accelerations(plans):
 
 
 @pytest.mark.parametrize("phase", ["swing", "cycle"])
-def test_mujoco_repeats_it(plans, phase):
+def test_mujoco_repeats_the_gentle_step(plans, phase):
     """PASS, and as near as without a weight of jerk; gains act on the accelerations, too."""
     plan = plans[phase, "jerk"]
     assert plan.K.shape[1:] == (6, len(plan.xs[0]))
@@ -126,7 +126,7 @@ def test_mujoco_repeats_it(plans, phase):
     assert force.value == pytest.approx(robot_of(plan).force[1])
 
 
-def test_it_is_kept(plans, tmp_path):
+def test_a_plan_of_jerk_is_stored_and_loaded(plans, tmp_path):
     plan = plans["swing", "jerk"]
     plan.save(tmp_path / "plan.npz")
     read = planner.Plan.load(tmp_path / "plan.npz")
@@ -167,7 +167,7 @@ def test_a_weight_of_force_in_motion_mode(plans):
     assert extra == pytest.approx(0.5 * 2.0 * 114 * 0.004 / 0.4 * 6.0 * effort(usual))
 
 
-def test_it_is_what_forces_as_controls_weigh(plans):
+def test_jerk_is_weighed_alike_with_forces_as_controls(plans):
     """With hardly a weight of accelerations left, the plan of pelvis="force", but for what is held over a stage."""
     free = planner.solve(human_step(phase="swing", pelvis="force"))
     led = planner.solve(human_step(phase="swing", force=1.0, effort=0.01), max_iterations=LIMIT)
@@ -179,7 +179,7 @@ def test_it_is_what_forces_as_controls_weigh(plans):
     )
 
 
-def test_it_is_replayed_too(plans):
+def test_mujoco_follows_a_swing_that_is_sparing_of_force(plans):
     error = np.degrees(planner.replay(plans["swing", "force"], feedback=True).error[:, 6:11])
     assert np.sqrt(np.mean(error**2)) < 0.35
 

@@ -61,7 +61,7 @@ def rollout(problem, us, plan=None, x0=None):
 
 
 @every_way
-def test_it_turns(update, line_search):
+def test_a_body_is_turned_to_its_goal(update, line_search):
     problem = turn()
     assert isinstance(borrow(problem), NumpyEngine)
     plan = planner.solve(problem, update=update, line_search=line_search)
@@ -186,7 +186,7 @@ FLAT = TrackingCost.reach(np.ones(7), 15, final=1.0, effort=1.0, nu=3)
         ),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_one_sentence(changes, expected):
+def test_dynamics_that_do_not_fit_the_space_are_refused_in_one_sentence(changes, expected):
     with pytest.raises(PlannerError) as error:
         turn(**changes)
     assert str(error.value).startswith(expected)

@@ -107,7 +107,7 @@ def test_the_file_is_the_default_diver(diver):
         np.testing.assert_allclose(file.keyframe(key)[3:], diver.mechanism.keyframe(key)[3:])
 
 
-def test_another_person():
+def test_a_diver_scales_with_mass_and_height():
     """Masses go with M, lengths with H."""
     one, other = Diver(70.0, 1.75, 10.0, 9.81).mechanism, Diver(35.0, 3.5, 10.0, 9.81).mechanism
     np.testing.assert_allclose(other.mass, 0.5 * one.mass)
@@ -125,7 +125,7 @@ def test_the_flight_ends_with_the_hands_at_the_water(plan):
     np.testing.assert_allclose(fall, free, atol=1e-5)
 
 
-def test_it_turns_as_often_as_was_asked(plan):
+def test_the_diver_turns_as_often_as_was_asked(plan):
     """The long axis by its angle along the way; whole twists by the sign of the quaternion, which a full turn flips."""
     assert plan.success
     long = rotated_up(plan.xs[:, 3:7])
@@ -145,7 +145,7 @@ def test_joints_stay_in_their_ranges(plan, diver):
     assert np.all(high < ranges[:, 1] + slack)
 
 
-def test_proof(plan):
+def test_the_dive_passes_its_proof(plan):
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.table()
     assert {figure.name for figure in proof.goal.measured} >= {"replayed_turn_miss", "replayed_momentum_drift"}

@@ -92,7 +92,7 @@ def test_the_gains_are_the_limit_of_the_riccati_recursion():
     np.testing.assert_allclose(regulator.K, K, rtol=1e-4)  # 1e-6 of the weight are added, for what costs nothing
 
 
-def test_what_costs_nothing_at_the_end_may_move_to_stand_still():
+def test_joints_that_cost_nothing_at_the_end_may_move_to_stand_still():
     """A mass on a spring whose rest position is free: the goal asks for the mass only."""
 
     def rates(x, u):
@@ -143,7 +143,7 @@ def test_goals_that_cannot_be_held_are_refused(problem, fragment):
     assert "\n" not in str(caught.value)
 
 
-def test_wrong_arguments_are_refused(arrived):
+def test_wrong_times_to_hold_are_refused(arrived):
     with pytest.raises(planner.PlannerError, match="seconds is -1"):
         replay_hold(arrived, hold_gain(arrived.plan.problem), -1.0)
     with pytest.raises(planner.PlannerError, match="expected 1 to 5000000"):

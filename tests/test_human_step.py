@@ -103,7 +103,7 @@ def test_the_file_is_the_default_walker():
     np.testing.assert_allclose(file.keyframe("goal"), goal, atol=1e-6)
 
 
-def test_another_person():
+def test_a_body_scales_with_mass_and_height():
     """Masses go with M, lengths with H, springs with neither."""
     one, other = Walker().mechanism, Walker(35.0, 1.05).mechanism
     np.testing.assert_allclose(other.mass[1:], 0.5 * one.mass[1:])
@@ -235,7 +235,7 @@ def test_normal_pelvis_motion_is_far_from_it():
 
 
 @pytest.mark.parametrize("phase", ["swing", "cycle"])
-def test_proof(phase, default):
+def test_the_step_passes_its_proof(phase, default):
     """Requirements: 1.5 deg open loop or 0.7 deg with gains; the study's replays had 0.57 deg on the cycle."""
     plan = default if phase == "cycle" else planner.solve(human_step(phase="swing"))
     proof = planner.prove(plan, rollouts=0)

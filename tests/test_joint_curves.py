@@ -163,7 +163,7 @@ def test_rollouts_feel_the_curves_as_stiff_as_they_were_drawn(plan):
     assert np.abs(ends[1] - ends[0]).max() > 1e-3
 
 
-def test_what_acts_on_a_prescribed_joint_does_nothing():
+def test_forces_on_a_prescribed_joint_do_nothing():
     problem = moved_cart()
     m = problem.dynamics.mechanism
     on_cart, on_hip = ExponentialTorque(0, 9.0, 0.0, {0: 1.0}), ExponentialTorque(1, -0.5, 0.0, {1: 2.0, 0: 0.5})

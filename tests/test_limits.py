@@ -203,7 +203,7 @@ def test_ranges_and_goal_of_a_mechanism():
     assert {"control_violation", "velocity_range_violation", "exact_goal_violation"} <= set(names)
 
 
-def test_what_cannot_be_met_ends_in_a_status_with_advice():
+def test_limits_that_cannot_be_met_end_in_a_status_with_advice():
     """Nothing moves without torque: the goal stays a radian away."""
     plan = planner.solve(pendulum(Limits(control=0.01, final="exact")), max_iterations=400)
     assert plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS)

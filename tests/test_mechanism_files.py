@@ -100,7 +100,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("text", "sentence"), WRONG.items(), ids=range(len(WRONG)))
-def test_wrong_input_is_one_sentence(text, sentence, tmp_path, monkeypatch):
+def test_wrong_models_are_refused_in_one_sentence(text, sentence, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text)
@@ -109,7 +109,7 @@ def test_wrong_input_is_one_sentence(text, sentence, tmp_path, monkeypatch):
     assert "\n" not in str(error.value)
 
 
-def test_wrong_paths_and_options(tmp_path):
+def test_wrong_paths_and_options_are_refused(tmp_path):
     with pytest.raises(PlannerError, match="Is a directory"):
         Mechanism.from_mjcf(tmp_path)
     (tmp_path / "binary.xml").write_bytes(b"\xff\xfe\x00<")

@@ -84,7 +84,7 @@ def test_a_number_that_differs_is_named_with_its_joint(tree, path, attributes, w
     assert words in section.failures[0].note
 
 
-def test_what_the_mechanism_has_not_is_named(tree):
+def test_elements_that_the_mechanism_lacks_are_named(tree):
     section = planner.parity(tree, edited(tree.mjcf, {".//joint[@name='hip']": {"frictionloss": "0.2"}}))
     assert [figure.name for figure in section.failures] == ["unmodelled_elements"]
     assert section.failures[0].note == "frictionloss of joint 'hip'"

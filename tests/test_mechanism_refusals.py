@@ -144,7 +144,7 @@ def test_everything_in_one_sentence():
     assert Mechanism.from_mjcf(m.mjcf).ignored == ()
 
 
-def test_what_cannot_act_is_no_reason_to_refuse():
+def test_elements_that_cannot_act_are_no_reason_to_refuse():
     inert = [
         plain(tendon=SPATIAL % ""),
         plain(tendon=SPATIAL % 'range="0 9" limited="true" frictionloss="1"', option='<flag constraint="disable"/>'),
@@ -180,7 +180,7 @@ def test_contacts_are_taken_out_by_their_option_alone():
         Mechanism.from_mjcf(text, contacts="of")
 
 
-def test_what_is_ignored_is_given_by_name():
+def test_elements_to_ignore_are_given_by_name():
     """One name, several, or none; what is no name is told which there are."""
     text = plain(joint='frictionloss="1"')
     for ignore in ("frictionloss", ["frictionloss"], {"frictionloss"}):

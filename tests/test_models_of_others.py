@@ -81,7 +81,7 @@ def test_every_file_is_on_one_of_the_lists():
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_modelled_is_named(name):
+def test_elements_that_are_not_modelled_are_named(name):
     ignore, words = REFUSED[name]
     with pytest.raises(ModelError) as error:
         Mechanism.from_mjcf(path(name), contacts="off")

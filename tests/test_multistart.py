@@ -236,7 +236,7 @@ def test_starts_are_in_the_file(tmp_path):
         ({"starts": 2, "spread": "wide"}, "spread is 'wide', expected a finite number greater than 0."),
     ],
 )
-def test_wrong_arguments_are_one_sentence(arguments, expected):
+def test_wrong_starts_and_seeds_are_refused_in_one_sentence(arguments, expected):
     with pytest.raises(PlannerError) as error:
         planner.solve(wells(), **arguments)
     assert str(error.value) == expected

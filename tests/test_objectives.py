@@ -26,7 +26,7 @@ def walk(dynamics, rng, N, size=0.3):
 
 
 @pytest.mark.parametrize("name", CHAINS)
-def test_energy_gradients(name):
+def test_energy_gradients_are_differences_of_the_value(name):
     dynamics, _, _, rng = driven(CHAINS[name], 3, 1, prescribe=False)
     xs, us = walk(dynamics, rng, 3)
     for smoothing in (0.1, 10.0):
@@ -38,7 +38,7 @@ def test_energy_gradients(name):
 
 @pytest.mark.parametrize("name", CHAINS)
 @pytest.mark.parametrize("prescribe", [False, True])
-def test_jerk_gradients(name, prescribe):
+def test_jerk_gradients_are_differences_of_the_value(name, prescribe):
     dynamics, _, _, rng = driven(CHAINS[name], 4, 1, prescribe=prescribe)
     xs, us = walk(dynamics, rng, 3)
     cost = JerkCost(dynamics, 3, 1e-3, to_rest=False)
@@ -217,7 +217,7 @@ def test_problem_file_has_an_objective(tmp_path):
         "the energy's smoothing is 0.0, expected a finite number": lambda p: EnergyCost(p.dynamics, smoothing=0.0),
     }.items(),
 )  # fmt: skip
-def test_refusals(message, call):
+def test_wrong_objectives_are_refused(message, call):
     with pytest.raises(PlannerError) as caught:
         call(arm(20))
     assert message in str(caught.value)

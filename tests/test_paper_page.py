@@ -158,7 +158,7 @@ def test_a_failed_study_shows_in_the_exit_code(small, tmp_path):
     assert not (tmp_path / "q").exists()
 
 
-def test_some_studies(small, tmp_path, capsys):
+def test_studies_are_chosen_by_name(small, tmp_path, capsys):
     small(study(), study("two"))
     assert main(["paper", "two", "--quiet", "--json", "--out", str(tmp_path)]) == 0
     assert json.loads(capsys.readouterr().out)["number"] == 7  # of a single study, the results themselves

@@ -97,7 +97,7 @@ def test_a_patient_is_drawn_as_a_whole():
         Perturbation(common_mass=1.0)
 
 
-def test_what_counts_as_walking(cycle):
+def test_a_walk_counts_when_it_stays_near_the_gait(cycle):
     """Near the plan all the way, and no foot on the belt in the middle of a swing."""
     knots = np.arange(CYCLE.N + 1)
     knee, lifted = cycle.xs.copy(), cycle.xs.copy()

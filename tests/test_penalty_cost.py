@@ -201,7 +201,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_gradients(machine, name):
+def test_gradients_are_differences_of_the_value(machine, name):
     rng = np.random.default_rng(3)
     xs, us = random_states(machine, rng, 4), rng.normal(size=(3, 3))
     cost = PenaltyCost(machine, 3, [TERMS[name]], dt=0.5)

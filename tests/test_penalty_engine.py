@@ -112,7 +112,7 @@ def test_the_kernels_model_is_the_costs(text, seed):
 
 
 @machines(8, max_dofs=10, max_bodies=4, integrator=st.sampled_from(INTEGRATORS))
-def test_with_bounds(text, seed, integrator):
+def test_bounds_hold_beside_compiled_penalties(text, seed, integrator):
     task = penalised(text, seed, integrator, limits=True)
     ours, twin = engines(task)
     costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
@@ -243,7 +243,7 @@ def test_the_same_problem_at_half_the_stage(dynamics):
 # ---------------------------------------------------------------------------------------- who has which engine
 
 
-def test_what_kernels_do_not_know_goes_to_numpy(dynamics):
+def test_penalties_unknown_to_the_kernels_go_to_numpy(dynamics):
     task = arm(dynamics)
     tracking, low = task.cost.costs
     other = PenaltyCost(Mechanism.from_mjcf(ARM), N, [Height(Point("tip"), least=-1.3, tolerance=0.01)], dt=0.025)

@@ -259,12 +259,12 @@ def test_gaps_are_deviations():
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, "much", np.inf, [np.nan, 1.0], [[1.0]], None])
-def test_what_is_no_tolerance_is_refused(tolerance):
+def test_wrong_tolerances_are_refused(tolerance):
     with pytest.raises(planner.PlannerError, match="tolerance of what is periodic"):
         Periodic(tolerance)
 
 
-def test_what_cannot_be_periodic_is_refused():
+def test_problems_that_cannot_be_periodic_are_refused():
     problem = swinging()
     for wrong, fragment in (
         (lambda: solve_periodic(replace(problem, periodic=None)), "expected a Problem with periodic"),

@@ -71,7 +71,7 @@ def drawn(numbers, perturbation=None, seed=3):
     ("successes", "of", "low", "high"),
     [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (1, 29, 0.0061, 0.1718)],
 )
-def test_wilson(successes, of, low, high):
+def test_success_has_wilsons_interval(successes, of, low, high):
     np.testing.assert_allclose(Rate(successes, of).interval, (low, high), atol=6e-5)
 
 
@@ -123,7 +123,7 @@ def test_switching_one_kind_off_leaves_the_others(arm):
     np.testing.assert_array_equal(fewer.inertia, 1.0)
 
 
-def test_model_with_errors(arm):
+def test_a_draw_changes_masses_and_friction_of_the_model(arm):
     model = compile_model(arm.twin.mjcf)
     nominal = Nominal.of(model, arm, arm.twin)
     before = model.body_mass.copy()
@@ -232,7 +232,7 @@ def test_a_delay_beyond_the_end_holds_the_first_control(arm):
 # What it finds.
 
 
-def test_it_is_reproducible_and_seeded(arm):
+def test_rollouts_repeat_by_their_seed(arm):
     twin = coarse(arm)
     first, again = (perturbed(arm, twin, rollouts=12, seed=4) for _ in range(2))
     np.testing.assert_array_equal(ends(first), ends(again))
@@ -274,7 +274,7 @@ def test_a_requirement_may_say_what_success_is(arm):
     assert result.rates["feedback"].successes == 5
 
 
-def test_it_says_when_friction_does_nothing(arm):
+def test_a_model_that_ignores_friction_is_noted(arm):
     twin = coarse(arm)
     without = replace(twin, mjcf=twin.mjcf.replace('contact="disable"', 'contact="disable" frictionloss="disable"'))
     assert without.mjcf != twin.mjcf
@@ -296,7 +296,7 @@ def explosive():
     return replace(plan, K=K)
 
 
-def test_what_explodes_is_a_failure(explosive):
+def test_rollouts_that_explode_are_failures(explosive):
     result = perturbed(explosive, explosive.twin, rollouts=8)
     assert result.rates["feedback"].value == 0.0
     assert np.all(np.isinf(result.end_error["feedback"]))

@@ -115,7 +115,7 @@ def test_a_twin_of_other_states_is_refused(stored, tmp_path):
 
 
 @pytest.mark.parametrize("path", [None, 5, b"plan.npz", ["plan.npz"]])
-def test_what_is_no_path(stored, tmp_path, path):
+def test_arguments_that_are_no_path_are_refused(stored, tmp_path, path):
     with pytest.raises(FileError, match=r"expected the path of a plan\.npz\."):
         Plan.load(path)
     arrays, meta = stored["case"]
@@ -148,7 +148,7 @@ def test_headers_of_arrays_that_python_cannot_read(stored, tmp_path, header):
         Plan.load(tmp_path / "plan.npz")
 
 
-def test_what_mujoco_says_ends_as_a_sentence():
+def test_messages_of_mujoco_end_as_a_sentence():
     for text in (
         "<mujoco><worldbody><body colour='red'/></worldbody></mujoco>",
         "<mujoco>",

@@ -91,7 +91,7 @@ def test_without_contact_there_is_no_force_panel(plan, replay):
     assert not any(axes.collections for axes in figure.axes)
 
 
-def test_a_plan_alone(plan):
+def test_a_plan_without_a_proof_is_plotted(plan):
     figure = draw_plan(plan, None)
     assert titles(figure) == ["Height", "Piston", "Convergence"]
     (line,) = panel(figure, "Height").get_lines()
@@ -121,7 +121,7 @@ def test_a_solve_that_ended_at_once(plan, tmp_path, length):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])
-def test_what_is_not_finite_leaves_a_gap(plan, replay, tmp_path, bad):
+def test_numbers_that_are_not_finite_leave_a_gap(plan, replay, tmp_path, bad):
     xs, plan_xs, ctrl = replay.xs.copy(), replay.plan_xs.copy(), replay.ctrl.copy()
     xs[50:] = plan_xs[40:60] = ctrl[70:] = bad
     history = tuple(line._replace(cost=bad, gradient_norm=bad) for line in plan.history)

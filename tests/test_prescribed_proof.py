@@ -77,7 +77,7 @@ def test_the_motors_fall_short_by_the_force_over_the_armature(cart):
     assert m.stiffness[0] == 40.0
 
 
-def test_what_acts_on_a_prescribed_joint_is_taken_out():
+def test_elements_on_a_prescribed_joint_are_taken_out_of_the_replay():
     m = Mechanism.from_mjcf(CART)
     twin = twin_of(m, ("cart",))
     model = compile_model(twin.mjcf)

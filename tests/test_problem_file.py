@@ -77,7 +77,7 @@ def test_a_damaged_table_is_refused(tmp_path):
         ("{ pole = 3 }", [0.0, 3.0, 0.0, 0.0]),
     ],
 )
-def test_states(tmp_path, value, expected):
+def test_states_are_given_by_joint(tmp_path, value, expected):
     np.testing.assert_array_equal(load(write(tmp_path, start=value)).problem.x0, expected)
 
 

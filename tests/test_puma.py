@@ -267,12 +267,12 @@ def test_bad_parameters_are_named(parameters, fragment):
     ],
     ids=str,
 )
-def test_bad_searches_are_named(parameters, fragment):
+def test_wrong_searches_are_refused(parameters, fragment):
     with pytest.raises(planner.PlannerError, match=fragment):
         largest_payload(**parameters)
 
 
-def test_bad_paths_are_named():
+def test_wrong_paths_are_refused():
     with pytest.raises(planner.PlannerError, match="path has shape"):
         static_limit(np.zeros((3, 5)))
 

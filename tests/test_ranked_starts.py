@@ -35,7 +35,7 @@ def test_the_rank_decides():
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_comes_last(nothing):
+def test_ranks_that_are_not_finite_come_last(nothing):
     assert ranked([3.0, 2.0, 4.0], lambda plan: plan.cost if plan.cost > 2.5 else nothing) == 3.0
     assert ranked([3.0, 2.0, 4.0], lambda plan: nothing) == 3.0
 
@@ -119,7 +119,7 @@ def test_a_plan_that_is_not_finite_costs_infinitely_much():
     assert proven_cost(replace(arm, us=np.full_like(arm.us, 1e15))) == np.inf
 
 
-def test_what_can_never_be_replayed_is_an_error():
+def test_ranking_by_proven_cost_without_a_twin_is_an_error():
     with pytest.raises(PlannerError, match="no MuJoCo model"):
         planner.solve(wells(), starts=2, rank=proven_cost)
 

@@ -157,7 +157,7 @@ def test_a_range_that_only_a_replay_gone_astray_reaches():
 # Ends
 
 
-def test_the_limit_ends_it(failed):
+def test_the_limit_of_refinements_ends_refinement(failed):
     plan, proof = failed
     judged = []
 
@@ -173,7 +173,7 @@ def test_the_limit_ends_it(failed):
     assert refine(plan, proof, limit=0).reason == "The limit of 0 refinements was reached."
 
 
-def test_the_time_ends_it(failed, monkeypatch):
+def test_the_time_limit_ends_refinement(failed, monkeypatch):
     _, proof = failed
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations
     seconds = iter(range(1000))
@@ -212,7 +212,7 @@ def test_a_plan_that_runs_away_ends_it(failed, monkeypatch):
     assert "lead to infinite states" in refined.reason
 
 
-def test_what_cannot_be_refined_ends_it(failed):
+def test_a_problem_that_cannot_be_refined_ends_refinement(failed):
     plan, proof = failed
     rough = replace(plan, problem=strange(plan.problem))
     refined = refine(rough, proof)
@@ -237,7 +237,7 @@ def test_options_reach_the_solver(failed):
     ],
     ids=str,
 )
-def test_wrong_arguments_are_refused(failed, arguments, fragment):
+def test_wrong_arguments_of_refine_are_refused(failed, arguments, fragment):
     given = {"plan": failed[0], "proof": failed[1]} | arguments
     with pytest.raises(planner.PlannerError, match=fragment):
         refine(**given)

@@ -64,7 +64,7 @@ def test_film_refuses_what_has_nothing_to_draw():
         Film.of(replay, np.array([0.0]))
 
 
-def test_words():
+def test_numbers_and_speeds_are_written_short():
     assert number(-0.0001, 2) == "0.00"
     assert number(-1.5, 1) == "\N{MINUS SIGN}1.5"
     assert number(-1234567890.0, 1) == "\N{MINUS SIGN}1e09"
@@ -241,7 +241,7 @@ def test_projection_points_at_what_is_drawn():
 
 
 @pytest.mark.render
-def test_strip(tmp_path):
+def test_a_strip_shows_poses_side_by_side(tmp_path):
     path = render.render_strip(make_replay(), tmp_path / "strip.png", poses=4, width=401, height=150)
     picture = np.asarray(Image.open(path))
     assert picture.shape == (150, 401, 3)

@@ -49,7 +49,7 @@ def film(monkeypatch):
     return calls
 
 
-def test_what_is_drawn(plan, proof, tmp_path, film):
+def test_all_pictures_are_drawn(plan, proof, tmp_path, film):
     assert draw(plan, proof, tmp_path, video=True) == ""
     assert names(tmp_path) == ["plots.png", "proof.png", "report.html", "strip.png", "video.mp4"]
     assert set(names(tmp_path)) | {"plan.npz", "proof.json"} == set(OUTPUTS) - set(CASE_PICTURES.values())
@@ -65,7 +65,7 @@ def test_without_video_or_without_a_proof_the_page_says_why(plan, proof, tmp_pat
     assert names(tmp_path) == ["plots.png", "report.html"]  # the proof.png was another plan's
 
 
-def test_what_is_kept_is_not_drawn_again(plan, proof, tmp_path, film):
+def test_files_to_keep_are_not_drawn_again(plan, proof, tmp_path, film):
     (tmp_path / "video.mp4").write_bytes(b"finished")
     (tmp_path / "proof.png").write_bytes(b"finished")
     (tmp_path / "report.html").write_bytes(b"finished")

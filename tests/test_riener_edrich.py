@@ -52,7 +52,7 @@ def test_the_moments_are_the_formulas(degrees, stiffness):
     assert np.count_nonzero(tau) == 2 * len(CURVED)
 
 
-def test_it_resists_at_the_ends_and_hardly_between():
+def test_joints_resist_at_their_ends_and_hardly_between():
     """Within a normal stride some N m; towards the ends of the joints' ranges tens, back to the middle."""
     inside = moments(20.0, 30.0, 0.0)
     assert max(map(abs, inside)) < 10.0
@@ -96,7 +96,7 @@ def test_the_swing_is_proved_from_its_file(swing, tmp_path):
     assert planner.parity(loaded.problem).passed
 
 
-def test_it_is_asked_for_on_the_command_line(tmp_path):
+def test_the_command_line_asks_for_passive_joints(tmp_path):
     file = tmp_path / "plan.npz"
     assert main(["solve", "human-step", "--phase", "swing", "--passive", "riener-edrich", "--out", str(file)]) == 0
     assert planner.Plan.load(file).parameters["passive"] == "riener-edrich"

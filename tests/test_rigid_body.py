@@ -242,7 +242,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("sentence", WRONG)
-def test_wrong_input_is_one_sentence(sentence):
+def test_wrong_states_are_refused_in_one_sentence(sentence):
     with pytest.raises(PlannerError) as error:
         WRONG[sentence](crane())
     assert str(error.value).startswith(sentence)

@@ -196,7 +196,7 @@ def test_jacobians_are_those_of_the_steps(text, seed, integrator):
 
 
 @each_integrator
-def test_what_is_prescribed_happens(integrator):
+def test_prescribed_accelerations_happen(integrator):
     """A constant acceleration gives a parabola, whatever the rest of the machine does; Euler lags or leads."""
     m = Mechanism.from_mjcf(actuated(CHAINS["arm"], np.random.default_rng(0)))
     joint, dt, acceleration = m.joint_names[1], 0.05, 1.7

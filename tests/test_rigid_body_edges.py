@@ -32,7 +32,7 @@ def test_dynamics_are_the_same_a_kilometre_away(text, seed):
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("name", CHAINS)
-def test_what_is_not_finite_stays_in_its_row(name, integrator):
+def test_numbers_that_are_not_finite_stay_in_their_row(name, integrator):
     m, rng = Mechanism.from_mjcf(actuated(CHAINS[name], np.random.default_rng(0))), np.random.default_rng(0)
     dynamics = RigidBodyDynamics(m, 0.01, integrator)
     xs = np.array([random_state(m.space, rng) for _ in range(5)])
@@ -82,7 +82,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("sentence", WRONG)
-def test_wrong_input_is_one_sentence(sentence):
+def test_wrong_shapes_are_refused_in_one_sentence(sentence):
     with pytest.raises(PlannerError) as error:
         WRONG[sentence]()
     assert str(error.value).startswith(sentence)

@@ -60,7 +60,7 @@ def wait_for(file, child, seconds=120.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
-def test_what_a_run_had_finished_is_kept_and_gone_on_with(tmp_path, kill):
+def test_a_killed_run_keeps_what_was_finished_and_is_resumed(tmp_path, kill):
     """Killed among its rollouts: plan and proof are there, and the same command does the rest and no more."""
     words = [*ARM, "--rollouts", "64", "--json", "--out", "o"]
     folder = tmp_path / "o"

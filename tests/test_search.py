@@ -161,7 +161,7 @@ def test_gives_up_uphill(rule, slope, curvature):
 
 @every_rule
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_is_never_taken(rule, bad):
+def test_steps_to_costs_that_are_not_finite_are_never_taken(rule, bad):
     a, _ = find(rule, lambda a: 0.0 if a == 0.0 else bad, lambda a: -1.0)
     assert a is None
 

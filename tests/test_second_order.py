@@ -39,7 +39,7 @@ def differences(dynamics, xs, us, costates, step=STEP):
 
 
 @machines(20, max_dofs=8, max_bodies=6, plain=True, integrator=st.sampled_from(INTEGRATORS))
-def test_trees(text, seed, integrator):
+def test_second_derivatives_of_trees_are_differences(text, seed, integrator):
     """With springs, dampers, every kind of actuator, activations and prescribed joints; four knots and one."""
     dynamics, xs, us, rng = driven(text, seed, K=5, integrator=integrator, dt=0.1)
     xs, costates = np.vstack([xs, xs[:1]]), rng.normal(size=(6, dynamics.nx))
@@ -49,7 +49,7 @@ def test_trees(text, seed, integrator):
 
 
 @each_integrator
-def test_the_hopper(integrator):
+def test_second_derivatives_of_the_hopper_are_differences(integrator):
     """On the ground, in the air and between; not across the ends of the parabola, where the derivative jumps."""
     dynamics, rng = HopperDynamics(0.05, integrator, smoothing=2.0), np.random.default_rng(0)
     xs, us, costates = (
@@ -66,7 +66,7 @@ def test_the_hopper(integrator):
 
 @pytest.mark.parametrize(("exact", "tolerance"), [(True, 1e-8), (False, 1e-3)])
 @pytest.mark.parametrize("integrator", ["euler", "semi-implicit-euler", "rk4", "discrete"])
-def test_a_users_own(integrator, exact, tolerance):
+def test_second_derivatives_of_a_users_own_dynamics_are_near(integrator, exact, tolerance):
     """By differences: the one of the pendulum in closed form where the step is one evaluation."""
 
     def jacobian(x, u):
@@ -235,7 +235,7 @@ def test_an_exact_solve_leaves_nothing_behind():
 # ------------------------------------------------------------------------------------------------ bad input
 
 
-def test_what_is_refused():
+def test_exact_hessians_of_unsuited_problems_are_refused():
     with pytest.raises(PlannerError, match=r"hessian is 'newton', expected one of: gauss-newton, exact\."):
         planner.solve(hopper(), hessian="newton")
     with pytest.raises(PlannerError, match=r"hinges and slides .* ball or free joint"):

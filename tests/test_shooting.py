@@ -101,7 +101,7 @@ def test_the_jacobian_of_the_miss_is_exact():
     [({"problem": None}, "expected a Problem"), ({"costate0": [0.0]}, "costate0 has shape"),
      ({"root": "newton"}, "root is 'newton'"), ({"tolerance": 0.0}, "tolerance is 0")],
 )  # fmt: skip
-def test_wrong_arguments_are_one_sentence(changes, words):
+def test_wrong_arguments_of_shooting_are_refused(changes, words):
     with pytest.raises(planner.PlannerError, match=words):
         shoot(**({"problem": two_link(duration=SHORT), "costate0": np.zeros(4)} | changes))
 

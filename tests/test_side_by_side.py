@@ -52,7 +52,7 @@ def test_a_replay_that_ran_away_stays_in_its_last_pose():
     assert Film.of(make_replay(), np.array([0.0])).unstable == np.inf
 
 
-def test_its_film_survives_a_file(tmp_path):
+def test_a_film_that_ran_away_survives_its_file(tmp_path):
     caption = Caption("open loop", "FAIL", "ran away")
     for replay in (run_away(make_replay()), make_replay()):
         film = Film.of(replay, np.array([0.0]), caption)

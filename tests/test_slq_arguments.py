@@ -62,7 +62,7 @@ def sentence(error):
         ({"gradient_tolerance": "small"}, "gradient_tolerance is 'small', expected a finite number of at least 0."),
     ],
 )
-def test_wrong_arguments_are_one_sentence(arguments, expected):
+def test_wrong_options_of_solve_are_refused_in_one_sentence(arguments, expected):
     with pytest.raises(PlannerError) as error:
         planner.solve(hopper(), **arguments)
     assert sentence(error).startswith(expected)
@@ -115,14 +115,14 @@ class NoHorizon:
         ({"cost": NoHorizon()}, "the problem has no horizon, expected horizon=N or first controls us (N, nu)."),
     ],
 )
-def test_what_does_not_fit_together_is_one_sentence(changes, expected):
+def test_parts_that_do_not_fit_together_are_refused_in_one_sentence(changes, expected):
     with pytest.raises(PlannerError) as error:
         problem_with(**changes)
     assert sentence(error) == expected
 
 
 @pytest.mark.parametrize("problem", [None, "hopper", swing], ids=["nothing", "a name", "a function"])
-def test_what_is_no_problem_is_one_sentence(problem):
+def test_arguments_that_are_no_problem_are_refused_in_one_sentence(problem):
     with pytest.raises(PlannerError) as error:
         planner.solve(problem)
     assert sentence(error).startswith("problem is ")

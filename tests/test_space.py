@@ -60,7 +60,7 @@ def test_integrate_and_difference_are_inverse(seed):
 
 @given(text=mechanism_texts(), seed=seeds)
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-def test_they_are_mujocos(text, seed):
+def test_integrate_and_difference_are_mujocos(text, seed):
     model, rng, mechanism = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed), Mechanism.from_mjcf(text)
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
     assert (nq, nv) == (model.nq, model.nv)
@@ -112,7 +112,7 @@ def test_a_dynamics_with_a_space_keeps_it():
     assert space_of(Dynamics()) is SPACE
 
 
-def test_as_json():
+def test_a_space_survives_json():
     layout = json.loads(json.dumps(SPACE.to_dict()))
     pairs = tuple((i, j) for i, j in layout.pop("quaternions"))
     assert StateSpace(**layout, quaternions=pairs) == SPACE

@@ -86,7 +86,7 @@ def test_more_intervals_cost_no_more(arm):
         ({"mechanism": None}, "expected a Mechanism"), ({"guess": lambda t: t}, r"guess\(t\) has shape"),
     ],
 )  # fmt: skip
-def test_wrong_arguments_are_one_sentence(arm, changes, words):
+def test_wrong_arguments_are_refused_in_one_sentence(arm, changes, words):
     arguments = {"mechanism": arm, "start": np.zeros(2), "goal": UP, "duration": 2.0} | changes
     with pytest.raises(planner.PlannerError, match=words):
         minimize_effort(**arguments)

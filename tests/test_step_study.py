@@ -34,7 +34,7 @@ def test_numbers_are_json_and_the_page_has_no_empty_cell(results):
         assert word in page
 
 
-def test_what_the_rows_say_is_so(results):
+def test_the_rows_of_the_step_study_are_so(results):
     """Hip hiking, a foot that is clear, stance and swing together: section 7 of the study."""
     swing, lowest = results["swing"], results["without_clearance"]
     assert 0.045 < swing["hip_lift"]["right"] < 0.065
@@ -72,7 +72,7 @@ def test_first_within():
     assert [first_within(costs, share) for share in (0.05, 0.01, 0.001)] == [1, 2, 3]
 
 
-def test_pictures(results, tmp_path):
+def test_the_pictures_of_the_step_study_are_drawn(results, tmp_path):
     for draw in (draw_step, draw_step_cycle, draw_step_methods):
         path = tmp_path / f"{draw.__name__}.png"
         draw(results, path)

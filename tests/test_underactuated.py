@@ -97,7 +97,7 @@ def test_a_motion_is_one_of_the_mechanism(arm):
         ({"effort_weight": 0.0}, "effort_weight is 0"), ({"start_velocity": [1.0]}, "start_velocity has shape"),
     ],
 )  # fmt: skip
-def test_wrong_arguments_are_one_sentence(arm, changes, words):
+def test_wrong_arguments_are_refused_in_one_sentence(arm, changes, words):
     arguments = {"mechanism": arm, "start": [-1.0, 0.0], "goal": UP, "duration": 1.0, "driven": ("elbow",)} | changes
     with pytest.raises(planner.PlannerError, match=words):
         minimize_effort_underactuated(**arguments)
