@@ -7,6 +7,8 @@ from planner import paper as paper
 from planner import proof as proof
 from planner.base.errors import ModelError as ModelError
 from planner.base.errors import PlannerError as PlannerError
+from planner.cases.plan_file import load_plan as load_plan
+from planner.cases.problem_file import load_problem as load_problem
 from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism

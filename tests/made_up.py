@@ -8,6 +8,7 @@ from planner.base.measured import Measured, Section
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
+from planner.problem.recipe import Recipe
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbation import Perturbation
@@ -39,7 +40,7 @@ def make_plan():
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
     return Plan(
         t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
-        Status.CONVERGED, tuple(history), problem=problem, case="spring", twin=twin,
+        Status.CONVERGED, tuple(history), problem=problem, recipe=Recipe("spring", {}), twin=twin,
         parameters={"height": 20.0, "horizon": 200, "integrator": "rk4"}, made_with={"planner": "0.1.0"},
     )  # fmt: skip
 

@@ -91,7 +91,7 @@ def test_parameters_rebuild_the_problem(tmp_path):
     problem = planner.cases.acrobot(start="hanging", duration=1.0, horizon=20, mass2=0.6)
     plan = planner.solve(problem, max_iterations=3)
     plan.save(tmp_path / "p.npz")
-    stored = planner.Plan.load(tmp_path / "p.npz").problem
+    stored = planner.load_plan(tmp_path / "p.npz").problem
     assert stored is not None
     assert stored.parameters == problem.parameters
     np.testing.assert_array_equal(stored.first_guess, problem.first_guess)

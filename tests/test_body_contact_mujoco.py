@@ -181,6 +181,6 @@ def test_a_pusher_pushes_a_ball_and_mujoco_repeats_it(tmp_path):
     assert proof.passed, proof
     assert proof.same_step.not_applicable
     plan.save(tmp_path / "plan.npz")
-    read = planner.Plan.load(tmp_path / "plan.npz")
+    read = planner.load_plan(tmp_path / "plan.npz")
     assert read.problem is not None
     np.testing.assert_allclose(read.problem.dynamics.step(plan.xs[:-1], plan.us), plan.xs[1:], atol=1e-9)

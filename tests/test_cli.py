@@ -124,7 +124,7 @@ def test_flags_reach_the_plan(tmp_path, flags):
     done = run("solve", "hopper", "--height", 8, *flags, "--out", "p.npz", "--json", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.returncode == 0, done.stderr
-    parameters = planner.Plan.load(tmp_path / "p.npz").parameters
+    parameters = planner.load_plan(tmp_path / "p.npz").parameters
     for flag, value in zip(flags[::2], flags[1::2], strict=True):
         if flag[2:] in parameters:
             assert parameters[flag[2:]] == value
@@ -146,7 +146,7 @@ def test_several_starts_keep_the_cheapest_and_repeat_by_their_seed(tmp_path):
     words = ["solve", "two-link", "--horizon", 40, "--starts", 3, "--seed", 4, "--json"]
     done = run(*words, "--out", "p.npz", cwd=tmp_path)
     document = json.loads(done.stdout)
-    plan = planner.Plan.load(tmp_path / "p.npz")
+    plan = planner.load_plan(tmp_path / "p.npz")
     assert [start["number"] for start in document["plan"]["starts"]] == [0, 1, 2]
     assert document["plan"]["start"] == plan.start
     assert plan.cost == min(start.cost for start in plan.starts if start.status is planner.Status.CONVERGED)
@@ -167,7 +167,7 @@ def test_a_problem_file_is_run_proved_and_solved_like_a_case(tmp_path):
     assert json.loads(done.stdout)["plan"]["parameters"]["goal"] == {"trolley": 2.0}
     done = run("solve", EXAMPLES / "crane.toml", "--starts", 2, "--seed", 1, "--out", "p.npz", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert planner.Plan.load(tmp_path / "p.npz").parameters["starts"] == 2
+    assert planner.load_plan(tmp_path / "p.npz").parameters["starts"] == 2
 
 
 def test_a_wrong_problem_file_is_refused_in_one_sentence(tmp_path):
@@ -209,7 +209,7 @@ def test_a_solve_that_does_not_converge_gives_advice_and_exits_1(tmp_path):
     done = run("solve", "hopper", "--max-iterations", 2, "--out", "p.npz", cwd=tmp_path)
     assert done.returncode == 1
     assert "raise max_iterations" in done.stdout
-    assert planner.Plan.load(tmp_path / "p.npz").status is planner.Status.MAX_ITERATIONS
+    assert planner.load_plan(tmp_path / "p.npz").status is planner.Status.MAX_ITERATIONS
 
 
 def test_a_stored_plan_is_proved_and_reported(finished, tmp_path):
@@ -225,7 +225,7 @@ def test_a_stored_plan_is_proved_and_reported(finished, tmp_path):
 
 def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
     folder, _ = finished
-    plan = planner.Plan.load(folder / "out" / "plan.npz")
+    plan = planner.load_plan(folder / "out" / "plan.npz")
     other = tmp_path / "other.xml"
     other.write_text(plan.twin.mjcf.replace('gainprm="100"', 'gainprm="90"'))
     assert run("prove", folder / "out" / "plan.npz", "--mjcf", other, cwd=tmp_path).returncode == 1
@@ -347,7 +347,7 @@ def test_ctrl_c_keeps_the_best_plan(tmp_path):
     finally:
         child.kill()
     assert child.returncode == 1, out
-    plan = planner.Plan.load(tmp_path / "p.npz")
+    plan = planner.load_plan(tmp_path / "p.npz")
     assert plan.status is planner.Status.INTERRUPTED
     assert plan.cost < plan.history[0].cost
     assert plan.problem is not None

@@ -68,7 +68,7 @@ def test_a_machine_calls_the_variants_that_are_compiled_ahead(touches):
     for integrator in ("rk4", "semi-implicit-euler"):
         prescribed = () if touches else mechanism.joint_names[:1]
         dynamics = RigidBodyDynamics(mechanism, 1e-3, integrator, prescribed)
-        assert all(name.endswith("touching") == touches for name in dynamics.kernels)
+        assert all(name.endswith("external") == touches for name in dynamics.kernels)
         xs = np.stack([standing(mechanism) if touches else mechanism.home] * 3)
         us = np.zeros((2, dynamics.nu))
         names = {"tree steps", "tree rates", "tree structured" if dynamics.structured else "tree dense"}
@@ -77,7 +77,7 @@ def test_a_machine_calls_the_variants_that_are_compiled_ahead(touches):
         dynamics.rates(xs[:2], us)
         dynamics.linearize(xs, us)
         for name in names:
-            kernel, types = precompile.KERNELS[f"{name} touching" if touches else name]
+            kernel, types = precompile.KERNELS[f"{name} external" if touches else name]
             assert set(kernel.overloads) - before[name] <= {jit.arguments_of(types)}
             assert jit.is_warm(kernel, types)
 

@@ -17,7 +17,7 @@ from planner.model.twin import Twin
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.jerk import driven_by_jerk
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.objective import with_objective
+from planner.problem.criteria import with_objective
 from planner.proof.perturbation import Nominal
 from planner.proof.replaying import compile_model
 
@@ -172,7 +172,7 @@ def test_jerk_is_solved_proved_and_kept(tmp_path):
     usual = planner.solve(problem)
     assert np.abs(np.diff(plan.xs[:, 6])).max() < 0.1 * abs(usual.us[0, 2])  # which pushes at once
     plan.save(tmp_path / "plan.npz")
-    read = planner.Plan.load(tmp_path / "plan.npz")
+    read = planner.load_plan(tmp_path / "plan.npz")
     assert read.problem is not None
     np.testing.assert_array_equal(read.problem.dynamics.step(plan.xs[:1], plan.us[:1]), plan.xs[1:2])
 

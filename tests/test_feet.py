@@ -170,7 +170,7 @@ def test_problem_files_name_what_is_wrong(tmp_path, contacts, more, words):
 def test_a_stored_plan_keeps_its_ground(tmp_path):
     plan = planner.solve(load(written(tmp_path, '"ground"')).problem)
     plan.save(tmp_path / "plan.npz")
-    stored = planner.Plan.load(tmp_path / "plan.npz").problem
+    stored = planner.load_plan(tmp_path / "plan.npz").problem
     assert stored is not None
     assert plan.problem is not None
     np.testing.assert_allclose(stored.x0, plan.problem.x0, atol=1e-10)

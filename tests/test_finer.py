@@ -9,7 +9,7 @@ from swings import PENDULUM, discrete, strange, swing
 
 import planner
 from planner.cases.problem_file import load
-from planner.problem.finer import finer, halved
+from planner.problem.discretisation import finer
 from planner.solvers.warm_start import roll_out, warm_start
 
 
@@ -53,7 +53,7 @@ def test_half_the_stage_is_the_same_integral():
     xs, us = rng.normal(size=(21, 2)), rng.normal(size=(20, 1))
     twice = np.concatenate([np.repeat(xs[:-1], 2, axis=0), xs[-1:]]), np.repeat(us, 2, axis=0)
     for whole in (problem.cost, cost):
-        assert halved(whole).value(*twice) == pytest.approx(whole.value(xs, us), rel=1e-12)
+        assert whole.resampled(2, 0.5).value(*twice) == pytest.approx(whole.value(xs, us), rel=1e-12)
 
 
 def test_quaternions_and_prescribed_joints_are_kept():

@@ -61,7 +61,7 @@ def test_the_arm_in_least_time():
 
 def test_files_of_free_time(tmp_path):
     plan = planner.solve_for(arm(20), {"effort": 1.0, "time": 4.0}, durations=(1.0, 3.0))
-    back = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    back = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert back.problem.duration == pytest.approx(plan.t[-1], rel=1e-12)
     assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
     assert back.options["tried"][0][0] == 2.0  # the problem's own duration comes first
@@ -70,7 +70,7 @@ def test_files_of_free_time(tmp_path):
 def test_another_duration_is_the_same_integral():
     """Of a case made anew and of one taken apart."""
     problem = cases.two_link(horizon=20)
-    for one in (problem, replace(problem, x0=np.array([0.1, 0.0, 0.0, 0.0]), case=None, parameters={})):
+    for one in (problem, replace(problem, x0=np.array([0.1, 0.0, 0.0, 0.0]))):
         slow = retimed(one, 4.0)
         assert slow.duration == pytest.approx(4.0)
         assert slow.cost.R[0] == pytest.approx(2.0 * one.cost.R[0])

@@ -129,7 +129,7 @@ def test_mujoco_repeats_the_gentle_step(plans, phase):
 def test_a_plan_of_jerk_is_stored_and_loaded(plans, tmp_path):
     plan = plans["swing", "jerk"]
     plan.save(tmp_path / "plan.npz")
-    read = planner.Plan.load(tmp_path / "plan.npz")
+    read = planner.load_plan(tmp_path / "plan.npz")
     assert read.problem is not None
     assert read.problem.parameters["jerk"] == 1.0
     assert read.problem.cost.value(read.xs, read.us) == plan.problem.cost.value(plan.xs, plan.us)
@@ -219,7 +219,7 @@ def test_bad_input_is_refused(given, said):
 def test_on_the_command_line(tmp_path, capsys):
     out = tmp_path / "plan.npz"
     assert main(["solve", "human-step", "--phase", "swing", "--jerk", "1", "--out", str(out), "--quiet"]) == 0
-    assert planner.Plan.load(out).parameters["jerk"] == 1.0
+    assert planner.load_plan(out).parameters["jerk"] == 1.0
     assert main(["solve", "human-step", "--jerk", "1", "--force", "1", "--out", str(out)]) == 2
     assert "expected one of the two to be 0" in capsys.readouterr().err
 

@@ -5,7 +5,8 @@ import pytest
 from solves import every_way
 
 import planner
-from planner import Plan, PlannerError, Problem, Status, TrackingCost
+from planner import PlannerError, Problem, Status, TrackingCost
+from planner.cases.plan_file import load_plan
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.solvers import lq
 from planner.solvers.engine import NumpyEngine, borrow
@@ -151,7 +152,7 @@ def test_gains_hold_the_plan():
 
 def test_the_plan_comes_back_from_its_file(tmp_path):
     plan = planner.solve(turn())
-    back = Plan.load(plan.save(tmp_path / "turn.npz"))
+    back = load_plan(plan.save(tmp_path / "turn.npz"))
     assert back.problem is None
     assert back.space == Spinner.space
     np.testing.assert_array_equal(back.K, plan.K)

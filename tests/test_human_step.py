@@ -314,7 +314,7 @@ def test_built_twice_it_is_the_same(tmp_path, swing):
     np.testing.assert_array_equal(again.first_guess, swing.problem.first_guess)
     assert again.cost.value(swing.xs, swing.us) == swing.problem.cost.value(swing.xs, swing.us)
     swing.save(tmp_path / "swing.npz")
-    read = planner.Plan.load(tmp_path / "swing.npz")
+    read = planner.load_plan(tmp_path / "swing.npz")
     assert read.problem is not None
     assert read.problem.parameters == swing.problem.parameters
     np.testing.assert_array_equal(read.xs, swing.xs)

@@ -139,7 +139,7 @@ def test_other_curves_in_the_simulator_are_found(plan, curves):
 
 
 def test_a_plan_is_stored_with_its_curves(plan, tmp_path):
-    loaded = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    loaded = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert loaded.twin.curves == ENDS
     assert loaded.problem.dynamics.mechanism.curves == ENDS
     np.testing.assert_array_equal(planner.replay(loaded).xs, planner.replay(plan).xs)

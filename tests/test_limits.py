@@ -226,7 +226,7 @@ def test_feedback_asks_for_no_more_than_the_bounds(plan):
 
 def test_a_file_keeps_limits_and_hinges(tmp_path):
     plan = planner.solve(two_link(Limits(velocity={"elbow": (-3.0, None)}, final=["shoulder"], control=12.0)))
-    again = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.changed == ()
     assert again.problem.limits.to_dict() == plan.problem.limits.to_dict()
     for ours, theirs in zip(again.hinges, plan.hinges, strict=True):
@@ -283,7 +283,7 @@ def test_limits_of_a_problem_file(tmp_path):
     assert np.abs(plan.us).max() <= 6.0
     assert np.abs(plan.xs[:, 1]).max() <= 0.5 + 1e-4
     assert np.abs(plan.xs[-1] - [1.0, 0.0, 0.0, 0.0]).max() <= 1e-4
-    again = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    again = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.problem.limits.to_dict() == plan.problem.limits.to_dict()
     refuse(write(tmp_path, "[limits]\nspeed = 1.0"), "[limits]", "'speed'", "velocity")
     refuse(write(tmp_path, "[limits]\ncontrol = {pull = 1.0}"), "'pull'", "push")

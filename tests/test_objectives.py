@@ -12,7 +12,8 @@ from planner import PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost
 from planner.problem.costs.jerk import JerkDynamics, RememberedJerkCost
-from planner.problem.objective import EFFORT_SHARE, plain, weights_of, with_objective
+from planner.problem.criteria import plain, with_objective
+from planner.problem.objective import EFFORT_SHARE, weights_of
 from planner.proof.consistency import consistency
 from planner.solvers import lq
 
@@ -158,7 +159,7 @@ def test_mixed_term_of_the_sweep():
 @pytest.mark.parametrize("objective", ["energy", "jerk", {"effort": 1.0, "jerk": 0.01, "time": 3.0}])
 def test_files_hold_the_objective(tmp_path, objective):
     plan = planner.solve(with_objective(arm(20), objective), max_iterations=30)
-    back = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    back = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert back.problem.objective.weights == plan.problem.objective.weights
     assert not back.changed
     assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
@@ -166,7 +167,7 @@ def test_files_hold_the_objective(tmp_path, objective):
 
 
 def test_finer_steps_keep_the_objective():
-    from planner.problem.finer import finer
+    from planner.problem.discretisation import finer
 
     problem = with_objective(arm(20), {"effort": 1.0, "energy": 0.5})
     twice = finer(problem)

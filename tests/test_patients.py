@@ -259,7 +259,7 @@ def test_a_file_may_name_a_case(gaits, monkeypatch, capsys):
     assert main(["solve", "person.toml", "--out", "person.npz", "--quiet"]) == 0
     flags = "--phase swing --mass 100 --height 1.9 --cadence 80"
     assert main(["solve", "human-step", *flags.split(), "--out", "flags.npz", "--quiet"]) == 0
-    one, other = (planner.Plan.load(gaits / name) for name in ("person.npz", "flags.npz"))
+    one, other = (planner.load_plan(gaits / name) for name in ("person.npz", "flags.npz"))
     assert one.parameters == other.parameters
     np.testing.assert_array_equal(one.us, other.us)
     for more, said in (

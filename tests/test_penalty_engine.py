@@ -13,7 +13,7 @@ from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, 
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
-from planner.problem.finer import finer
+from planner.problem.discretisation import finer
 from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow, compiled_costs
 
 
@@ -220,7 +220,7 @@ def test_a_plan_is_stored_and_proved_with_its_problem(dynamics, tmp_path):
     assert proof.passed, proof
     assert planner.proof.proven_cost(plan) == pytest.approx(plan.cost, rel=0.05)
     plan.save(tmp_path / "plan.npz")
-    again = planner.Plan.load(tmp_path / "plan.npz", problem=task)
+    again = planner.load_plan(tmp_path / "plan.npz", problem=task)
     assert str(planner.prove(again, rollouts=0)) == str(proof)
 
 

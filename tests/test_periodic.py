@@ -12,6 +12,7 @@ from planner.cli.parser import build, parse
 from planner.cli.problems import asked_problem
 from planner.model.space import StateSpace, euclidean
 from planner.problem.periodicity import Periodic
+from planner.problem.recipe import Recipe
 from planner.solvers.ends import Ends, response, with_ends
 from planner.solvers.periodic import Pass, solve_periodic
 from planner.view.report.reproduce import command
@@ -196,7 +197,7 @@ def test_ranges_of_states_need_the_step_that_follows():
 
 def test_a_plan_is_proved_from_its_file(tmp_path):
     plan = solve_periodic(swinging())
-    stored = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, plan.xs[0])
     np.testing.assert_array_equal(stored.problem.periodic.tolerance, [1e-3, 1e-3])
     assert stored.options["tried"] == plan.options["tried"]
@@ -210,13 +211,13 @@ def test_a_case_is_made_anew_with_its_ends(tmp_path, monkeypatch):
         made = swinging(final)
         if ends is not None:
             made = replace(made, x0=np.array(ends[0]), cost=cost_of(final, ends[1]))
-        return replace(made, case="swing", parameters={"final": final, "ends": ends})
+        return replace(made, recipe=Recipe("swing", {"final": final, "ends": ends}, swing_case))
 
     monkeypatch.setitem(cases.CASES, "swing", swing_case)
     plan = solve_periodic(swing_case())
     assert plan.case == "swing"
     np.testing.assert_array_equal(plan.parameters["ends"][0], plan.xs[0])
-    stored = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, plan.xs[0])
     assert stored.problem.cost.value(plan.xs, plan.us) == pytest.approx(plan.cost, rel=1e-14)
     assert planner.prove(stored, rollouts=0).passed
@@ -297,7 +298,7 @@ def test_a_gait_comes_back(walk):
 
 
 def test_a_gait_is_built_from_its_file(walk, tmp_path):
-    stored = planner.Plan.load(walk.save(tmp_path / "plan.npz"))
+    stored = planner.load_plan(walk.save(tmp_path / "plan.npz"))
     np.testing.assert_array_equal(stored.problem.x0, walk.xs[0])
     assert stored.problem.cost.value(walk.xs, walk.us) == pytest.approx(walk.cost, rel=1e-13)
     ends = stored.parameters["ends"]

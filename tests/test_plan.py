@@ -9,7 +9,8 @@ import pytest
 
 import planner
 from planner.base.errors import FileError
-from planner.model.space import StateSpace, euclidean
+from planner.cases.plan_file import load_plan
+from planner.model.space import StateSpace
 from planner.problem.archive import FORMAT_VERSION
 from planner.problem.plan import Iteration, Plan, Start, Status
 
@@ -42,7 +43,7 @@ def rewritten(path, **changes):
 
 
 def test_round_trip_is_exact(plan, saved):
-    back = planner.Plan.load(saved)
+    back = planner.load_plan(saved)
     for name in ("t", "xs", "us", "K"):
         np.testing.assert_array_equal(getattr(back, name), getattr(plan, name))
     assert back.history == plan.history
@@ -59,13 +60,13 @@ def test_file_reads_with_numpy_alone(plan, saved):
         assert file["us"].shape == (40, 1)
         assert file["K"].shape == (40, 1, 3)
         np.testing.assert_allclose(file["t"], np.linspace(0.0, 1.0, 41), rtol=0, atol=1e-15)
-    assert meta["parameters"]["height"] == 7.5
+    assert meta["recipe"]["parameters"]["height"] == 7.5
     # every argument of the case by name, defaults included
-    assert set(meta["parameters"]) == {
+    assert set(meta["recipe"]["parameters"]) == {
         "height", "duration", "horizon", "integrator", "smoothing", "stiffness", "gravity", "final_weight",
         "speed_weight", "piston_weight", "flow_weight",
     }  # fmt: skip
-    assert meta["case"] == "hopper"
+    assert meta["recipe"]["name"] == "hopper"
     assert meta["status"] == "CONVERGED"
     assert meta["iterations"] == plan.nit
     assert meta["format_version"] == FORMAT_VERSION
@@ -96,12 +97,12 @@ def test_unfinished_plans_are_saved_too(tmp_path):
     problem = planner.cases.hopper(horizon=20)
     short = planner.solve(problem, max_iterations=1)
     assert short.status is planner.Status.MAX_ITERATIONS
-    assert planner.Plan.load(short.save(tmp_path / "short.npz")).status is short.status
+    assert planner.load_plan(short.save(tmp_path / "short.npz")).status is short.status
 
     wild = planner.Problem(problem.dynamics, problem.cost, problem.x0, us=np.full((20, 1), 1e200))
     wild = planner.solve(wild)
     assert wild.status is planner.Status.NOT_FINITE
-    back = planner.Plan.load(wild.save(tmp_path / "wild.npz"))
+    back = planner.load_plan(wild.save(tmp_path / "wild.npz"))
     assert np.isnan(back.cost)
     assert back.status is planner.Status.NOT_FINITE
 
@@ -110,7 +111,7 @@ def test_users_own_problem_comes_back_without_problem(tmp_path):
     dynamics = planner.FunctionDynamics(lambda x, u: u, 1, 1, 0.1, "euler")
     cost = planner.TrackingCost.reach([1.0], 5, final=1.0, effort=1.0)
     plan = planner.solve(planner.Problem(dynamics, cost, [0.0]))
-    back = planner.Plan.load(plan.save(tmp_path / "own.npz"))
+    back = planner.load_plan(plan.save(tmp_path / "own.npz"))
     assert back.problem is None
     assert back.case is None
     with pytest.raises(planner.PlannerError, match="comes without its problem"):
@@ -133,30 +134,14 @@ def turning(path, **changes):
 
 def test_states_on_groups_and_starts_come_back(tmp_path):
     plan, path = turning(tmp_path / "turning.npz")
-    back = Plan.load(path)
+    back = load_plan(path)
     assert back.space == plan.space == StateSpace(9, 8, ((1, 1),))
     np.testing.assert_array_equal(back.K, plan.K)
     assert np.isnan(back.starts[0].cost)  # JSON has no infinity
     assert back.starts[0][:2] == (0, Status.NOT_FINITE)
     assert back.starts[1] == plan.starts[1]
     assert back.start == 1
-    assert Plan.load(back.save(tmp_path / "again.npz")).space == plan.space
-
-
-def test_plans_of_version_1_are_read_as_plain_vectors(plan, saved):
-    with np.load(saved) as file:
-        arrays = {name: file[name] for name in file.files}
-    meta = json.loads(str(arrays["meta"]))
-    assert meta.pop("space") == {"nx": 3, "ndx": 3, "quaternions": []}
-    assert meta.pop("starts") == []
-    meta["format_version"] = 1
-    np.savez(saved, **{**arrays, "meta": np.array(json.dumps(meta))})
-    old = Plan.load(saved)
-    assert old.space == old.stored_space == euclidean(3)
-    assert old.starts == ()
-    assert old.start == 0
-    np.testing.assert_array_equal(old.K, plan.K)
-    assert old.problem.parameters == plan.problem.parameters
+    assert load_plan(back.save(tmp_path / "again.npz")).space == plan.space
 
 
 @pytest.mark.parametrize(
@@ -180,13 +165,13 @@ def test_plans_of_version_1_are_read_as_plain_vectors(plan, saved):
 def test_damaged_spaces_say_what_is_wrong(tmp_path, space, words):
     _, path = turning(tmp_path / "turning.npz", space=space)
     with pytest.raises(FileError, match=words):
-        Plan.load(path)
+        load_plan(path)
 
 
 @pytest.mark.parametrize("starts", [3, {}, [[0]], [[0, "GOOD", 1.0, 1]], [[0, "CONVERGED", "cheap", 1]]])
 def test_damaged_starts_are_refused(saved, starts):
     with pytest.raises(FileError, match="damaged"):
-        Plan.load(rewritten(saved, starts=starts))
+        load_plan(rewritten(saved, starts=starts))
 
 
 @pytest.mark.parametrize(
@@ -198,7 +183,7 @@ def test_foreign_bytes_are_refused(tmp_path, content):
     path = tmp_path / "x.npz"
     path.write_bytes(content)
     with pytest.raises(FileError, match="is not a plan"):
-        planner.Plan.load(path)
+        planner.load_plan(path)
 
 
 def test_truncated_anywhere_is_refused(saved):
@@ -206,7 +191,7 @@ def test_truncated_anywhere_is_refused(saved):
     for size in np.linspace(1, len(whole) - 1, 25).astype(int):
         saved.write_bytes(whole[:size])
         with pytest.raises(FileError):
-            planner.Plan.load(saved)
+            planner.load_plan(saved)
 
 
 def test_flipped_bytes_never_escape_as_other_errors(saved):
@@ -217,7 +202,7 @@ def test_flipped_bytes_never_escape_as_other_errors(saved):
         damaged[at] ^= 0xFF
         saved.write_bytes(bytes(damaged))
         with contextlib.suppress(FileError):  # a flip in a comment field may go unnoticed
-            planner.Plan.load(saved)
+            planner.load_plan(saved)
 
 
 def test_pickled_arrays_are_refused(saved):
@@ -226,13 +211,13 @@ def test_pickled_arrays_are_refused(saved):
     assert "xs.npy" in names
     np.savez(saved, t=np.array([object()]), xs=1, us=1, K=1, history=1, meta="{}")
     with pytest.raises(FileError, match="is not a plan"):
-        planner.Plan.load(saved)
+        planner.load_plan(saved)
 
 
 def test_newer_format_names_its_version(saved):
     rewritten(saved, format_version=FORMAT_VERSION + 1, versions={"planner": "9.9"})
     with pytest.raises(FileError, match=r"written by planner 9\.9"):
-        planner.Plan.load(saved)
+        planner.load_plan(saved)
 
 
 @pytest.mark.parametrize(
@@ -240,9 +225,9 @@ def test_newer_format_names_its_version(saved):
     [
         ({"us": np.zeros((3, 1))}, "damaged"),
         ({"xs": np.zeros((41, 3), dtype=np.float32)}, "float32"),
-        ({"case": "tower"}, "expected one of: .*hopper"),
-        ({"parameters": {"height": -1.0}}, "height is -1.0"),
-        ({"parameters": {"hight": 1.0}}, "no parameter 'hight'"),
+        ({"recipe": {"name": "tower", "parameters": {}}}, "expected one of: .*hopper"),
+        ({"recipe": {"name": "hopper", "parameters": {"height": -1.0}}}, "height is -1.0"),
+        ({"recipe": {"name": "hopper", "parameters": {"hight": 1.0}}}, "no parameter 'hight'"),
         ({"status": "PERFECT"}, "PERFECT"),
         ({"cost": "cheap"}, "'cost'"),
         ({"cost": True}, "'cost'"),
@@ -253,26 +238,29 @@ def test_newer_format_names_its_version(saved):
         ({"t": np.full(41, np.nan)}, "does not rise"),
         ({"history": np.zeros(())}, "history"),
         ({"history": np.full((2, 7), np.nan)}, "count its iterations"),
-        ({"parameters": {}}, "not complete"),
-        ({"parameters": {"height": 10**400}}, "damaged"),
+        ({"recipe": {"name": "hopper", "parameters": {}}}, "not complete"),
+        ({"recipe": {"name": "hopper", "parameters": {"height": 10**400}}}, "damaged"),
         ({"twin": {}}, "exactly these maps"),
         ({"twin": {"to_x": [[1]], "to_x_offset": 3, "to_sim": "a", "to_sim_offset": []}}, "Twin"),
         ({"mjcf": None}, "MJCF text"),
         ({"format_version": -1}, "is not a plan"),
         ({"format_version": 1.5}, "is not a plan"),
+        ({"recipe": {"name": "hopper"}}, "no usable 'recipe'"),
+        ({"files": {"cube.stl": "0" * 32}}, r"no file 'cube\.stl'"),
         ({"versions": [], "format_version": 9}, "a newer version"),
+        ({"format_version": 4}, "make the plan again"),
         ({"meta": np.array("[" * 100_000)}, "is not a plan"),
         ({"meta": np.array("[]")}, "is not a plan"),
     ],
 )
 def test_damaged_files_say_what_is_wrong(saved, changes, words):
     with pytest.raises(FileError, match=words):
-        planner.Plan.load(rewritten(saved, **changes))
+        planner.load_plan(rewritten(saved, **changes))
 
 
 def test_missing_file_and_wrong_suffix(plan, tmp_path):
     with pytest.raises(FileError, match="is not a file"):
-        planner.Plan.load(tmp_path / "nowhere.npz")
+        planner.load_plan(tmp_path / "nowhere.npz")
     with pytest.raises(FileError, match=r"ending in \.npz"):
         plan.save(tmp_path / "plan.txt")
 

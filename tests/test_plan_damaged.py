@@ -11,7 +11,7 @@ import pytest
 import planner
 from planner.base.errors import FileError, ModelError
 from planner.cases import problem_file
-from planner.problem.plan import Plan
+from planner.cases.plan_file import load_plan
 from planner.proof.replaying import compile_model
 
 CRANE = os.path.join(os.path.dirname(__file__), os.pardir, "examples", "crane.toml")
@@ -65,7 +65,7 @@ def test_every_damage_to_the_meta_is_one_sentence(stored, tmp_path, name):
         path = written(tmp_path / "plan.npz", arrays, changed)
         count += 1
         try:
-            plan = Plan.load(path)
+            plan = load_plan(path)
         except FileError as error:
             text = str(error)
             assert "\n" not in text
@@ -94,7 +94,7 @@ def test_every_damage_to_the_meta_is_one_sentence(stored, tmp_path, name):
 def test_damage_is_named(stored, tmp_path, name, changed, words):
     arrays, meta = stored[name]
     with pytest.raises(FileError, match=f"is damaged.*{words}"):
-        Plan.load(written(tmp_path / "plan.npz", arrays, meta | changed))
+        load_plan(written(tmp_path / "plan.npz", arrays, meta | changed))
 
 
 def test_nothing_is_read_from_the_disk_for_a_stored_model(stored, tmp_path, monkeypatch):
@@ -104,22 +104,22 @@ def test_nothing_is_read_from_the_disk_for_a_stored_model(stored, tmp_path, monk
     (tmp_path / "more.xml").write_text("<mujoco/>")
     mjcf = meta["mjcf"].replace("<worldbody>", '<include file="more.xml"/><worldbody>')
     with pytest.raises(FileError, match=r"is damaged: its model names the file 'more\.xml'"):
-        Plan.load(written(tmp_path / "plan.npz", arrays, meta | {"mjcf": mjcf}))
+        load_plan(written(tmp_path / "plan.npz", arrays, meta | {"mjcf": mjcf}))
 
 
 def test_a_twin_of_other_states_is_refused(stored, tmp_path):
     arrays, meta = stored["case"]
     twin = {"to_x": [[1.0]], "to_x_offset": [0.0], "to_sim": [[[1.0]]], "to_sim_offset": [[0.0]]}
     with pytest.raises(FileError, match="its twin is of 1 states, expected 3"):
-        Plan.load(written(tmp_path / "plan.npz", arrays, meta | {"twin": twin}))
+        load_plan(written(tmp_path / "plan.npz", arrays, meta | {"twin": twin}))
 
 
 @pytest.mark.parametrize("path", [None, 5, b"plan.npz", ["plan.npz"]])
 def test_arguments_that_are_no_path_are_refused(stored, tmp_path, path):
     with pytest.raises(FileError, match=r"expected the path of a plan\.npz\."):
-        Plan.load(path)
+        load_plan(path)
     arrays, meta = stored["case"]
-    plan = Plan.load(written(tmp_path / "plan.npz", arrays, meta))
+    plan = load_plan(written(tmp_path / "plan.npz", arrays, meta))
     with pytest.raises(FileError, match=r"expected a name ending in \.npz\."):
         plan.save(path)
 
@@ -128,7 +128,7 @@ def test_a_plan_is_an_ordinary_file(tmp_path):
     os.mkfifo(tmp_path / "plan.npz")
     for path in (tmp_path / "plan.npz", "/dev/zero", tmp_path, tmp_path / ("n" * 300), "null\0byte", "two\nlines"):
         with pytest.raises(FileError, match=r"is not a file, expected a plan\.npz\.") as error:
-            Plan.load(path)
+            load_plan(path)
         assert "\n" not in str(error.value)
 
 
@@ -145,7 +145,7 @@ def test_headers_of_arrays_that_python_cannot_read(stored, tmp_path, header):
         for name, content in contents.items():
             file.writestr(name, content)
     with pytest.raises(FileError, match="is not a plan"):
-        Plan.load(tmp_path / "plan.npz")
+        load_plan(tmp_path / "plan.npz")
 
 
 def test_messages_of_mujoco_end_as_a_sentence():

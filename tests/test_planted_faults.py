@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner import Plan, cases
+from planner import cases
 from planner.base.errors import PlannerError
+from planner.cases.plan_file import load_plan
 from planner.model.mjcf.text import edited
 
 FOREARM = ".//body[@name='forearm']"
@@ -161,7 +162,7 @@ def scaled(name, factor):
     ],
 )
 def test_a_file_changed_by_hand_says_what_was_changed(stored, tmp_path, arrays, words):
-    plan = Plan.load(rewritten(stored, tmp_path, arrays))
+    plan = load_plan(rewritten(stored, tmp_path, arrays))
     assert plan.changed == (words,)
     assert failure(plan) == f"plan: changed after the file was written: {words}."
 
@@ -170,13 +171,13 @@ def test_a_model_swapped_in_the_file(stored, tmp_path):
     def swap(meta):
         meta["mjcf"] = edited(meta["mjcf"], {"option": {"gravity": "0 0 -9.8"}})
 
-    plan = Plan.load(rewritten(stored, tmp_path, meta=swap))
+    plan = load_plan(rewritten(stored, tmp_path, meta=swap))
     assert plan.changed == ("the model",)
     assert "the model" in failure(plan)
 
 
 def test_parameters_changed_in_the_file(stored, tmp_path):
-    plan = Plan.load(rewritten(stored, tmp_path, meta=lambda m: m["parameters"].update(mass1=0.6)))
+    plan = load_plan(rewritten(stored, tmp_path, meta=lambda m: m["recipe"]["parameters"].update(mass1=0.6)))
     assert "parameters" in failure(plan)
 
 
@@ -185,9 +186,9 @@ def test_a_file_of_the_future(stored, tmp_path):
         meta.update(format_version=99, versions={**meta["versions"], "planner": "9.0"})
 
     with pytest.raises(
-        planner.base.errors.FileError, match=r"has format 99, written by planner 9\.0; this planner reads up to"
+        planner.base.errors.FileError, match=r"has format 99, written by planner 9\.0; this planner reads format"
     ):
-        Plan.load(rewritten(stored, tmp_path, meta=later))
+        load_plan(rewritten(stored, tmp_path, meta=later))
 
 
 def test_a_truncated_file(stored, tmp_path):
@@ -195,7 +196,7 @@ def test_a_truncated_file(stored, tmp_path):
     for part in (0, 10, len(content) // 2, len(content) - 10):
         (tmp_path / "cut.npz").write_bytes(content[:part])
         with pytest.raises(planner.base.errors.FileError, match=r"cut\.npz is not a plan"):
-            Plan.load(tmp_path / "cut.npz")
+            load_plan(tmp_path / "cut.npz")
 
 
 def test_an_array_missing_from_the_file(stored, tmp_path):
@@ -204,4 +205,4 @@ def test_an_array_missing_from_the_file(stored, tmp_path):
             if name != "K.npy":
                 less.writestr(name, whole.read(name))
     with pytest.raises(planner.base.errors.FileError, match=r"is not a plan: expected an \.npz with t, xs, us, K"):
-        Plan.load(tmp_path / "less.npz")
+        load_plan(tmp_path / "less.npz")

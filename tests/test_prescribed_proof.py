@@ -19,7 +19,7 @@ from planner.model.mjcf import driven as driven_twin
 from planner.model.mjcf.driven import HEAVY, twin_of
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.problem.finer import finer
+from planner.problem.discretisation import finer
 from planner.proof.driven_parity import driven_parity
 from planner.proof.perturbation import Nominal, Perturbation, Sizes, draw
 from planner.proof.replaying import compile_model
@@ -192,7 +192,7 @@ def test_contacts_that_push_prescribed_joints_alone_are_left_out():
 
 def test_a_plan_is_proved_from_its_file(cart, tmp_path, capsys):
     file = cart.save(tmp_path / "plan.npz")
-    plan = planner.Plan.load(file)
+    plan = planner.load_plan(file)
     assert plan.changed == ()
     assert plan.problem.dynamics.prescribed == ("cart",)
     assert (plan.twin.mjcf, plan.twin.source) == (cart.twin.mjcf, cart.twin.source)
@@ -204,7 +204,7 @@ def test_a_plan_is_proved_from_its_file(cart, tmp_path, capsys):
     other = planner.Problem(cart.problem.dynamics, cart.problem.cost, cart.problem.x0, twin=Twin.of(Mechanism.from_mjcf(
         CART.replace("<actuator>", '<actuator><motor joint="hip"/>')
     )))  # fmt: skip
-    again = planner.Plan.load(file, problem=other)
+    again = planner.load_plan(file, problem=other)
     assert again.problem is other
 
 
@@ -217,7 +217,7 @@ def test_a_problem_file_names_prescribed_joints(tmp_path, capsys):
     assert problem.dynamics.prescribed == ("cart",)
     assert [label for _, label in problem.appearance.plots[-1].controls] == ["servo", "motor", "acceleration of cart"]
     plan = planner.solve(problem)
-    plan = planner.Plan.load(plan.save(tmp_path / "plan.npz"))
+    plan = planner.load_plan(plan.save(tmp_path / "plan.npz"))
     assert planner.prove(plan, rollouts=0).passed
     assert finer(plan.problem).dynamics.prescribed == ("cart",)
     for value, words in (('["carts"]', "a joint in prescribed is 'carts', expected one of: cart, hip, knee"),

@@ -44,7 +44,7 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
     (tmp_path / "crane.xml").unlink()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    stored = planner.Plan.load("../plan.npz")
+    stored = planner.load_plan("../plan.npz")
     assert stored.problem is not None
     assert stored.problem.parameters == plan.parameters
     assert stored.problem.appearance == plan.problem.appearance
@@ -61,10 +61,11 @@ def test_a_damaged_table_is_refused(tmp_path):
         arrays = dict(file)
     meta = json.loads(str(arrays["meta"]))
     for key, value in (("dt", 0.1), ("goal", [1.0]), ("gaol", 1), ("weights", 3)):
-        changed = meta | {"parameters": meta["parameters"] | {key: value}}
+        table = meta["recipe"]["parameters"] | {key: value}
+        changed = meta | {"recipe": {"name": "problem-file", "parameters": table}}
         np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
         with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
-            planner.Plan.load(tmp_path / "changed.npz")
+            planner.load_plan(tmp_path / "changed.npz")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import planner
-from planner import FunctionDynamics, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost
+from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, TrackingCost
+from planner.cases.plan_file import load_plan
 
 ROOT = Path(__file__).parent.parent
 OLDER = Path(sys.prefix) / "mujoco-3.3"
@@ -86,7 +87,7 @@ def test_an_older_mujoco_finds_the_same_verdict_and_errors(stored, name, tmp_pat
 
 
 def test_a_machine_of_our_own_parts_is_rebuilt(stored):
-    plan = Plan.load(stored["own"][0])
+    plan = load_plan(stored["own"][0])
     made = own_machine()
     assert plan.case is None
     assert plan.changed == ()
@@ -115,13 +116,13 @@ def test_a_plan_of_ones_own_python_says_that_it_needs_it(tmp_path, capsys):
     file = planner.solve(problem).save(tmp_path / "plan.npz")
     assert main(["prove", str(file)]) == 2
     assert "its maker's own Python" in capsys.readouterr().err
-    plan = Plan.load(file, problem=problem)
+    plan = load_plan(file, problem=problem)
     assert planner.prove(plan, rollouts=0).plan.passed
     with pytest.raises(planner.PlannerError, match="do not fit"):
-        Plan.load(file, problem=planner.cases.two_link())
+        load_plan(file, problem=planner.cases.two_link())
 
 
 def test_how_a_plan_was_solved_is_in_its_file(tmp_path):
     plan = planner.solve(planner.cases.two_link(horizon=20), starts=3, seed=5, max_iterations=30)
-    options = Plan.load(plan.save(tmp_path / "plan.npz")).options
+    options = load_plan(plan.save(tmp_path / "plan.npz")).options
     assert (options["starts"], options["seed"], options["max_iterations"], options["update"]) == (3, 5, 30, "feedback")

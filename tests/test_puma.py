@@ -230,7 +230,7 @@ def test_nothing_is_lifted_in_no_time():
 
 def test_parameters_rebuild_the_problem(plan, tmp_path):
     plan.save(tmp_path / "p.npz")
-    stored = planner.Plan.load(tmp_path / "p.npz").problem
+    stored = planner.load_plan(tmp_path / "p.npz").problem
     assert stored is not None
     assert stored.parameters == plan.problem.parameters
     assert stored.cost.value(plan.xs, plan.us) == pytest.approx(plan.cost, rel=1e-13)

@@ -48,7 +48,7 @@ def test_a_swing_up_that_a_semi_implicit_step_had_deceived(tmp_path):
     assert sum(line.seconds for line in refined.path[1:]) < 60.0
     assert refined.plan.cost < 3.0  # the motion is kept: another local minimum costs 6.6
     refined.plan.save(tmp_path / "plan.npz")
-    stored = planner.Plan.load(tmp_path / "plan.npz")
+    stored = planner.load_plan(tmp_path / "plan.npz")
     assert stored.parameters == problem.parameters | {"integrator": "rk4"}
     assert quick(stored).passed
 

@@ -132,7 +132,7 @@ def test_rendering_turned_off_by_the_user(monkeypatch):
 def test_mujoco_loads_where_nothing_can_draw(wish):
     """With MUJOCO_GL=osmesa and no libOSMesa, `import mujoco` alone would die; everything but drawing must work."""
     code = (
-        "import os, sys; from planner import gl; gl._load = lambda names: None; before = os.environ.get('MUJOCO_GL');"
+        "import os; from planner.base import gl; gl._load = lambda names: None; before = os.environ.get('MUJOCO_GL');"
         "mujoco = gl.load_mujoco(); mujoco.MjModel.from_xml_string('<mujoco/>');"
         "assert not gl.can_render_here(); assert os.environ.get('MUJOCO_GL') == before"
     )
@@ -273,7 +273,8 @@ CHILD = """
 import sys
 import mujoco                                    # first, and with nothing to draw with
 sys.path[:0] = [{root!r}, {tests!r}]
-from planner import gl, render
+from planner.base import gl
+from planner.view.render import video as render
 from films import make_replay
 assert not gl.can_render_here()
 reports = []

@@ -20,6 +20,7 @@ from planner.base.measured import Measured, Section
 from planner.cases.problem_file import load
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
+from planner.problem.recipe import Recipe
 from planner.proof.refinement import Refinement
 from planner.view.plots import plot_plan, plot_proof
 from planner.view.render.encode import Encoder
@@ -123,7 +124,7 @@ def test_all_text_is_escaped(plan, tmp_path):
     proof = proof_of("PASS", evil, goal=section, same_step=Section(evil, not_applicable=evil))
     proof.reason = evil
     marked = replace(
-        plan, case=evil, parameters={evil: evil, "list": [evil]}, made_with={evil: evil},
+        plan, recipe=Recipe(evil, {evil: evil, "list": [evil]}), made_with={evil: evil},
         problem=SimpleNamespace(appearance=Appearance(evil), bounds=None, ranges=None, limits=None),
         twin=replace(plan.twin, mjcf=evil),
     )  # fmt: skip
@@ -133,7 +134,7 @@ def test_all_text_is_escaped(plan, tmp_path):
 
 
 def test_a_plan_read_without_its_problem(plan, tmp_path):
-    bare = replace(plan, problem=None, case=None, parameters={}, twin=None)
+    bare = replace(plan, problem=None, recipe=None, twin=None)
     text = page_of(bare, proof_of(), tmp_path).text
     assert "Parameters" not in text
     assert "MJCF" not in text
@@ -152,7 +153,7 @@ def test_a_missing_folder_is_one_sentence(plan, tmp_path):
 
 
 def of_case(plan, case, **parameters):
-    return replace(plan, case=case, parameters=cases.build(case, **parameters).parameters)
+    return replace(plan, recipe=cases.build(case, **parameters).recipe)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +221,7 @@ def test_a_problem_file_is_shown_as_it_can_be_run_again(plan, tmp_path):
     written = """model = "model.xml"\nstart = [0.0]\ngoal = { "hinge 1" = 1.5 }\nduration = 2.0\nstarts = 3\n"""
     (tmp_path / "mine.toml").write_text(written + "[weights]\neffort = 0.25\n")
     problem = load(tmp_path / "mine.toml").problem
-    made = replace(plan, case=problem.case, parameters=problem.parameters)
+    made = replace(plan, recipe=problem.recipe)
     assert command(made) == "planner run problem.toml"
     (tmp_path / "problem.toml").write_text(problem_text(made))
     assert load(tmp_path / "problem.toml").problem.parameters == problem.parameters
@@ -230,7 +231,7 @@ def test_a_problem_file_is_shown_as_it_can_be_run_again(plan, tmp_path):
 
 
 def test_a_plan_of_a_program_says_so(plan, tmp_path):
-    text = page_of(replace(plan, case=None, parameters={}), proof_of(), tmp_path).text
+    text = page_of(replace(plan, recipe=None), proof_of(), tmp_path).text
     assert "planner run" not in text
     assert "The plan was made by a program of its own." in text
 

@@ -90,7 +90,7 @@ def test_the_swing_is_the_studys(swing):
 
 def test_the_swing_is_proved_from_its_file(swing, tmp_path):
     """Nothing touches, nothing stops: MuJoCo repeats it to a hundred thousandth of a degree."""
-    loaded = planner.Plan.load(swing.save(tmp_path / "plan.npz"))
+    loaded = planner.load_plan(swing.save(tmp_path / "plan.npz"))
     assert loaded.twin.curves == loaded.problem.dynamics.mechanism.curves == WALKER.mechanism.curves
     assert np.degrees(np.abs(planner.replay(loaded).error[:, :11]).max()) < 1e-4
     assert planner.parity(loaded.problem).passed
@@ -99,7 +99,7 @@ def test_the_swing_is_proved_from_its_file(swing, tmp_path):
 def test_the_command_line_asks_for_passive_joints(tmp_path):
     file = tmp_path / "plan.npz"
     assert main(["solve", "human-step", "--phase", "swing", "--passive", "riener-edrich", "--out", str(file)]) == 0
-    assert planner.Plan.load(file).parameters["passive"] == "riener-edrich"
+    assert planner.load_plan(file).parameters["passive"] == "riener-edrich"
 
 
 def test_bad_input_is_refused():

@@ -7,11 +7,11 @@ import pytest
 from rolled import LIMITED, TREE, acrobot, problem_of, rolled_out, swing_up, tree_plan
 
 import planner
+from planner.cases.plan_file import load_plan
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
-from planner.problem.plan import Plan
 from planner.problem.problem import Problem, Requirements
 from planner.proof.contact_history import may_touch
 from planner.proof.replaying import compile_model
@@ -234,7 +234,7 @@ def test_meshes_travel_with_the_plan(tmp_path):
     text = text.replace("<worldbody>", '<asset><mesh name="cube" file="cube.obj"/></asset><worldbody>')
     plan = rolled_out(problem_of(Mechanism.from_mjcf(LIMITED), 0.01, 10))
     plan = replace(plan, twin=replace(plan.twin, mjcf=text, assets={"cube.obj": cube.encode()}))
-    again = Plan.load(plan.save(tmp_path / "plan.npz"))
+    again = load_plan(plan.save(tmp_path / "plan.npz"))
     assert again.twin.assets == plan.twin.assets
     assert compile_model(again.twin.mjcf, again.twin.assets).nmesh == 1
     with pytest.raises(planner.ModelError, match="MuJoCo refuses"):

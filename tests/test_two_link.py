@@ -158,7 +158,7 @@ def test_the_twin_has_the_parameters_of_the_case():
 
 def test_parameters_rebuild_the_problem(plan, tmp_path):
     plan.save(tmp_path / "p.npz")
-    stored = planner.Plan.load(tmp_path / "p.npz")
+    stored = planner.load_plan(tmp_path / "p.npz")
     assert stored.problem is not None
     assert stored.problem.parameters == plan.problem.parameters
     assert stored.problem.cost.value(stored.xs, stored.us) == pytest.approx(plan.cost, rel=1e-13)

@@ -34,6 +34,7 @@ from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 Start = Literal["paper", "hanging"]
 Guess = Literal["paper", "zero", "sine"]
@@ -86,8 +87,9 @@ def acrobot(
     }  # fmt: skip
     return Problem(
         dynamics, cost, x0=x0, us=_first_controls(first, dynamics, x0, N), twin=Twin.of(dynamics.mechanism),
-        case="acrobot", appearance=arm_appearance("Acrobot, to upright", links, ("elbow",), speed=0.5),
-        parameters=parameters, requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
+        recipe=Recipe("acrobot", parameters, acrobot),
+        appearance=arm_appearance("Acrobot, to upright", links, ("elbow",), speed=0.5),
+        requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
     )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
     from planner.proof.replaying import Replay
@@ -106,8 +107,8 @@ def hopper(
         "smoothing": dynamics.smoothing, "stiffness": dynamics.stiffness, "gravity": dynamics.gravity, **weights,
     }  # fmt: skip
     return Problem(
-        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), appearance=_appearance(height), case="hopper",
-        parameters=parameters, requirements=_requirements(dynamics, height),
+        dynamics, cost, x0=np.zeros(3), twin=_twin(dynamics), appearance=_appearance(height),
+        recipe=Recipe("hopper", parameters, hopper), requirements=_requirements(dynamics, height),
     )  # fmt: skip
 
 

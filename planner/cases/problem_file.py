@@ -32,6 +32,7 @@ import difflib
 import tomllib
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,20 +49,23 @@ from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.read import read
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost, states
+from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.guess import hold
 from planner.problem.limits import Limits
-from planner.problem.objective import checked_durations, weights_of, with_objective
+from planner.problem.objective import checked_durations, weights_of
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 from planner.solvers.multistart import MOST_STARTS
 
 if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
-CASE = "problem-file"
+NAME = "problem-file"
 
 MOST_STAGES = 100_000
 
@@ -128,7 +132,7 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), least=0)
 
 
-def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
+def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     """The problem of a stored plan, from its table and the model beside it.
 
     Raises:
@@ -138,6 +142,20 @@ def rebuilt(table: dict[str, Any], twin: Twin | None) -> Problem:
         raise PlannerError("its model is missing.")
     table = _checked(table, "the plan")
     return _problem(table, _mechanism(twin.planned, table, twin.assets), "the plan")
+
+
+def load_problem(path: str | Path) -> Problem:
+    """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
+
+    Raises:
+        PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
+    """
+    named = case_in(path)
+    return load(path).problem if named is None else cases.build(named[0], **named[1])
+
+
+def _again(mechanism: Mechanism, **table: Any) -> Problem:
+    return _problem(_checked(table, "the problem file"), mechanism, "the problem file")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -179,8 +197,6 @@ def _known(table: dict[str, Any], keys: Collection[str], where: str) -> None:
 
 
 def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
-    from planner.model.mjcf.read import read  # the one module that needs MuJoCo's compiler
-
     ignore = table["ignore"]
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
@@ -243,7 +259,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     _check_departure(x0, cost, table["tolerance"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
-        dynamics, cost, x0, case=CASE, parameters=table,
+        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits,

@@ -42,6 +42,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.guess import follow, quintic
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
     from planner.proof.replaying import Replay
@@ -123,8 +124,9 @@ def puma(
         speed_limit = number("speed_limit", speed_limit, above=0.0)
     limited = bounds is not None or speed_limit is not None
     return Problem(
-        dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), case="puma", appearance=_appearance(payload),
-        parameters=parameters, requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
+        dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), appearance=_appearance(payload),
+        recipe=Recipe("puma", parameters, puma),
+        requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
         limits=Limits(control=bounds, velocity=speed_limit) if limited else None,
     )  # fmt: skip
 

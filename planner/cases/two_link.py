@@ -30,6 +30,7 @@ from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, a
 from planner.model.twin import Twin
 from planner.problem.guess import follow, quintic
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 Guess = Literal["paper", "zero"]
 
@@ -74,7 +75,8 @@ def two_link(
         "effort_weight": float(effort_weight),
     }  # fmt: skip
     return Problem(
-        dynamics, cost, x0=np.zeros(4), us=us, twin=Twin.of(dynamics.mechanism), case="two-link",
+        dynamics, cost, x0=np.zeros(4), us=us, twin=Twin.of(dynamics.mechanism),
+        recipe=Recipe("two-link", parameters, two_link),
         appearance=arm_appearance("Two-link arm, to upright", links, ("shoulder", "elbow"), speed=0.5),
-        parameters=parameters, requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
+        requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
     )  # fmt: skip

@@ -11,6 +11,7 @@ from planner.base.arguments import choice, count
 from planner.base.errors import PlannerError
 from planner.base.files import staged_folder, write_atomically
 from planner.base.jsonable import json_text
+from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, solved
 from planner.cli.results import OUTPUTS, plan_facts, show_plan, show_proof, write_results
@@ -61,7 +62,7 @@ def _perturbation(words: list[str] | None, plan: Plan) -> Perturbation:
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
-    plan = Plan.load(arguments.plan)
+    plan = load_plan(arguments.plan)
     perturbation = _perturbation(arguments.perturb, plan)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out"):
@@ -133,7 +134,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     out = Path(arguments.out)
     if out.suffix not in (".mp4", ".png"):
         raise PlannerError(f"cannot render to {out}: expected a name ending in .mp4 or .png.")
-    plan = Plan.load(arguments.plan)
+    plan = load_plan(arguments.plan)
     require_backend()
     if arguments.replay_case is not None:
         shown = _case(plan, arguments, _perturbation(arguments.perturb, plan))
@@ -154,7 +155,7 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
-    plan = Plan.load(arguments.plan)
+    plan = load_plan(arguments.plan)
     with staged_folder(arguments.out, OUTPUTS) as staged:
         proof = None
         if np.isfinite(plan.xs).all() and np.isfinite(plan.cost):

@@ -14,8 +14,9 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
 from planner.cli.parser import PROBLEM_FILE
+from planner.problem.criteria import with_objective
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, weights_of, with_objective
+from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.cost import proven_cost

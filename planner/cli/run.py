@@ -15,6 +15,7 @@ import numpy as np
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
+from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.results import INTERRUPTED as UNFINISHED
@@ -71,7 +72,7 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 def _run(
     asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console
 ) -> tuple[int, dict[str, Any]]:
-    stored = Plan.load(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
+    stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
     if stored is None or stored.status is Status.INTERRUPTED:
         resumed, path = False, ()
         _check_model(asked.problem)

@@ -71,7 +71,13 @@ class FunctionDynamics:
         return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
 
     def with_step(self, dt: float, integrator: str) -> FunctionDynamics:
-        """The same machine with another stage and integrator."""
+        """The same machine with another stage, s, and integrator.
+
+        Raises:
+            PlannerError: The function is a discrete map: it has no rates to be integrated over another stage.
+        """
+        if self.integrator == "discrete":
+            raise PlannerError("the dynamics are a discrete map, expected rates f(x, u): they fit any stage.")
         return FunctionDynamics(self._f, self.nx, self.nu, dt, integrator, self._jacobian)
 
     def _rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:

@@ -46,6 +46,10 @@ class HopperDynamics:
         self._code = INTEGRATORS.index(self.integrator)
         self._parameters = np.array([self.stiffness, self.smoothing, self.gravity])
 
+    def with_step(self, dt: float, integrator: str) -> HopperDynamics:
+        """The same hopper with another stage, s, and integrator."""
+        return HopperDynamics(dt, integrator, stiffness=self.stiffness, smoothing=self.smoothing, gravity=self.gravity)
+
     def step(self, xs: np.ndarray, us: np.ndarray, dt: np.ndarray | None = None) -> np.ndarray:
         """The ends (K, 3) of K stages from xs (K, 3) with us (K, 1); see Dynamics.step."""
         xs = array("xs", xs, ("K", 3), any_value=True)

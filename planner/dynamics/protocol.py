@@ -19,6 +19,8 @@ class Dynamics(Protocol):
     States that are not plain vectors (orientations as unit quaternions) come with one more attribute, `space`, a
     StateSpace: then A, B and a plan's gains act on its deviations, ndx numbers. Without it ndx is nx.
 
+    For a finer step, or another duration, they have one more method, with_step(dt, integrator).
+
     For solve(hessian="exact") they have one more method, second_order(xs, us, costates): with costates (N+1, ndx) of
     Eq. 16 the symmetric T (N, ndx+nu, ndx+nu) = sum_k costates[n+1, k] d2 f_k / dz2 in z = (x, u).
 

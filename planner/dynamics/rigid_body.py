@@ -68,6 +68,19 @@ class RigidBodyDynamics:
         self.penalised_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "penalties")
         self.second_order_kernels = ("tree second order", "costates")
 
+    def with_step(self, dt: float, integrator: str) -> RigidBodyDynamics:
+        """The same machine with another stage, s, and integrator.
+
+        Raises:
+            PlannerError: The class is derived from RigidBodyDynamics and has no with_step of its own.
+        """
+        if type(self) is not RigidBodyDynamics:  # it may take other arguments
+            raise PlannerError(
+                f"the dynamics are of the type {type(self).__name__}, expected RigidBodyDynamics, or a class with "
+                "with_step(dt, integrator) of its own."
+            )
+        return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed)
+
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         us = array("us", us, ("K", self.nu), any_value=True)
         return array("xs", xs, (len(us), self.nx), any_value=True), us

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from planner.problem.pictures import CasePicture
-    from planner.problem.plan import Plan
-    from planner.proof.replaying import Replay
+from planner.problem.pictures import CasePicture
 
 Point = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -98,7 +95,7 @@ class Appearance:
         force_unit: Of the contact force, for plots.
         speed: Playback speed; 0.25 is four times slow motion.
         plots: Panels of the report.
-        pictures: Of a plan, and of the replay that was judged or None: what else the case shows, one of a kind.
+        pictures: (Plan, the judged planner.Replay or None) -> more pictures of the case, at most one of a kind.
         trail: A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none.
     """
 
@@ -121,7 +118,7 @@ class Appearance:
     force_unit: str = ""
     speed: float = 1.0
     plots: tuple[Panel, ...] = field(default=())
-    pictures: Callable[[Plan, Replay | None], Sequence[CasePicture]] | None = None
+    pictures: Callable[[Any, Any], Sequence[CasePicture]] | None = None
     trail: str = ""
 
     def seen_from(self, view: View) -> Appearance:

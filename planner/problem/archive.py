@@ -1,4 +1,7 @@
-"""The file of a plan: an .npz without pickle, arrays and one JSON string, read back with every check before use."""
+"""The file of a plan: a compressed .npz without pickle, arrays and one JSON string, checked before any of it is used.
+
+Files that the model names (meshes, textures) are stored once each, under the digest of their content.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +23,19 @@ from planner.model.mjcf.bounds import check_stored
 from planner.model.space import StateSpace
 from planner.problem.digests import changed, digests
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 ARRAYS = ("t", "xs", "us", "K", "history")
-ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, as uint8
+FILE = "file:"  # and a digest: the bytes of a file that the model's text names, as uint8
 HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
-PART = "problem:"  # and a name: an array of the problem, where it is no case
+PART = "problem:"  # and a name: an array of the problem, where its recipe needs some
+_MOST_BYTES = 2**30  # of all arrays, unpacked: a plan of 100,000 stages of a humanoid has half of that
 
 _NUMBER = (int, float, type(None))
 _META = {
-    "case": (str, type(None)), "parameters": (dict,), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER,
-    "iterations": (int,), "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)),
-    "space": (dict,), "starts": (list,), "options": (dict,), "problem": (dict, type(None)), "digests": (dict,),
-    "limits": (dict, type(None)), "objective": (dict, type(None)),
+    "recipe": (dict, type(None)), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER, "iterations": (int,),
+    "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)), "files": (dict,), "space": (dict,),
+    "starts": (list,), "options": (dict,), "digests": (dict,), "limits": (dict, type(None)),
+    "objective": (dict, type(None)),
 }  # fmt: skip
 _START = (int,), (str,), _NUMBER, (int,), _NUMBER
 
@@ -64,7 +68,7 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any
     meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
     with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
         contents: dict[str, Any] = dict(arrays)  # for the type checker: savez has flags of its own
-        np.savez(file, **contents, meta=np.array(json.dumps(meta, allow_nan=False)))
+        np.savez_compressed(file, **contents, meta=np.array(json.dumps(meta, allow_nan=False)))
 
 
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -84,12 +88,15 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     try:
         # Our own handle: np.load leaks its file when the archive is broken.
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            assets = [name for name in file.files if name.startswith(ASSET)]
-            parts = [name for name in file.files if name.startswith(PART)]
-            hinges = [name for name in file.files if name in HINGES]
-            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *assets, *parts, *hinges)}
+            unpacked = sum(entry.file_size for entry in file.zip.infolist())
+            if unpacked > _MOST_BYTES:
+                raise FileError(f"{named} unpacks to {unpacked} bytes, expected a plan of at most {_MOST_BYTES}.")
+            more = [name for name in file.files if name.startswith((FILE, PART)) or name in HINGES]
+            arrays = {name: np.asarray(file[name]) for name in (*ARRAYS, *more)}
             meta = json.loads(str(file["meta"]))
         version = meta["format_version"]
+    except FileError:
+        raise
     except OSError as error:
         if error.errno is not None:
             raise FileError(f"cannot read {named}: {error.strerror}.") from None
@@ -98,32 +105,27 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         raise foreign from error
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise foreign
-    if version > FORMAT_VERSION:
+    if version != FORMAT_VERSION:
         versions = meta.get("versions")
         made = versions.get("planner") if isinstance(versions, dict) else None
-        made = printable(made) if isinstance(made, str) else "a newer version"
+        newer = version > FORMAT_VERSION
+        made = printable(made) if isinstance(made, str) else f"{'a newer' if newer else 'an older'} version"
+        remedy = "read it with that version" if newer else "make the plan again with this one"
         raise FileError(
-            f"{named} has format {version}, written by planner {made}; this planner reads up to {FORMAT_VERSION}."
+            f"{named} has format {version}, written by planner {made}; this planner reads format {FORMAT_VERSION}: "
+            f"{remedy}."
         )
-    if version == 1:  # plain vectors, one start
-        meta |= {"space": {"ndx": arrays["xs"].shape[-1] if arrays["xs"].ndim else 0, "quaternions": []}, "starts": []}
-    if version < 3:  # no digests, and problems of cases alone
-        starts = meta.get("starts")
-        starts = [row + row[2:3] for row in starts if isinstance(row, list)] if isinstance(starts, list) else starts
-        meta |= {"options": {}, "problem": None, "digests": {}, "starts": starts}  # ranked by cost
-    if version < 4:
-        meta |= {"limits": None, "objective": None}
     _check_meta(named, meta)
     written = meta.pop("digests")
-    added = {"format_version"} if version >= 4 else {"format_version", "limits", "objective"}
-    content = {name: part for name, part in meta.items() if name not in added}
-    meta["changed"] = changed(arrays, content, written) if version >= 3 else ()
-    meta["space"] = _check_arrays(named, arrays, columns, meta["space"])
+    content = {name: part for name, part in meta.items() if name != "format_version"}
+    meta["changed"] = changed(arrays, content, written)
+    meta["space"] = _check_arrays(named, arrays, columns, meta["space"], meta["files"])
     if meta["mjcf"] is not None:
-        texts = [meta["mjcf"], (meta["twin"] or {}).get("source", "")]
+        contents = {name: arrays[FILE + digest].tobytes() for name, digest in meta["files"].items()}
+        twin = meta["twin"] or {}
         try:
-            for text in filter(None, map(str, texts)):
-                check_stored(text, {name.removeprefix(ASSET): arrays[name].tobytes() for name in assets})
+            for text in filter(None, (meta["mjcf"], *(str(twin.get(name, "")) for name in ("source", "original")))):
+                check_stored(text, contents)
         except ModelError as error:
             raise FileError(f"{named} is damaged: {error}") from None
     return arrays, meta
@@ -133,8 +135,11 @@ def _check_meta(named: str, meta: dict[str, Any]) -> None:
     for name, kinds in _META.items():
         value: Any = meta.get(name)
         usable = name in meta and _is(value, kinds)
-        if usable and name == "versions":
-            usable = all(isinstance(version, str) for version in value.values())
+        if usable and name in ("versions", "files"):
+            usable = all(isinstance(text, str) for text in value.values())
+        if usable and name == "recipe" and value is not None:
+            kinds = {"name": str, "parameters": dict}
+            usable = set(value) == set(kinds) and all(isinstance(value[part], kinds[part]) for part in kinds)
         if usable and name == "starts":
             rows = (row if isinstance(row, list) else [] for row in value)
             usable = all(len(row) == len(_START) and all(map(_is, row, _START)) for row in rows)
@@ -168,7 +173,9 @@ def _space(named: str, nx: int, given: dict[str, Any]) -> StateSpace:
     return space
 
 
-def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space: dict[str, Any]) -> StateSpace:
+def _check_arrays(
+    named: str, arrays: dict[str, np.ndarray], columns: int, space: dict[str, Any], files: dict[str, str]
+) -> StateSpace:
     if arrays["us"].ndim != 2 or arrays["xs"].ndim != 2 or len(arrays["us"]) == 0:
         raise FileError(f"{named} is damaged: xs and us are not tables, expected (N+1, nx) and (N, nu).")
     (N, nu), nx = arrays["us"].shape, arrays["xs"].shape[1]
@@ -179,6 +186,9 @@ def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space
         have = arrays[name]
         if have.shape != shape or have.dtype != np.float64:
             raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected float64 {shape}.")
+    lost = [name for name, digest in files.items() if FILE + digest not in arrays]
+    if lost:
+        raise FileError(f"{named} is damaged: it has no file {printable(lost[0])!r}, which its model names.")
     hinges = [arrays[name] for name in HINGES if name in arrays]
     if hinges and (len(hinges) < len(HINGES) or any(h.dtype != np.float64 or h.ndim != 2 for h in hinges)):
         raise FileError(f"{named} is damaged: it has no usable {', '.join(HINGES)}.")
@@ -187,7 +197,7 @@ def _check_arrays(named: str, arrays: dict[str, np.ndarray], columns: int, space
     for name, have in arrays.items():
         if name.startswith(PART) and have.dtype != np.float64:
             raise FileError(f"{named} is damaged: {name} is {have.dtype}, expected float64.")
-        if name.startswith(ASSET) and (have.ndim != 1 or have.dtype != np.uint8):
+        if name.startswith(FILE) and (have.ndim != 1 or have.dtype != np.uint8):
             raise FileError(f"{named} is damaged: {name} is {have.dtype} {have.shape}, expected uint8 (bytes,).")
     t = arrays["t"]
     if not (np.isfinite(t).all() and t[0] == 0.0 and np.all(np.diff(t) > 0.0)):

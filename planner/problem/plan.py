@@ -9,35 +9,30 @@ where x - xs[n] is the deviation space.difference(x, xs[n]), for plain vectors t
 
 plan.npz is read with numpy alone: arrays t (N+1,), xs (N+1, nx), us (N, nu), K (N, nu, ndx), history (one row
 per iteration, columns as in Iteration) and meta, one JSON string, in which `space` tells where xs has quaternions and
-`digests` what was changed since it was written. Its model and its problem are in it too, so it is proved from the file
-alone; a problem that is its maker's own Python must be given. No pickle.
+`digests` what was changed since it was written. Its model and the recipe of its problem are in it too, so it is proved
+from the file alone (planner.load_plan); a problem that is its maker's own Python must be given. No pickle.
 """
 
 from __future__ import annotations
 
 import math
-import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import choice
-from planner.base.errors import FileError, PlannerError
-from planner.base.files import printable
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
-from planner.problem.archive import ASSET, HINGES, PART, plan_name, read_archive, write_archive
-from planner.problem.limits import Limits
-from planner.problem.objective import plain, with_objective
+from planner.problem.archive import FILE, HINGES, PART, plan_name, write_archive
+from planner.problem.criteria import plain
+from planner.problem.digests import digest_of
+from planner.problem.parts import in_parts
+from planner.problem.problem import Problem
+from planner.problem.recipe import Recipe
 from planner.problem.state_ranges import Hinges
-from planner.problem.stored_problem import rebuilt, stored
-
-if TYPE_CHECKING:
-    from planner.problem.problem import Problem
 
 
 class Status(StrEnum):
@@ -141,8 +136,7 @@ class Plan:
         status: How the solve ended.
         history: One Iteration per iteration; the last line is the plan itself.
         problem: What was solved; None for a file whose problem is a user's own Python.
-        case: Name of the case in planner.cases, or None.
-        parameters: Every argument of the case by name.
+        recipe: How the problem was built; None where it was put together from parts.
         twin: The MuJoCo model it is replayed in, or None.
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
@@ -162,8 +156,7 @@ class Plan:
     status: Status
     history: tuple[Iteration, ...]
     problem: Problem | None = None
-    case: str | None = None
-    parameters: dict[str, Any] = field(default_factory=dict)
+    recipe: Recipe | None = None
     twin: Twin | None = None
     made_with: dict[str, str] | None = None
     starts: tuple[Start, ...] = ()
@@ -171,6 +164,16 @@ class Plan:
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
     hinges: Hinges | None = None
+
+    @property
+    def case(self) -> str | None:
+        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
+        return None if self.recipe is None else self.recipe.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Arguments of the recipe by name; none without a recipe."""
+        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:
@@ -219,8 +222,18 @@ class Plan:
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
 
+    def between_knots(self, parts: int) -> np.ndarray:
+        """States (N * parts + 1, nx) at every part of a stage: the plan's own integrator, from each knot on."""
+        assert self.problem is not None  # its dynamics are asked
+        N, nx = self.N, self.xs.shape[1]
+        times = np.tile(self.problem.dynamics.dt / parts * np.arange(parts), N)
+        xs, us = np.repeat(self.xs[:-1], parts, axis=0), np.repeat(self.us, parts, axis=0)
+        inside = self.problem.dynamics.step(xs, us, times).reshape(N, parts, nx)
+        inside[:, 0] = self.xs[:-1]
+        return np.concatenate([inside.reshape(-1, nx), self.xs[-1:]])
+
     def __str__(self) -> str:
-        name = f"{self.case}: " if self.case else ""
+        name = f"{self.recipe.name}: " if self.recipe is not None else ""
         return f"Plan({self.status.name}: {name}{self.nit} iterations, cost {self.cost:.6g}, N = {self.N})"
 
     __repr__ = __str__
@@ -231,11 +244,14 @@ class Plan:
         Raises:
             FileError: The file cannot be written.
         """
-        own = stored(None if self.problem is None else plain(self.problem))
+        recipe, parts = self.recipe, {}
+        if recipe is None and self.problem is not None:
+            recipe, parts = in_parts(plain(self.problem)) or (None, {})
         objective = None if self.problem is None else self.problem.objective
+        files = {} if self.twin is None else self.twin.assets
+        names = {name: digest_of(content) for name, content in files.items()}
         meta = {
-            "case": self.case,
-            "parameters": self.parameters,
+            "recipe": None if recipe is None else {"name": recipe.name, "parameters": recipe.parameters},
             "status": self.status.name,
             "cost": float(self.cost),
             "gradient_norm": float(self.gradient_norm),
@@ -243,10 +259,10 @@ class Plan:
             "versions": self.versions,
             "twin": None if self.twin is None else self.twin.to_dict(),
             "mjcf": None if self.twin is None else self.twin.mjcf,
+            "files": names,
             "space": self.space.to_dict(),
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
             "options": self.options,
-            "problem": None if own is None else own[0],
             "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
         }
@@ -254,99 +270,9 @@ class Plan:
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
         if self.hinges is not None:
             arrays |= dict(zip(HINGES, self.hinges, strict=True))
-        for name, content in ({} if self.twin is None else self.twin.assets).items():
-            arrays[ASSET + name] = np.frombuffer(content, np.uint8)
-        for name, part in ({} if own is None else own[1]).items():
+        for name, content in files.items():
+            arrays[FILE + names[name]] = np.frombuffer(content, np.uint8)
+        for name, part in parts.items():
             arrays[PART + name] = part
         write_archive(plan_name(path), arrays, meta)
         return Path(path)
-
-    @classmethod
-    def load(cls, path: str | Path, *, problem: Problem | None = None) -> Plan:
-        """Read a plan.npz and rebuild its problem.
-
-        Args:
-            path: The file.
-            problem: What was solved, for a plan whose dynamics or cost is its maker's own Python.
-
-        Raises:
-            FileError: No such file, not a plan, damaged, or written by a newer version.
-            PlannerError: The problem given is not of the plan's sizes.
-        """
-        if not isinstance(path, (str, os.PathLike)):
-            raise FileError(f"cannot read a plan from a {type(path).__name__}, expected the path of a plan.npz.")
-        arrays, meta = read_archive(Path(path), len(Iteration._fields))
-        assets = {name.removeprefix(ASSET): arrays[name].tobytes() for name in arrays if name.startswith(ASSET)}
-        try:
-            plan = cls(
-                *(arrays[name] for name in ("t", "xs", "us", "K")),
-                cost=_number(meta["cost"]),
-                gradient_norm=_number(meta["gradient_norm"]),
-                status=_status(meta["status"]),
-                history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
-                case=meta["case"],
-                parameters=meta["parameters"],
-                twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"], assets),
-                made_with=meta["versions"],
-                starts=tuple(
-                    Start(index, _status(status), _number(cost), iterations, _number(score))
-                    for index, status, cost, iterations, score in meta["starts"]
-                ),
-                stored_space=meta["space"],
-                options=meta["options"],
-                changed=meta["changed"],
-                hinges=Hinges(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
-            )
-            if problem is not None:
-                return replace(plan, problem=_fitting(plan, problem))
-            parts = {name.removeprefix(PART): arrays[name] for name in arrays if name.startswith(PART)}
-            return replace(plan, problem=_rebuilt(plan, meta, parts))
-        except PlannerError as error:
-            raise FileError(f"{printable(path)} is damaged or of a case that cannot be rebuilt: {error}") from None
-        except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError) as error:
-            reason = " ".join(f"{type(error).__name__} in its meta, {error}".split()).rstrip(" ,.")
-            raise FileError(f"{printable(path)} is damaged: {reason}.") from None
-
-
-def _number(value: float | None) -> float:
-    """A number of a JSON file, where null stands for what is not finite."""
-    return math.nan if value is None else float(value)
-
-
-def _status(name: str) -> Status:
-    return Status[choice("status", name, Status.__members__)]
-
-
-def _rebuilt(plan: Plan, meta: dict[str, Any], parts: dict[str, np.ndarray]) -> Problem | None:
-    """The problem of a stored plan, with its limits and its objective; None where it is its maker's own Python."""
-    from planner import cases
-    from planner.cases import problem_file  # these build on everything above; only a file's name leads back here
-
-    if meta["problem"] is not None:
-        problem = rebuilt(meta["problem"], parts, plan.twin)
-    elif plan.case is None:
-        return None
-    else:
-        own = plan.case == problem_file.CASE
-        problem = problem_file.rebuilt(plan.parameters, plan.twin) if own else cases.build(plan.case, **plan.parameters)
-        if problem.parameters != plan.parameters:
-            missing = sorted(set(problem.parameters) - set(plan.parameters))
-            raise PlannerError(
-                f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'})."
-            )
-    limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
-    problem = replace(plain(problem), limits=limits)
-    return _fitting(plan, problem if meta["objective"] is None else with_objective(problem, meta["objective"]))
-
-
-def _fitting(plan: Plan, problem: Problem) -> Problem:
-    """The problem, when a plan's arrays and maps are of its sizes."""
-    if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
-        raise PlannerError(f"its arrays do not fit its {f'case {plan.case!r}' if plan.case else 'problem'}.")
-    if plan.hinges is not None and (
-        problem.ranges is None or plan.hinges.weight.shape[1] != len(problem.ranges.component)
-    ):
-        raise PlannerError("what its limits add to the cost does not fit its problem's ranges.")
-    if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
-        raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")
-    return problem

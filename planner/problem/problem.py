@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +18,10 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
 from planner.problem.limits import Limits
+from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
+from planner.problem.recipe import Recipe
 from planner.problem.state_ranges import StateRanges
-
-if TYPE_CHECKING:
-    from planner.problem.objective import Objective
-    from planner.proof.replaying import Replay
 
 
 @dataclass(frozen=True)
@@ -36,8 +34,8 @@ class Requirements:
         rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
         start: Keyframe of the twin that must be the plan's own start.
         no_same_step: Why a replay at the plan's own step says nothing here.
-        tracking: Replay -> the Section that judges it.
-        goal: Replay -> the Section that judges whether the goal was reached.
+        tracking: planner.Replay -> the Section that judges it.
+        goal: planner.Replay -> the Section that judges whether the goal was reached.
         success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
         follows: In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the
             plan's (T, nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
@@ -49,8 +47,8 @@ class Requirements:
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     start: str = ""
     no_same_step: str = ""
-    tracking: Callable[[Replay], Section] | None = None
-    goal: Callable[[Replay], Section] | None = None
+    tracking: Callable[[Any], Section] | None = None
+    goal: Callable[[Any], Section] | None = None
     success: Callable[[np.ndarray], np.ndarray] | None = None
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     perturbation: Mapping[str, float] = field(default_factory=dict)
@@ -76,8 +74,8 @@ class Problem:
             digits of it are worth no iterations; None for solve's own.
         gain_tolerance: The same, where a cost has kinks.
         periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
-        case: Name in planner.cases, or None.
-        parameters: Every argument of the case by name.
+        recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
+            start or horizon were replaced.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
 
@@ -93,8 +91,7 @@ class Problem:
     twin: Twin | None = None
     appearance: Appearance | None = None
     requirements: Requirements | None = None
-    case: str | None = None
-    parameters: dict[str, Any] = field(default_factory=dict)
+    recipe: Recipe | None = None
     limits: Limits | None = None
     objective: Objective | None = None
     periodic: Periodic | None = None
@@ -130,6 +127,9 @@ class Problem:
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
+        if self.recipe is not None:
+            cost = self.cost if self.objective is None else self.objective.base
+            object.__setattr__(self, "recipe", self.recipe.of(self.dynamics, cost, self.x0, N))
         if self.decrease_tolerance is not None:
             number("decrease_tolerance", self.decrease_tolerance, least=0.0)
         number("gain_tolerance", self.gain_tolerance, least=0.0)
@@ -153,12 +153,22 @@ class Problem:
         check_cost("cost", self.cost)
         parts = (
             ("twin", Twin), ("appearance", Appearance), ("requirements", Requirements), ("limits", Limits),
-            ("periodic", Periodic),
+            ("periodic", Periodic), ("recipe", Recipe), ("objective", Objective),
         )  # fmt: skip
         for name, kind in parts:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")
+
+    @property
+    def case(self) -> str | None:
+        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
+        return None if self.recipe is None else self.recipe.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Arguments of the recipe by name; none without a recipe."""
+        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:

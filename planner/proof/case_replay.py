@@ -13,7 +13,7 @@ from planner.problem.plan import Plan
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.ranges import ranges_reached
-from planner.proof.replaying import RUNAWAY, Replay, between_knots, warnings_of
+from planner.proof.replaying import RUNAWAY, Replay, warnings_of
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
 
 
@@ -71,7 +71,7 @@ def replay_case(
         substeps = CONTROL_STEPS * rollouts.substeps
         return Replay(
             plan=plan, twin=twin, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act, ctrl=ctrl,
-            xs=rollouts.x_of(w), plan_xs=between_knots(plan, substeps), contact_force=recorder.force,
+            xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
             contact_point=recorder.point, substeps=substeps, warnings=warnings_of(mujoco, data),
             reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip

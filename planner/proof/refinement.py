@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
-from planner.problem.finer import finer
+from planner.problem.discretisation import finer
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof import prove as full_proof

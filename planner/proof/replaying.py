@@ -187,23 +187,12 @@ def replay(
         return _run(plan, twin, model, feedback, n)
 
 
-def between_knots(plan: Plan, substeps: int) -> np.ndarray:
-    """The plan at every simulator step (N * substeps + 1, nx): its own integrator over parts of each stage."""
-    assert plan.problem is not None
-    N, nx = plan.N, plan.xs.shape[1]
-    parts = np.tile(plan.problem.dynamics.dt / substeps * np.arange(substeps), N)
-    xs, us = np.repeat(plan.xs[:-1], substeps, axis=0), np.repeat(plan.us, substeps, axis=0)
-    inside = plan.problem.dynamics.step(xs, us, parts).reshape(N, substeps, nx)
-    inside[:, 0] = plan.xs[:-1]
-    return np.concatenate([inside.reshape(-1, nx), plan.xs[-1:]])
-
-
 def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> Replay:
     mujoco = load_mujoco()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
     data = mujoco.MjData(model)
     nq, nv, M = model.nq, model.nv, plan.N * substeps
-    plan_xs = between_knots(plan, substeps)
+    plan_xs = plan.between_knots(substeps)
     w = np.full((M + 1, nq + nv + model.na), np.nan)
     ctrl = np.repeat(plan.us, substeps, axis=0)
     recorder = ContactRecorder(model, M)

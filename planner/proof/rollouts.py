@@ -27,7 +27,7 @@ from planner.problem.plan import Plan
 from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
-from planner.proof.replaying import MOST_STEPS, RUNAWAY, between_knots, matching_model
+from planner.proof.replaying import MOST_STEPS, RUNAWAY, matching_model
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage
@@ -96,7 +96,7 @@ class Rollouts:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what explodes would start anew
         self.nominal = Nominal.of(model, plan, twin)
         self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
-        self._plan_xs = between_knots(plan, CONTROL_STEPS)
+        self._plan_xs = plan.between_knots(CONTROL_STEPS)
         self.x_of = _affine(twin.to_x, twin.to_x_offset)
         self._scratch = mujoco.MjData(model)
         self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS

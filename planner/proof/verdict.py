@@ -191,7 +191,7 @@ def prove(
     if problem is None:
         raise PlannerError(
             "the plan comes without its problem, which is its maker's own Python: expected prove() of a plan just "
-            "solved, or Plan.load(path, problem=...)."
+            "solved, or load_plan(path, problem=...)."
         )
     count("seed", seed, least=0)
     count("rollouts", rollouts, least=0)

@@ -21,16 +21,14 @@ since a motion of a cycle cares little about some of its start. What need not co
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from planner import cases
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.tracking import SumCost, TrackingCost, tracking_of
-from planner.problem.finer import same_numbers
-from planner.problem.objective import plain, with_objective
+from planner.problem.criteria import plain, with_objective
 from planner.problem.periodicity import Periodic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -158,27 +156,15 @@ def with_ends(problem: Problem, ends: Ends, us: np.ndarray) -> Problem:
     A case that has a parameter for them is made anew from its parameters, so that plans of it can be stored.
     """
     old = plain(problem)
-    table = old.parameters | {PARAMETER: [end.tolist() for end in ends]}
-    if old.case in cases.CASES and PARAMETER in old.parameters and _is_built(old):
-        new = replace(_case(old, table), limits=old.limits, us=us)
+    if old.recipe is not None and PARAMETER in old.recipe.parameters:
+        built = old.recipe.rebuilt(**{PARAMETER: [end.tolist() for end in ends]})
+        new = replace(built, limits=old.limits, us=us)
     else:
         cost = tracking(old)
-        moved = TrackingCost(cost.Q, cost.R, np.concatenate([cost.x_ref[:-1], [ends.goal]]), cost.u_ref, cost.space)
-        terms = [moved if term is cost else term for term in getattr(old.cost, "costs", (old.cost,))]
-        whole = moved if old.cost is cost else SumCost(*terms)
-        new = replace(old, cost=whole, x0=ends.start, us=us, case=None, parameters={})
+        terms = getattr(old.cost, "costs", (old.cost,))
+        whole = [cost.with_goal(ends.goal) if term is cost else term for term in terms]
+        new = replace(old, cost=whole[0] if len(whole) == 1 else SumCost(*whole), x0=ends.start, us=us)
     return new if problem.objective is None else with_objective(new, problem.objective.weights)
-
-
-def _is_built(problem: Problem) -> bool:
-    """Whether a problem is what its case makes of its parameters."""
-    made = _case(problem, problem.parameters)
-    return made.periodic is not None and same_numbers(problem, made)
-
-
-def _case(problem: Problem, parameters: dict[str, Any]) -> Problem:
-    assert problem.case is not None  # with_ends has looked
-    return cases.build(problem.case, **parameters)
 
 
 def response(plan: Plan) -> Response:

@@ -22,16 +22,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner import cases
 from planner.base.arguments import number, shown
 from planner.base.errors import PlannerError
-from planner.cases import problem_file
-from planner.dynamics import HopperDynamics, RigidBodyDynamics
-from planner.problem.costs.penalty import PenaltyCost
-from planner.problem.costs.tracking import Cost, SumCost, TrackingCost
-from planner.problem.finer import is_its_case
+from planner.problem.criteria import plain, with_objective
+from planner.problem.discretisation import retimed
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, plain, weights_of, with_objective
+from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers.slq import as_user_plan, solve
@@ -117,34 +113,6 @@ def solve_for(
     else:
         _cheapest(search, shortest, longest, tolerance)
     return search.found({"durations": [shortest, longest], "tolerance": tolerance})
-
-
-def retimed(problem: Problem, duration: float) -> Problem:
-    """The same task with as many stages in another time, its first controls as they are.
-
-    A case of planner.cases and a problem file are made anew from their parameters, so that plans of them can be stored.
-
-    Args:
-        problem: Of RigidBodyDynamics or HopperDynamics, with a TrackingCost, or a sum of such and PenaltyCosts.
-        duration: s.
-
-    Raises:
-        PlannerError: Parts that cannot be made anew.
-    """
-    objective, old = problem.objective, plain(problem)
-    dt = duration / old.N
-    if is_its_case(old):
-        table = old.parameters | {"duration": duration}
-        if old.case == problem_file.CASE:
-            new = problem_file.rebuilt(table | {"dt": dt}, old.twin)
-        else:
-            assert old.case is not None  # is_its_case has looked
-            new = cases.build(old.case, **table)
-        new = replace(plain(new), limits=old.limits, us=old.first_guess, twin=old.twin)
-    else:
-        cost = _rescaled(old.cost, dt / old.dynamics.dt)
-        new = replace(old, dynamics=_at_stage(old.dynamics, dt), cost=cost, case=None, parameters={})
-    return new if objective is None else with_objective(new, objective.weights)
 
 
 def _exact(problem: Problem) -> Problem:
@@ -277,31 +245,3 @@ def _at_pace(plan: Plan, pace: float) -> Plan:
     if mechanism is not None:
         xs[:, mechanism.nq : mechanism.nq + mechanism.nv] *= pace
     return replace(plan, xs=xs)
-
-
-def _at_stage(dynamics: Any, dt: float) -> Any:
-    """The same dynamics with stages of another length."""
-    if type(dynamics) is RigidBodyDynamics:
-        return RigidBodyDynamics(dynamics.mechanism, dt, dynamics.integrator, dynamics.prescribed)
-    if type(dynamics) is HopperDynamics:
-        d = dynamics
-        return HopperDynamics(dt, d.integrator, stiffness=d.stiffness, smoothing=d.smoothing, gravity=d.gravity)
-    raise PlannerError(
-        f"the dynamics are of the type {type(dynamics).__name__}, expected RigidBodyDynamics or HopperDynamics: "
-        "nothing else can be given another stage."
-    )
-
-
-def _rescaled(cost: Cost, ratio: float) -> Cost:
-    """A cost whose weights on the way belong to stages of another length."""
-    if type(cost) is SumCost:
-        return SumCost(*(_rescaled(term, ratio) for term in cost.costs))
-    if type(cost) is PenaltyCost:
-        return cost.spaced(ratio)
-    if type(cost) is TrackingCost:
-        Q = np.concatenate([ratio * cost.Q[:-1], cost.Q[-1:]])
-        return TrackingCost(Q, ratio * cost.R, cost.x_ref, cost.u_ref, cost.space)
-    raise PlannerError(
-        f"the cost is of the type {type(cost).__name__}, expected a TrackingCost, a PenaltyCost or a sum of "
-        "such: the weights of nothing else can be given another stage."
-    )

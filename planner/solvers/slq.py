@@ -30,7 +30,7 @@ from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
-from planner.problem.objective import solver_problem
+from planner.problem.criteria import solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -256,5 +256,5 @@ def _plan(
     t = problem.dynamics.dt * np.arange(len(xs))
     return Plan(
         t, xs, us, K, cost, gradient_norm, status, tuple(history), problem,
-        problem.case, problem.parameters, problem.twin,
+        problem.recipe, problem.twin,
     )  # fmt: skip

@@ -16,7 +16,6 @@ from planner.model.space import space_of
 from planner.problem.costs.tracking import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.replaying import between_knots
 from planner.solvers import lq
 
 _WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
@@ -31,7 +30,7 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
     """
     parts = problem.N // plan.N
     us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
-    xs = plan.xs if parts == 1 else between_knots(plan, parts)  # a discrete map has nothing between
+    xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has nothing between
     tries = [roll_out(problem, problem.first_guess), roll_out(problem, us), roll_out(problem, us, K, xs)]
     retuned = _gains(problem, xs, us)
     if retuned is not None:

@@ -21,6 +21,7 @@ from planner.base.arguments import number
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import read_text, write_atomically
 from planner.base.jsonable import json_text
+from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.perturbation import Perturbation
@@ -134,7 +135,7 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
 def _checked(path: Path, tolerance: float, update: bool) -> Checked:
     file = stored_proof(path)
     try:
-        plan = Plan.load(path)
+        plan = load_plan(path)
         stored = _read(file) if file.exists() else None
         proof = _proved_as(plan, stored)
     except PlannerError as error:

@@ -38,6 +38,7 @@ from planner.model.space import conjugate, log_quaternion, product
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
@@ -112,7 +113,7 @@ def high_dive(
     }  # fmt: skip
     return Problem(
         dynamics, dive.cost(dynamics, N), x0=dive.start, us=dive.first_controls(dynamics, N),
-        twin=Twin.of(diver.mechanism), case="high-dive", appearance=_appearance(dive), parameters=parameters,
+        twin=Twin.of(diver.mechanism), appearance=_appearance(dive), recipe=Recipe("high-dive", parameters, high_dive),
         requirements=Requirements(
             goal=lambda replay: judge_entry(replay, dive.entry()), success=lambda ends: enters(ends, dive.entry())
         ),

@@ -38,6 +38,7 @@ from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
 from planner.problem.problem import Problem, Requirements
+from planner.problem.recipe import Recipe
 
 Phase = Literal["swing", "cycle", "gait"]
 States = tuple[tuple[float, ...], ...]
@@ -129,7 +130,7 @@ def human_step(
     }  # fmt: skip
     return Problem(
         robot.dynamics, whole, x0=start, us=robot.us,
-        case="human-step", parameters=parameters, appearance=_appearance(step, wish.joints),
+        recipe=Recipe("human-step", parameters, human_step), appearance=_appearance(step, wish.joints),
         decrease_tolerance=TOLERANCE[phase],
         gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,

@@ -12,6 +12,7 @@ with its mixed part. It is arithmetic of NumPy: a problem with this cost is solv
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -55,6 +56,12 @@ class DriveCost(Term):
         )  # what acts on a driven joint alone does nothing
         with_motors = replace(released(m, dynamics.prescribed), contacts=m.contacts, stops=stops)
         self._accelerations = Accelerations(RigidBodyDynamics(with_motors, dynamics.dt, "euler"))
+
+    def resampled(self, parts: int, ratio: float) -> DriveCost:
+        """The same over stages divided into parts, each `ratio` as long as a stage was."""
+        cost = copy(self)
+        cost.N, cost.dt = parts * self.N, ratio * self.dt
+        return cost
 
     def forces(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """tau_p (K, p), N or N m, at xs (K, nx) under us (K, nu)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import frame_pose, jacobian
 from planner.model.mechanism import Frame
 from planner.model.space import conjugate, log_jacobian, log_quaternion, product
-from planner.problem.costs.tracking import Quadratic, Term, mechanism_of
+from planner.problem.costs.tracking import Quadratic, Term, mechanism_of, per_stage
 
 
 class FrameCost(Term):
@@ -62,6 +63,14 @@ class FrameCost(Term):
             self._weights("orientation", orientation, orientation_weight, final_orientation_weight, dt),
         ]
         self._running, self._final = (np.concatenate(_alike(parts), axis=1) for parts in zip(*weights, strict=True))
+
+    def resampled(self, parts: int, ratio: float) -> FrameCost:
+        """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
+        cost = copy(self)
+        cost.N = None if self.N is None else parts * self.N
+        cost._position, cost._orientation = per_stage(self._position, parts), per_stage(self._orientation, parts)
+        cost._running = ratio * per_stage(self._running, parts)
+        return cost
 
     def _per_stage(self, name: str, given: np.ndarray) -> None:
         if given.ndim == 2:

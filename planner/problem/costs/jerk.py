@@ -251,7 +251,7 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
     x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(dynamics.mechanism.nv)])
     return replace(
         problem, dynamics=dynamics, cost=remembering(problem.cost, dynamics), x0=x0, twin=None, requirements=None,
-        case=None, parameters={}, **changes,
+        **changes,
     )  # fmt: skip
 
 

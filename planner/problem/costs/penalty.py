@@ -22,7 +22,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.model.mechanism import Frame
-from planner.problem.costs.penalty_measures import Measures, measures_of, spaced
+from planner.problem.costs.penalty_measures import Measures, measures_of, resampled
 from planner.problem.costs.tracking import Quadratic, Term, mechanism_of
 
 
@@ -93,10 +93,10 @@ class PenaltyCost(Term):
             model.Q[:, :n, :n] += weighted[:, :, None] * row[:, None]
         return model
 
-    def spaced(self, ratio: float, parts: int = 1) -> PenaltyCost:
+    def resampled(self, parts: int, ratio: float) -> PenaltyCost:
         """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
         cost = copy(self)
-        cost.N, cost.measures = parts * self.N, spaced(self.measures, ratio, parts)
+        cost.N, cost.measures = parts * self.N, resampled(self.measures, parts, ratio)
         return cost
 
     def _places(self, xs: np.ndarray, moving: bool) -> tuple[np.ndarray, np.ndarray]:

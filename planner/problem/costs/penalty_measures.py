@@ -56,7 +56,7 @@ class Measures:
             value.flags.writeable = False
 
 
-def spaced(measures: Measures, ratio: float, parts: int = 1) -> Measures:
+def resampled(measures: Measures, parts: int, ratio: float) -> Measures:
     """The terms for stages divided into parts, whose weights are multiplied by ratio; the end stays as it is."""
     bound, weight = (np.repeat(part[:, :-1], parts, axis=1) for part in (measures.bound, measures.weight))
     world = np.repeat(measures.world[:, :-1], parts, axis=1)

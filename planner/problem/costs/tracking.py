@@ -51,8 +51,34 @@ def check_cost(name: str, value: Any) -> None:
         raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
 
 
+def remade(cost: Any, method: str, *arguments: Any) -> Any:
+    """What a cost's `resampled` or `with_effort` returns.
+
+    Raises:
+        PlannerError: The cost has no such method.
+    """
+    if not callable(getattr(cost, method, None)):
+        signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
+        raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
+    return getattr(cost, method)(*arguments)
+
+
+def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
+    """Rows (N+1, ...) of stages and the end, each stage's row repeated for its parts; one row for all stays."""
+    return rows if len(rows) == 1 else np.concatenate([np.repeat(rows[:-1], parts, axis=0), rows[-1:]])
+
+
 class Term:
-    """A cost that can be added to any other: a + b is SumCost(a, b)."""
+    """A cost that can be added to any other: a + b is SumCost(a, b).
+
+    Two methods more let a problem change its step or its objective: `resampled(parts, ratio)` is the same cost over
+    stages divided into parts, what it weighs on the way multiplied by ratio; `with_effort(weight)` is the same cost
+    with the weights of the controls multiplied.
+    """
+
+    def with_effort(self, weight: float) -> Cost:
+        """The cost itself: it weighs no effort, unless its class says otherwise."""
+        return self  # type: ignore[return-value]
 
     def __add__(self, other: Cost) -> SumCost:
         return SumCost(self, other)
@@ -89,6 +115,14 @@ class SumCost(Term):
             if value != said[0]:
                 raise PlannerError(f"the costs of a sum are made for {name} = {said[0]} and {value}: expected one.")
         return said[0] if said else None
+
+    def resampled(self, parts: int, ratio: float) -> SumCost:
+        """The sum of the costs over stages divided into parts; see Term."""
+        return SumCost(*(remade(cost, "resampled", parts, ratio) for cost in self.costs))
+
+    def with_effort(self, weight: float) -> SumCost:
+        """The sum with the weights of the controls multiplied."""
+        return SumCost(*(remade(cost, "with_effort", weight) for cost in self.costs))
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -235,6 +269,28 @@ class TrackingCost(Term):
         Q[N] = np.diag(weights("final_", final_position, final_velocity, final_activation))
         u_ref = _references("control", control, N, nu)
         return cls(Q, np.tile(np.diag(dt * R), (N, 1, 1)), x_ref, u_ref, space)
+
+    def resampled(self, parts: int, ratio: float) -> TrackingCost:
+        """The same over stages divided into parts, what it weighs on the way multiplied by ratio."""
+        Q = np.concatenate([np.repeat(ratio * self.Q[:-1], parts, axis=0), self.Q[-1:]])
+        R = np.repeat(ratio * self.R, parts, axis=0)
+        return self._of_own_kind(Q, R, per_stage(self.x_ref, parts), np.repeat(self.u_ref, parts, axis=0))
+
+    def with_effort(self, weight: float) -> TrackingCost:
+        """The same with the weights of the controls multiplied."""
+        return self._of_own_kind(self.Q, weight * self.R, self.x_ref, self.u_ref)
+
+    def with_goal(self, goal: np.ndarray) -> TrackingCost:
+        """The same with another reference (nx,) at the end."""
+        return self._of_own_kind(self.Q, self.R, np.concatenate([self.x_ref[:-1], [goal]]), self.u_ref)
+
+    def _of_own_kind(self, Q: np.ndarray, R: np.ndarray, x_ref: np.ndarray, u_ref: np.ndarray) -> TrackingCost:
+        if type(self) is not TrackingCost:  # a subclass may compute another value from other arguments
+            raise PlannerError(
+                f"the cost is of the type {type(self).__name__}, expected a TrackingCost, or a class with its own "
+                "resampled(parts, ratio) and with_effort(weight)."
+            )
+        return TrackingCost(Q, R, x_ref, u_ref, self.space)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

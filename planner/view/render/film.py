@@ -17,8 +17,9 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.problem.appearance import Appearance, Ghost, Readout, View
-from planner.problem.archive import ASSET
 from planner.problem.default_appearance import appearance_of
+
+ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, in a job for a child process
 
 if TYPE_CHECKING:
     from planner.proof.contact_history import ContactHistory

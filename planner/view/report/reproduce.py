@@ -28,7 +28,7 @@ def command(plan: Plan, path: Sequence[Refinement] = (), options: Mapping[str, A
     """
     parameters = _at_first(plan, path)
     words = ["planner", "run"]
-    if plan.case == problem_file.CASE:
+    if plan.case == problem_file.NAME:
         words.append(PROBLEM)
     elif plan.case in cases.CASES:
         words += [plan.case, *_flags(_needed(plan.case, parameters))]
@@ -42,7 +42,7 @@ def command(plan: Plan, path: Sequence[Refinement] = (), options: Mapping[str, A
 
 def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
     """The problem file of a plan as TOML; "" for a plan that was made from none."""
-    if plan.case != problem_file.CASE:
+    if plan.case != problem_file.NAME:
         return ""
     table = _at_first(plan, path)
     lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits")]

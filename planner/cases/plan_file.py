@@ -1,0 +1,119 @@
+"""load_plan(): a plan from its file, with its problem built again by its recipe."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner import cases
+from planner.base.arguments import choice
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import printable
+from planner.cases import problem_file
+from planner.model.space import space_of
+from planner.model.twin import Twin
+from planner.problem import parts
+from planner.problem.archive import FILE, HINGES, PART, read_archive
+from planner.problem.criteria import plain, with_objective
+from planner.problem.limits import Limits
+from planner.problem.plan import Iteration, Plan, Start, Status
+from planner.problem.problem import Problem
+from planner.problem.recipe import Recipe
+from planner.problem.state_ranges import Hinges
+
+
+def load_plan(path: str | Path, *, problem: Problem | None = None) -> Plan:
+    """Read a plan.npz and build its problem again.
+
+    Args:
+        path: The file.
+        problem: The problem that was solved, for a plan whose dynamics or cost is its maker's own Python.
+
+    Raises:
+        FileError: No such file, not a plan, damaged, or written in another version's format.
+        PlannerError: The problem given is not of the plan's sizes.
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise FileError(f"cannot read a plan from a {type(path).__name__}, expected the path of a plan.npz.")
+    arrays, meta = read_archive(Path(path), len(Iteration._fields))
+    try:
+        plan = _plan(arrays, meta)
+        if problem is not None:
+            return replace(plan, problem=_fitting(plan, problem), recipe=problem.recipe)
+        built = _problem(plan, arrays, meta)
+        return plan if built is None else replace(plan, problem=_fitting(plan, built), recipe=built.recipe)
+    except PlannerError as error:
+        raise FileError(f"{printable(path)} is damaged or of a case that cannot be built again: {error}") from None
+    except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError) as error:
+        reason = " ".join(f"{type(error).__name__} in its meta, {error}".split()).rstrip(" ,.")
+        raise FileError(f"{printable(path)} is damaged: {reason}.") from None
+
+
+def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Plan:
+    """The plan without its problem."""
+    files = {name: arrays[FILE + digest].tobytes() for name, digest in meta["files"].items()}
+    return Plan(
+        *(arrays[name] for name in ("t", "xs", "us", "K")),
+        cost=_number(meta["cost"]),
+        gradient_norm=_number(meta["gradient_norm"]),
+        status=_status(meta["status"]),
+        history=tuple(Iteration(int(row[0]), *map(float, row[1:])) for row in arrays["history"]),
+        recipe=None if meta["recipe"] is None else Recipe(**meta["recipe"]),
+        twin=None if meta["twin"] is None else Twin.from_dict(meta["mjcf"], meta["twin"], files),
+        made_with=meta["versions"],
+        starts=tuple(
+            Start(index, _status(status), _number(cost), iterations, _number(score))
+            for index, status, cost, iterations, score in meta["starts"]
+        ),
+        stored_space=meta["space"],
+        options=meta["options"],
+        changed=meta["changed"],
+        hinges=Hinges(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
+    )
+
+
+def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> Problem | None:
+    """The problem of a stored plan, with its limits and its objective; None where it is its maker's own Python."""
+    if plan.recipe is None:
+        return None
+    name, parameters = plan.recipe.name, plan.recipe.parameters
+    if name == parts.NAME:
+        own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
+        problem = parts.of_parts(parameters, own, plan.twin)
+    elif name == problem_file.NAME:
+        problem = problem_file.of_table(parameters, plan.twin)
+    else:
+        problem = cases.build(name, **parameters)
+    if problem.recipe is not None and problem.recipe.parameters != parameters:
+        missing = sorted(set(problem.recipe.parameters) - set(parameters))
+        raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
+    limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
+    problem = replace(plain(problem), limits=limits)
+    return problem if meta["objective"] is None else with_objective(problem, meta["objective"])
+
+
+def _fitting(plan: Plan, problem: Problem) -> Problem:
+    """The problem, when a plan's arrays and maps are of its sizes."""
+    if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
+        raise PlannerError(f"its arrays do not fit its {f'case {plan.recipe.name!r}' if plan.recipe else 'problem'}.")
+    if plan.hinges is not None and (
+        problem.ranges is None or plan.hinges.weight.shape[1] != len(problem.ranges.component)
+    ):
+        raise PlannerError("the penalties of its ranges do not fit the ranges of its problem.")
+    if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
+        raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")
+    return problem
+
+
+def _number(value: float | None) -> float:
+    """A number of a JSON file, where null stands for a number that is not finite."""
+    return math.nan if value is None else float(value)
+
+
+def _status(name: str) -> Status:
+    return Status[choice("status", name, Status.__members__)]

@@ -1,0 +1,91 @@
+"""A problem with another objective: its cost made of effort, energy, jerk and time (see planner.problem.objective)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from planner.base.arguments import number
+from planner.model.space import StateSpace, space_of
+from planner.problem.costs.energy import EnergyCost
+from planner.problem.costs.jerk import JerkCost, with_acceleration
+from planner.problem.costs.tracking import Quadratic, SumCost, Term, remade, tracking_of
+from planner.problem.objective import EFFORT_SHARE, Objective, weights_of
+from planner.problem.problem import Problem
+
+
+class TimeCost(Term):
+    """weight N dt: the same for every motion of a duration.
+
+    Args:
+        duration: N dt, s.
+        weight: Per s.
+        space: Of the states.
+    """
+
+    def __init__(self, duration: float, weight: float, space: StateSpace) -> None:
+        self.duration, self.weight = duration, number("the time's weight", weight, least=0.0)
+        self.space, self.nx, self.ndx = space, space.nx, space.ndx
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """The weighted duration."""
+        return self.weight * self.duration
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Zeros."""
+        (N, nu), ndx = us.shape, self.ndx
+        return Quadratic(np.zeros((N + 1, ndx, ndx)), np.zeros((N + 1, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu)))
+
+
+def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
+    """The same task with another criterion, at its own duration.
+
+    Args:
+        problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
+            it has is replaced.
+        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}.
+
+    Raises:
+        PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
+    """
+    weights = {"effort": EFFORT_SHARE} | weights_of(objective)
+    problem = plain(problem)
+    base, dynamics = problem.cost, problem.dynamics
+    terms = [base if weights["effort"] == 1.0 else remade(base, "with_effort", weights["effort"])]
+    if "energy" in weights:
+        terms.append(EnergyCost(dynamics, weights["energy"]))
+    if "jerk" in weights:
+        terms.append(_jerk(problem, weights["jerk"]))
+    if "time" in weights:
+        terms.append(TimeCost(problem.duration, weights["time"], space_of(dynamics)))
+    cost = terms[0] if len(terms) == 1 else SumCost(*terms)
+    return replace(problem, cost=cost, objective=Objective(weights, base))
+
+
+def _jerk(problem: Problem, weight: float) -> JerkCost:
+    """Held before a start at rest, and after a goal at rest."""
+    mechanism, goal = getattr(problem.dynamics, "mechanism", None), tracking_of(problem.cost)
+    if mechanism is None or goal is None:
+        return JerkCost(problem.dynamics, problem.N, weight)
+    q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)
+    stops = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
+    return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=stops)
+
+
+def plain(problem: Problem) -> Problem:
+    """The problem without an objective, with the cost that it had before."""
+    return problem if problem.objective is None else replace(problem, cost=problem.objective.base, objective=None)
+
+
+def solver_problem(problem: Problem) -> Problem:
+    """What SLQ iterates on: without what no control changes, and with an added state where jerk counts."""
+    if problem.objective is None:
+        return problem
+    weights, terms = problem.objective.weights, getattr(problem.cost, "costs", (problem.cost,))
+    left = [term for term in terms if not isinstance(term, TimeCost)]
+    changed = replace(problem, cost=left[0] if len(left) == 1 else SumCost(*left), objective=None)
+    if "jerk" in weights:
+        return with_acceleration(changed)
+    return changed if "time" in weights else problem

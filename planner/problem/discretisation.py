@@ -1,0 +1,82 @@
+"""The same problem with another step: finer, for a proof that failed, or of another duration.
+
+A problem with a recipe is built again from it, so that a plan's file can hold it. Any other is made of its own parts:
+`dynamics.with_step(dt, integrator)`, `cost.resampled(parts, ratio)`, and a first guess that is held over the parts of
+each stage. So a new cost or a new machine brings these two methods, and nothing here knows it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.problem.costs.tracking import remade
+from planner.problem.criteria import plain, with_objective
+from planner.problem.problem import Problem
+
+MOST_STAGES = 100_000
+FINEST = "rk4"
+FIRST_ORDER = ("euler", "semi-implicit-euler")
+
+
+def finer(problem: Problem) -> Problem:
+    """A problem with the next finer discretisation.
+
+    An integrator of first order (both of Euler's) becomes RK4 at the same stage, which leaves the cost as it is. RK4
+    gets stages of half the length: a stage weight becomes two of half its size, with the same reference, and the final
+    weight stays, so that the cost still approximates the same integral.
+
+    Args:
+        problem: With a recipe, or of dynamics with `with_step` and a cost with `resampled`.
+
+    Raises:
+        PlannerError: Parts without these methods, or more than 100 000 stages.
+    """
+    if problem.objective is not None:
+        return with_objective(finer(plain(problem)), problem.objective.weights)
+    parts = 1 if getattr(problem.dynamics, "integrator", None) in FIRST_ORDER else 2
+    if parts * problem.N > MOST_STAGES:
+        raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MOST_STAGES}.")
+    dt = problem.dynamics.dt / parts
+    limits = None if problem.limits is None else problem.limits.repeated(parts)
+    if problem.recipe is not None and "integrator" in problem.recipe.parameters:
+        step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
+        return replace(plain(problem.recipe.rebuilt(integrator=FINEST, **step)), limits=limits)
+    return replace(
+        problem, dynamics=_with_step(problem.dynamics, dt, FINEST), horizon=parts * problem.N,
+        us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
+        cost=problem.cost if parts == 1 else remade(problem.cost, "resampled", parts, 1.0 / parts),
+    )  # fmt: skip
+
+
+def retimed(problem: Problem, duration: float) -> Problem:
+    """The same task with as many stages in another time, its first controls as they are.
+
+    Args:
+        problem: With a recipe, or of dynamics with `with_step` and a cost with `resampled`.
+        duration: s.
+
+    Raises:
+        PlannerError: Parts without these methods.
+    """
+    if problem.objective is not None:
+        return with_objective(retimed(plain(problem), duration), problem.objective.weights)
+    dt = duration / problem.N
+    if problem.recipe is not None and "duration" in problem.recipe.parameters:
+        step = {"dt": dt} if "dt" in problem.recipe.parameters else {}
+        new = plain(problem.recipe.rebuilt(duration=duration, **step))
+        return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin)
+    dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
+    return replace(problem, dynamics=dynamics, cost=remade(problem.cost, "resampled", 1, dt / problem.dynamics.dt))
+
+
+def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:
+    if not callable(getattr(dynamics, "with_step", None)):
+        raise PlannerError(
+            f"the dynamics are of the type {type(dynamics).__name__}, expected dynamics with "
+            "with_step(dt, integrator): nothing else can be given another stage."
+        )
+    return dynamics.with_step(dt, integrator)

@@ -1,0 +1,68 @@
+"""A problem of our own parts in a plan's file: a mechanism's dynamics and a tracking cost are numbers and an MJCF text.
+
+A problem with a recipe is built again from its recipe instead. Any other dynamics or cost is its maker's Python, which
+no file holds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import twin_of
+from planner.model.mjcf.read import read
+from planner.model.twin import Twin
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.default_appearance import default_appearance
+from planner.problem.periodicity import Periodic
+from planner.problem.problem import Problem
+from planner.problem.recipe import Recipe
+
+NAME = "mechanism and tracking cost"
+_COST = ("Q", "R", "x_ref", "u_ref")
+ARRAYS = (*_COST, "x0", "us")
+
+
+def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
+    """A recipe and arrays by name that a file can hold; None where they do not say all of the problem."""
+    dynamics, twin = problem.dynamics, problem.twin
+    if type(dynamics) is not RigidBodyDynamics or type(problem.cost) is not TrackingCost:
+        return None
+    if problem.requirements is not None or twin is None:
+        return None
+    own = twin_of(dynamics.mechanism, dynamics.prescribed)
+    if any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):
+        return None  # the twin is not the mechanism's own
+    facts: dict[str, Any] = {"dt": dynamics.dt, "integrator": dynamics.integrator}
+    if dynamics.prescribed:
+        facts["prescribed"] = list(dynamics.prescribed)
+    if problem.periodic is not None:
+        facts["periodic"] = problem.periodic.to_dict()
+    arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
+    arrays = {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()}
+    return Recipe(NAME, facts), arrays
+
+
+def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:
+    """The problem that in_parts() described.
+
+    Raises:
+        PlannerError: A part is missing or does not fit.
+    """
+    missing = [name for name in ARRAYS if name not in arrays]
+    if twin is None or missing:
+        what = f"without {', '.join(missing)}" if missing else "without a model"
+        raise PlannerError(f"its problem is {what}, expected {NAME} with {', '.join(ARRAYS)} and a model.")
+    mechanism: Mechanism = read(twin.planned, assets=twin.assets).with_curves(twin.curves)
+    prescribed = facts.get("prescribed", [])
+    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
+    cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
+    return Problem(
+        dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin,
+        appearance=default_appearance(mechanism, prescribed),
+        periodic=Periodic.from_dict(facts["periodic"]) if facts.get("periodic") is not None else None,
+    )  # fmt: skip

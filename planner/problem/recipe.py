@@ -1,0 +1,48 @@
+"""Recipe: how a problem was built, so that it can be built again with another step, or from a plan's file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The function that builds a problem, and its arguments.
+
+    Attributes:
+        name: Of the function, as a plan's file has it: a case of planner.cases, or "problem-file".
+        parameters: Every argument by name, as JSON values.
+        build: (**parameters) -> Problem; None in a plan whose problem was not built again.
+    """
+
+    name: str
+    parameters: dict[str, Any]
+    build: Callable[..., Any] | None = field(default=None, compare=False, repr=False)
+    _parts: tuple[Any, ...] = field(default=(), compare=False, repr=False)  # of the problem that was built
+
+    def of(self, dynamics: Any, cost: Any, x0: np.ndarray, horizon: int) -> Recipe | None:
+        """The recipe of a problem with these parts; None where another problem was built by it.
+
+        dataclasses.replace(problem, cost=...) makes a problem that no recipe describes.
+        """
+        if not self._parts:
+            return replace(self, _parts=(dynamics, cost, x0, horizon))
+        own_dynamics, own_cost, own_start, own_horizon = self._parts
+        same = dynamics is own_dynamics and cost is own_cost and horizon == own_horizon
+        return self if same and np.array_equal(x0, own_start) else None
+
+    def rebuilt(self, **changes: Any) -> Any:
+        """The problem built with some arguments changed.
+
+        Raises:
+            PlannerError: The function refuses them, or is not known.
+        """
+        if self.build is None:
+            raise PlannerError(f"what builds {self.name!r} is not known here, expected the problem that was solved.")
+        return self.build(**self.parameters | changes)
