@@ -4,18 +4,18 @@ import json
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from carts import refuse, write
+from places import ROOT
 
 import planner
 from planner.cases.problem_file import load
 from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
 from planner.problem.guess import follow, hold
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 def test_the_example_converges_passes_and_is_the_same_in_python():
@@ -191,7 +191,7 @@ def test_hold_leaves_integrators_and_fills_filters():
 
 
 def test_every_key_is_described_and_documented():
-    page = (EXAMPLES.parent / "docs" / "own-machine.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "own-machine.md").read_text(encoding="utf-8")
     assert set(DEFAULTS) < set(KEYS)
     assert set(DEFAULT_WEIGHTS) == set(WEIGHTS)
     for key in (*KEYS, *WEIGHTS):

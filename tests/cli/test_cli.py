@@ -10,16 +10,16 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import planner
 from planner.__main__ import main
 from planner.cli.results import OUTPUTS
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 PLANNER = [sys.executable, "-m", "planner"]
 FILES = {"plan.npz", "proof.json", "plots.png", "proof.png", "report.html"}  # of a run without video
 

@@ -1,15 +1,15 @@
 """The example examples/hop_forward.py: models of others with feet hop forward, and MuJoCo repeats it."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
 from others import PLACES
+from places import ROOT
 
 import planner
 
-SCRIPT = runpy.run_path(str(Path(__file__).parent.parent / "examples" / "hop_forward.py"))
+SCRIPT = runpy.run_path(str(ROOT / "examples" / "hop_forward.py"))
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 
 

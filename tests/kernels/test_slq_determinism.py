@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
+from places import ROOT
 from solves import (
     each_engine,
     engines,
@@ -31,7 +32,7 @@ print(solves.fingerprint())
 def test_the_same_bits_again_and_in_another_process():
     ours = fingerprint()
     assert fingerprint() == ours
-    program = FRESH.format(folder=str(__file__).rsplit("/", 1)[0])
+    program = FRESH.format(folder=str(ROOT / "tests"))
     fresh = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
     assert fresh.stdout.strip() == ours
 

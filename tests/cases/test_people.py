@@ -1,18 +1,13 @@
 """Other people of the box that the human step is made for: they converge, and clear of the belt."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
+import people
 import pytest
 
 from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, wishes
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.step import Step
 from planner.cases.human_step.walker import Walker
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import people
 
 
 @pytest.mark.slow

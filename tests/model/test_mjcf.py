@@ -1,13 +1,12 @@
 """The models: they load, run without a complaint, are documented, and have the physics that the paper states."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from places import ROOT
 
 from planner.base.gl import load_mujoco
 
-MJCF = Path(__file__).parents[1] / "mjcf"
+MJCF = ROOT / "mjcf"
 SCENES = sorted(MJCF.glob("*/scene.xml"))
 
 mujoco = load_mujoco()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import ROOT
 from walks import CYCLE, SWING
 
 import planner
@@ -92,7 +93,7 @@ def test_the_body_is_the_studys():
 def test_the_file_is_the_default_walker():
     start, goal = CYCLE.states[[0, -1]]
     file, walker = (
-        Mechanism.from_mjcf(Path(__file__).parents[1] / "mjcf" / "human_step" / "human_step.xml", contacts="off"),
+        Mechanism.from_mjcf(ROOT / "mjcf" / "human_step" / "human_step.xml", contacts="off"),
         Walker(motors=True),
     )
     for name in ("mass", "com", "inertia", "T_home", "S", "damping", "stiffness", "spring_rest"):

@@ -3,13 +3,13 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 from films import SMALL, STAGE, changed, decode, make_replay
 from PIL import Image
+from places import ROOT
 
 from planner.base import gl
 from planner.base.errors import FileError, PlannerError, RenderingUnavailable
@@ -19,9 +19,6 @@ from planner.view.render import video as render
 from planner.view.render.film import Film
 from planner.view.render.overlay import decimals, number, speed_words
 from planner.view.render.scene import Scene
-
-ROOT = Path(__file__).parents[1]
-
 
 # What a film is made of, without drawing.
 

@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import planner
 from planner.base.errors import FileError, ModelError
@@ -14,7 +15,7 @@ from planner.cases import problem_file
 from planner.cases.plan_file import load_plan
 from planner.proof.replaying import compile_model
 
-CRANE = os.path.join(os.path.dirname(__file__), os.pardir, "examples", "crane.toml")
+CRANE = ROOT / "examples" / "crane.toml"
 
 NESTED: list = []
 for _ in range(300):

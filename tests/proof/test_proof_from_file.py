@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.cases.plan_file import load_plan
 
-ROOT = Path(__file__).parent.parent
 OLDER = Path(sys.prefix) / "mujoco-3.3"
 needs_older = pytest.mark.skipif(not OLDER.is_dir(), reason=f"no MuJoCo 3.3 in {OLDER.name}: .ci/setup test fetches it")
 

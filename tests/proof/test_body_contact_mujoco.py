@@ -1,6 +1,6 @@
 """Contacts of two bodies in MuJoCo: the same motion and the same forces, what is read, what is not, and a plan proved.
 
-Bounds are those of contacts with planes (tests/test_contact_mujoco.py).
+Bounds are those of contacts with planes (test_contact_mujoco.py).
 """
 
 import numpy as np
