@@ -10,8 +10,8 @@ import pytest
 
 import planner
 from planner.base.errors import FileError, ModelError
+from planner.model.mjcf.survey import compile_model
 from planner.problem.plan import Plan
-from planner.proof.replaying import compile_model
 
 CRANE = os.path.join(os.path.dirname(__file__), os.pardir, "examples", "crane.toml")
 

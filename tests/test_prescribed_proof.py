@@ -17,12 +17,12 @@ from planner.dynamics.contacts import contact_forces, generalized_forces
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf import driven as driven_twin
 from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
 from planner.problem.finer import finer
 from planner.proof.driven_parity import driven_parity
 from planner.proof.perturbation import Nominal, Perturbation, Sizes, draw
-from planner.proof.replaying import compile_model
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from planner.model.mjcf.driven import HEAVY, driven_dofs
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.simulation import set_state
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _MOST_KNOTS = 200  # of the plan are asked for its largest forces
@@ -231,8 +232,7 @@ def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
     mujoco = load_mujoco()
     data, loads = mujoco.MjData(model), np.zeros(model.nv)
     for n in np.unique(np.linspace(0, plan.N - 1, _MOST_KNOTS).round().astype(int)):
-        state = twin.sim_of(plan.xs[n])
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(state, [model.nq, model.nq + model.nv])
+        set_state(model, data, twin.sim_of(plan.xs[n]))
         data.ctrl[:] = plan.us[n]
         mujoco.mj_forward(model, data)
         loads = np.maximum(loads, np.maximum(np.abs(data.qfrc_bias), np.abs(data.qfrc_actuator)))

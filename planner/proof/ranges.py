@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.refuse import named
+from planner.model.mjcf.survey import named
 from planner.model.space import log_quaternion
+from planner.proof.simulation import set_state
 
 _ROUNDING = 1e-9  # as far beyond a range is still on it
 
@@ -71,7 +72,7 @@ def _forces(model: Any, w: np.ndarray, ctrl: np.ndarray, limits: str) -> tuple[n
     data = mujoco.MjData(free)
     forces, sums = np.empty((len(ctrl), model.nu)), np.empty((len(ctrl), model.nv))
     for i, u in enumerate(ctrl):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(w[i], [model.nq, model.nq + model.nv])
+        set_state(model, data, w[i])
         data.ctrl[:] = u
         mujoco.mj_fwdPosition(free, data)
         mujoco.mj_fwdVelocity(free, data)

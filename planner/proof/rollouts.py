@@ -22,12 +22,13 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
-from planner.proof.replaying import MOST_STEPS, RUNAWAY, between_knots, matching_model
+from planner.proof.replaying import between_knots
+from planner.proof.simulation import MOST_STEPS, RUNAWAY
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage
@@ -71,7 +72,7 @@ class Rollouts:
         knots: (T,) the stages at whose start (or end, the last) states are kept.
     """
 
-    def __init__(self, plan: Plan, twin: Twin, threads: int | None = None) -> None:
+    def __init__(self, plan: Plan, compiled: CompiledTwin, threads: int | None = None) -> None:
         """Prepare the model.
 
         Raises:
@@ -82,8 +83,8 @@ class Rollouts:
             raise PlannerError("the plan comes without its problem, expected one of planner.cases or one just solved.")
         if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
             raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
-        mujoco = load_mujoco()
-        model = matching_model(twin, plan.us.shape[1])
+        compiled.check(plan.us.shape[1])
+        mujoco, model, twin = load_mujoco(), compiled.model, compiled.twin
         self.plan, self.twin, self.control_step = plan, twin, plan.problem.dynamics.dt / CONTROL_STEPS
         own = number("the model's timestep", model.opt.timestep, above=0.0)
         finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
@@ -91,9 +92,7 @@ class Rollouts:
         self.substeps = finest if may_touch(model) or twin.to_x.shape != (plan.xs.shape[1],) * 2 else min(finest, 2)
         if self.steps > MOST_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
-        model.opt.timestep = self.step
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what explodes would start anew
+        model = compiled.stepping(self.step)
         self.nominal = Nominal.of(model, plan, twin)
         self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
         self._plan_xs = between_knots(plan, CONTROL_STEPS)
@@ -132,7 +131,7 @@ class Rollouts:
 
     @property
     def seconds(self) -> float:
-        """What a rollout costs in one mode, s, as far as the sizes tell; of no particular machine."""
+        """Estimate of what a rollout takes in one mode, s, from the sizes alone."""
         own = 0.5 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
         return self.steps * (own + (4.0 * CALL if self.twin.curves else 0.0))  # at each stage of RK4
 
