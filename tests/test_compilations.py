@@ -9,13 +9,15 @@ from planner import Mechanism, RigidBodyDynamics, TrackingCost
 from planner.contact import ContactLaw
 from planner.model.mjcf import survey
 from planner.model.mjcf.text import edited
+from planner.proof.planned import reached_by_plan
 from planner.proof.verdict import prove
 
 ARM = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody>
-  <body><joint name="hinge" axis="0 -1 0" damping="0.05"{friction}/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/>
-    <body pos=".5 0 0"><joint name="wrist" axis="0 -1 0"/><geom type="sphere" size=".05" pos=".1 0 0"/></body></body>{floor}
-</worldbody><actuator><motor name="motor" joint="hinge"/><motor joint="wrist"/></actuator></mujoco>
+  <body><joint name="hinge" axis="0 -1 0" damping="0.05"{friction}/>
+    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/>
+    <body pos=".5 0 0"><joint name="wrist" axis="0 -1 0"/><geom type="sphere" size=".05" pos=".1 0 0"/></body></body>
+  {floor}</worldbody><actuator><motor name="motor" joint="hinge"/><motor joint="wrist"/></actuator></mujoco>
 """
 PLAIN = ARM.format(friction="", floor="")
 RUBBING = ARM.format(friction=' frictionloss="0.1"', floor="")
@@ -80,8 +82,9 @@ def test_a_proof_compiles_its_model_once(texts):
     plan = planner.solve(task(Mechanism.from_mjcf(PLAIN)))
     texts.clear()
     proof = prove(plan, rollouts=2, hold_seconds=0.1)
+    assert plan.twin is not None
     assert texts == [plan.twin.mjcf]
-    planner.proof.refinement.reached_by_plan(replace(proof.replay, reached=("something",)))
+    reached_by_plan(replace(proof.replay, reached=("something",)))
     assert len(texts) == 1
 
 
@@ -100,4 +103,5 @@ def test_driving_joints_compiles_the_model_before_and_after(texts):
     assert len(texts) == 2
     texts.clear()
     prove(plan, rollouts=0)
+    assert plan.twin is not None
     assert texts == [plan.twin.mjcf]
