@@ -85,5 +85,5 @@ def replay_case(
 
 
 def _complaints(data: Any) -> tuple[int, ...]:
-    """How often MuJoCo has warned, by kind."""
+    """Number of MuJoCo's warnings, by kind."""
     return tuple(warning.number for warning in data.warning)

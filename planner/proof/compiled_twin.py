@@ -23,7 +23,7 @@ class CompiledTwin:
     """
 
     def __init__(self, twin: Twin) -> None:
-        """Of a twin that nothing has compiled yet."""
+        """Keep the twin; nothing is compiled yet."""
         self.twin = twin
 
     @cached_property

@@ -37,7 +37,7 @@ class ContactHistory:
 
     @classmethod
     def none(cls) -> ContactHistory:
-        """Of a machine that touches nothing."""
+        """The history of a machine that touches nothing."""
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 

@@ -1,4 +1,4 @@
-"""Which number of a mechanism another model has otherwise: what a parity that fails is traced to.
+"""Find the numbers of a mechanism that differ in another model: the cause of a parity that fails.
 
 The other model is read as a mechanism too, and the two are compared joint by joint. Where their numbers agree, the
 difference is elsewhere, and `rigid_parity` says at which joint it is felt.
@@ -17,7 +17,7 @@ _MOST = 4  # differences named; further ones are counted
 
 
 def differences(ours: Mechanism, theirs: Mechanism) -> str:
-    """What differs, joint and term, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
+    """Name the joints and terms that differ, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
 
     Args:
         ours: The mechanism of the plan.

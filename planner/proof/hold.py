@@ -112,7 +112,7 @@ def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.
 
 
 def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dt: float) -> None:
-    """That something stands still near enough: z = (dx, du) with drift + (A - 1) dx + B du = 0 and dx small."""
+    """Raise unless an equilibrium is near: drift + (A - 1) dx + B du = 0 with a small dx."""
     J = np.concatenate([A - np.eye(len(A)), B], axis=1)
     z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
     stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()

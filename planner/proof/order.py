@@ -1,4 +1,4 @@
-"""How a plan's replay changes as MuJoCo's step is halved: the practice of Roache's grid convergence index.
+"""Measure how a plan's replay changes as MuJoCo's step is halved, as in Roache's grid convergence index.
 
 The controls are held as planned and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
 (P. J. Roache, "Perspective: a method for uniform reporting of grid refinement studies", J. Fluids Eng. 116, 1994;

@@ -1,4 +1,4 @@
-"""What step 5 of a proof varies: by how much, how one rollout's errors are drawn, and a MuJoCo model that has them.
+"""The errors of step 5 of a proof: how large they are, how a rollout's are drawn, and a MuJoCo model that has them.
 
 A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
 is the same in any company, and switching one kind of error off leaves the others as they were.
@@ -78,7 +78,7 @@ class Perturbation:
 
     @classmethod
     def usual(cls, problem: Problem | None, **changes: float) -> Perturbation:
-        """What is varied where a problem's own requirements have a say, but for `changes`."""
+        """The perturbation that a problem's requirements ask for, else the default; with `changes`."""
         own = None if problem is None else problem.requirements
         return cls(**{**({} if own is None else own.perturbation), **changes})
 
@@ -127,7 +127,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of what a rollout's errors are drawn for: nbody, nv and njnt are the model's, the others the plan's."""
+    """Sizes of the arrays of a Draw: nbody, nv and njnt are the model's, the others the plan's."""
 
     nbody: int
     nv: int

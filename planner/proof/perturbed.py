@@ -224,7 +224,7 @@ def perturbed(
 
 
 def _affordable(budget: float, seconds: float, least: int = _FEWEST) -> int:
-    """How many rollouts, and those behind the margin with them, of so many seconds in one mode."""
+    """Number of rollouts, of `seconds` in each mode, that fit the budget together with those behind the margin."""
     return max(least, int(_USUAL * budget / (len(MODES) * seconds) / (1.0 + len(LEVELS) / _SHARE)))
 
 
@@ -256,7 +256,7 @@ def _run(
 
 
 def _following(simulator: Rollouts, follows: Callable[..., np.ndarray], xs: np.ndarray) -> np.ndarray:
-    """Which (K,) of states (K, T, nx) at the kept knots are successes; none that has exploded is."""
+    """(K,) successes among states (K, T, nx) at the kept knots; none that has exploded is one."""
     won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
     if sound.any():
         won[sound] = follows(xs[sound], simulator.plan.xs[simulator.knots], simulator.knots)
@@ -298,7 +298,7 @@ def _result(simulator: Rollouts, store: Partial, trials: Trials, per_level: int)
 
 
 def _rule(plan: Plan, name: str) -> Callable[..., np.ndarray] | None:
-    """How the machine says which rollouts are successes, by their ends or by their way; None where it does not."""
+    """The machine's own rule of success, by the "success" of ends or by what "follows" the plan; else None."""
     return None if plan.problem is None else getattr(plan.problem.requirements, name, None)
 
 

@@ -38,7 +38,7 @@ _HALVINGS = 20
 
 
 class _Terms(NamedTuple):
-    """What is compared, for K states."""
+    """The compared quantities, for K states."""
 
     mass: np.ndarray  # (K, nv, nv)
     rest: np.ndarray  # (K, nv) bias force without motion: gravity and springs

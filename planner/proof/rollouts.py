@@ -120,7 +120,7 @@ class Rollouts:
 
     @property
     def steps(self) -> int:
-        """Of the simulator, per rollout."""
+        """Number of simulator steps of a rollout."""
         return self.plan.N * CONTROL_STEPS * self.substeps
 
     @property
@@ -157,7 +157,7 @@ class Rollouts:
         )
 
     def curves(self, batch: Batch) -> AbstractContextManager[None]:
-        """In which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
+        """A context in which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
@@ -198,7 +198,7 @@ class Rollouts:
         return xs
 
     def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
-        """How many simulator steps run at a time, and (step i, n, states w (K, nw)) -> the next controls (K, n, nu)."""
+        """Number of steps that run at a time, and the function (step i, n, w (K, nw)) -> their controls (K, n, nu)."""
         if mode == "open-loop":
             return self._segment, lambda i, n, w: self._held(batch, i, n)
         return self.substeps, _Feedback(self, batch)

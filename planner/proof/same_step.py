@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mjcf.driven import driven_dofs
-from planner.model.space import StateSpace
+from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -79,7 +79,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
 
 
 def rounding_amplification(A: np.ndarray) -> float:
-    """How large independent errors of size 1 in every state after each stage become, where A (N, ndx, ndx) leads."""
+    """Largest size that independent errors of 1, made in every state after each stage A (N, ndx, ndx), grow to."""
     covariance, largest = np.zeros(A.shape[1:]), 1.0
     for step in A:
         covariance = step @ covariance @ step.T + np.eye(len(step))
@@ -176,7 +176,7 @@ def munthe_kaas(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, d
     def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         result = np.zeros_like(a)
         for _, j in space.quaternions:
-            result[j : j + 3] = np.cross(a[j : j + 3], b[j : j + 3])
+            result[j : j + 3] = cross(a[j : j + 3], b[j : j + 3])
         return result
 
     k1 = dt * rates(x, u)

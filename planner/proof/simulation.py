@@ -100,7 +100,7 @@ def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
 
 
 def _unstable_at(model: Any, w: np.ndarray, start: float) -> tuple[str, ...]:
-    """Where and when the states w (M+1, nw) ran away, in a sentence, and NaN from there; else nothing."""
+    """Put NaN where the states w (M+1, nw) have run away, and say in a sentence where and when that began."""
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(w) < RUNAWAY)
     if not bad.any():

@@ -1,4 +1,4 @@
-"""prove(): what an independent engine says of a plan, step by step, with every figure beside its bound.
+"""prove(): an independent engine judges a plan step by step, every figure beside its bound.
 
     0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
     1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
@@ -48,7 +48,7 @@ ROLLOUTS = 512
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What the simulator says of a plan.
+    """The simulator's judgement of a plan, step by step.
 
     Attributes:
         verdict: "PASS" or "FAIL".

@@ -68,7 +68,7 @@ def spheres_of(model: Any, geom: int) -> list[Sphere]:
 
 
 def part_name(of: str, spheres: list[Sphere], k: int) -> str:
-    """What the k-th of the spheres of a geom is called."""
+    """Name of the k-th of the spheres of a geom."""
     return {1: of, 2: f"{of} end {k + 1}"}.get(len(spheres), f"{of} corner {k + 1}")
 
 

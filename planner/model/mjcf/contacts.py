@@ -100,7 +100,7 @@ def shapes_fit(survey: Survey, pair: Pair) -> bool:
 
 
 def _reason(survey: Survey, pair: Pair) -> str:
-    """Why a pair is not modelled; "" where it is."""
+    """The reason why a pair is not modelled; "" where it is."""
     model = survey.model
     if shapes_fit(survey, pair):
         return _law_reason(model, pair)
@@ -112,7 +112,7 @@ def _reason(survey: Survey, pair: Pair) -> str:
 
 
 def _law_reason(model: Any, pair: Pair) -> str:
-    """Why MuJoCo's force is not a law of ours; "" where it is."""
+    """The reason why MuJoCo's force is not a law of ours; "" where it is."""
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
     if pair.margin != 0.0:
@@ -210,10 +210,10 @@ def read_stops(model: Any) -> tuple[Stop, ...]:
 
 
 def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
-    """What the file's numeric of that name says: a ramp, one of the force or None, and of a contact its bend.
+    """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend.
 
     Raises:
-        ModelError: It is none of that.
+        ModelError: Its numbers cannot be these.
     """
     mujoco = load_mujoco()
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)

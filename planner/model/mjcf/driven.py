@@ -214,7 +214,7 @@ def _add_motors(root: ElementTree.Element, model: Any, joints: list[int]) -> Non
 
 
 def _motor(joint: str, axis: int, dofs: int) -> str:
-    """What is called so in MuJoCo's complaints and in a parity's."""
+    """Name of the motor in MuJoCo's warnings and in reports of parity."""
     return f"acceleration of {joint}" + (f" {axis + 1}" if dofs > 1 else "")
 
 

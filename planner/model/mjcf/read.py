@@ -210,7 +210,7 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Of the joints and, where this release of MuJoCo has it, of the actuators that drive them."""
+    """Armature and damping (nv,) of the joints, with that of their actuators where this MuJoCo has it."""
     armature, damping = np.array(model.dof_armature), np.array(model.dof_damping)
     n = len(model.actuator_trntype)
     for own, total in (("armature", armature), ("damping", damping)):

@@ -185,7 +185,7 @@ def _force(model: Any, i: int) -> Iterator[str]:
 
 
 def _transmission(model: Any, i: int) -> Iterator[str]:
-    """Why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    """Reasons why an actuator's moment is not a constant row, or its length not that row times the joints."""
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
