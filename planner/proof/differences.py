@@ -60,11 +60,14 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         for term, (one, other) in terms.items():
             if not _same(one[dof], other[dof], np.abs(one).max()):
                 yield f"{term} at {joint_of(ours, dof)}{_values(one[dof], other[dof])}"
+    balls = {
+        "stiffness": (ours.ball_stiffness, theirs.ball_stiffness),
+        "spring reference": (ours.ball_rest, theirs.ball_rest),
+    }
     for ball, (_, dof) in enumerate(ours.quaternions):
-        for term, name in (("stiffness", "ball_stiffness"), ("spring reference", "ball_rest")):
-            one, other = getattr(ours, name)[ball], getattr(theirs, name)[ball]
-            if not _same(one, other):
-                yield f"{term} at {joint_of(ours, dof)}{_values(one, other)}"
+        for term, (one, other) in balls.items():
+            if not _same(one[ball], other[ball]):
+                yield f"{term} at {joint_of(ours, dof)}{_values(one[ball], other[ball])}"
     a, b = ours.actuators, theirs.actuators
     terms = {
         "gear": (a.moment, b.moment), "gain": (a.gain, b.gain), "bias": (a.bias, b.bias),

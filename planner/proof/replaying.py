@@ -16,6 +16,7 @@ from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactHistory, ContactRecorder
 from planner.proof.curve_callback import curves_acting
@@ -130,13 +131,9 @@ def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None, integrator: str = "RK4"
 ) -> Replay:
     """replay() in a model that is compiled already."""
-    if plan.problem is None:
-        raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
-    for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
-        if not np.isfinite(values).all():
-            raise PlannerError(f"the plan has {name} that are not finite, expected finite numbers.")
+    problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
-    dt = plan.problem.dynamics.dt
+    dt = problem.dynamics.dt
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
         substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
@@ -151,7 +148,7 @@ def replay_in(
         asked = ctrl[i] + plan.K[i // n] @ plan.space.difference(twin.x_of(w), plan_xs[i])
         return plan.within_bounds(i // n, asked)
 
-    start = twin.sim_of(plan.problem.x0)  # the problem's, not what the plan says of it
+    start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
     with curves_acting(twin, model):
         w, warnings = simulate(model, start, ctrl, control=with_gains if feedback else None, recorder=recorder, every=n)
     t = model.opt.timestep * np.arange(M + 1)
@@ -164,6 +161,20 @@ def replay_in(
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
         contacts=recorder.history(t),
     )  # fmt: skip
+
+
+def problem_of(plan: Plan) -> Problem:
+    """The problem of a plan that can be simulated.
+
+    Raises:
+        PlannerError: The plan comes without its problem or is not finite.
+    """
+    if plan.problem is None:
+        raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
+    for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
+        if not np.isfinite(values).all():
+            raise PlannerError(f"the plan has {name} that are not finite, expected finite numbers.")
+    return plan.problem
 
 
 def between_knots(plan: Plan, substeps: int) -> np.ndarray:

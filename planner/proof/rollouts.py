@@ -27,7 +27,7 @@ from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
-from planner.proof.replaying import between_knots
+from planner.proof.replaying import between_knots, problem_of
 from planner.proof.simulation import MOST_STEPS, RUNAWAY
 
 MODES = ("open-loop", "feedback")
@@ -79,13 +79,10 @@ class Rollouts:
             PlannerError: The plan is not finite, comes without its problem, or takes too many steps.
             ModelError: MuJoCo refuses the model, or it does not fit the plan.
         """
-        if plan.problem is None:
-            raise PlannerError("the plan comes without its problem, expected one of planner.cases or one just solved.")
-        if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
-            raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
+        self._problem = problem_of(plan)
         compiled.check(plan.us.shape[1])
         mujoco, model, twin = load_mujoco(), compiled.model, compiled.twin
-        self.plan, self.twin, self.control_step = plan, twin, plan.problem.dynamics.dt / CONTROL_STEPS
+        self.plan, self.twin, self.control_step = plan, twin, self._problem.dynamics.dt / CONTROL_STEPS
         own = number("the model's timestep", model.opt.timestep, above=0.0)
         finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
         # Only contacts, and parts that the plan does not know of, ask for the model's own step.
@@ -145,9 +142,8 @@ class Rollouts:
     def batch(self, draws: Sequence[Draw]) -> Batch:
         """The machines with these errors."""
         plan = self.plan
-        assert plan.problem is not None  # checked at the start
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
-        x0 = plan.problem.x0
+        x0 = self._problem.x0
         return Batch(
             models=[self.nominal.with_errors(draw, self._scratch) for draw in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, draw.start)) for draw in draws]),

@@ -66,11 +66,11 @@ class Proof:
         perturbed: Step 5.
         replay: The replay in the mode that passed, else open loop.
         replays: Mode -> replay.
-        errors: What `growth` was read from.
-        convergence: What `order` was read from; None where the plan has no order.
-        held: What `hold` was read from, or None.
-        monte_carlo: What `perturbed` was read from, or None.
-        asked: What proves the same again: the arguments of prove(), without another model.
+        errors: The growth of errors behind `growth`.
+        convergence: The replays at halved steps behind `order`.
+        held: The motion behind `hold`, or None.
+        monte_carlo: The rollouts behind `perturbed`, or None.
+        asked: The arguments of prove() that prove the same again, without another model.
     """
 
     verdict: str

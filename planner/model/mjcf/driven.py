@@ -251,17 +251,15 @@ def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     moment, free = np.where(silent[:, None], 0.0, a.moment), np.tile([-np.inf, np.inf], (n, 1))
     links = {name: mechanism.joint(name) for name in in_order(mechanism, prescribed)}
     sizes = {name: part.stop - part.start for name, part in links.items()}
+    motors = {
+        "moment": HEAVY * np.eye(mechanism.nv)[dofs], "gain": np.ones(n), "bias": np.zeros((n, 3)),
+        "dynamics": np.full(n, DIRECT), "activation": np.full(n, -1), "time_constant": np.ones(n),
+        "control_range": free, "force_range": free, "activation_range": free,
+    }  # fmt: skip
+    own = vars(a) | {"moment": moment}
     actuators = Actuators(
         names=(*a.names, *(_motor(name, axis, size) for name, size in sizes.items() for axis in range(size))),
-        moment=np.concatenate([moment, HEAVY * np.eye(mechanism.nv)[dofs]]),
-        gain=np.concatenate([a.gain, np.ones(n)]),
-        bias=np.concatenate([a.bias, np.zeros((n, 3))]),
-        dynamics=np.concatenate([a.dynamics, np.full(n, DIRECT)]),
-        activation=np.concatenate([a.activation, np.full(n, -1)]),
-        time_constant=np.concatenate([a.time_constant, np.ones(n)]),
-        control_range=np.concatenate([a.control_range, free]),
-        force_range=np.concatenate([a.force_range, free]),
-        activation_range=np.concatenate([a.activation_range, free]),
+        **{name: np.concatenate([own[name], more]) for name, more in motors.items()},
     )
     balls = given[mechanism.kind == BALL]
     return replace(

@@ -119,48 +119,30 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
     armature, damping = _armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
     contacts, body_contacts = read_contacts(survey)
+    sites = {
+        site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
+        for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
+        if site
+    }
+    keyframes = {
+        key: np.concatenate([model.key_qpos[i], model.key_qvel[i], model.key_act[i]])
+        for i, key in enumerate(_names(model, "key", model.nkey))
+        if key
+    }
     return Mechanism(
-        nq=int(model.nq),
-        parent=parent,
-        base=base,
-        **screws,
-        T_home=T_home,
-        qpos0=np.array(model.qpos0),
-        **_masses(model, links, poses),
-        armature=armature,
-        damping=damping,
-        stiffness=np.where(kind == SCREW, stiffness, 0.0),
-        spring_rest=rest,
-        ball_stiffness=stiffness[balls],
+        nq=int(model.nq), parent=parent, base=base, **screws, T_home=T_home, qpos0=np.array(model.qpos0),
+        **_masses(model, links, poses), armature=armature, damping=damping,
+        stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")),
-        actuators=_actuators(model),
-        joint_names=_names(model, "joint", model.njnt),
+        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=_actuators(model),
+        joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
-        joint_range=_joint_ranges(model),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=contacts,
-        body_contacts=body_contacts,
-        stops=read_stops(model),
-        sites={
-            site: Frame(
-                int(links[model.site_bodyid[i]]),
-                poses[model.site_bodyid[i]] @ pose(model.site_pos[i], model.site_quat[i]),
-            )
-            for i, site in enumerate(_names(model, "site", model.nsite))
-            if site
-        },
-        keyframes={
-            key: np.concatenate([model.key_qpos[i], model.key_qvel[i], model.key_act[i]])
-            for i, key in enumerate(_names(model, "key", model.nkey))
-            if key
-        },
-        mjcf=text,
-        assets=files,
-        ignored=ignored,
-    )
+        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
+        mjcf=text, assets=files, ignored=ignored,
+    )  # fmt: skip
 
 
 def _names(model: Any, kind: str, count: int) -> tuple[str, ...]:
@@ -269,17 +251,11 @@ def _actuators(model: Any) -> Actuators:
             bias[i, 1] = 0.0  # a free joint has no length
     clamped = not disabled(model, "clampctrl")
     return Actuators(
-        names=_names(model, "actuator", nu),
-        moment=moment,
-        gain=gain,
-        bias=bias,
-        dynamics=dynamics,
-        activation=np.array(model.actuator_actadr, dtype=np.int64),
-        time_constant=time_constant,
-        control_range=_ranges(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
-        force_range=force_range,
+        names=_names(model, "actuator", nu), moment=moment, gain=gain, bias=bias, dynamics=dynamics,
+        activation=np.array(model.actuator_actadr, dtype=np.int64), time_constant=time_constant,
+        control_range=_ranges(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange), force_range=force_range,
         activation_range=_ranges(model.actuator_actlimited, model.actuator_actrange),
-    )
+    )  # fmt: skip
 
 
 def _moment(model: Any, actuator: int) -> np.ndarray:

@@ -154,17 +154,14 @@ def _combined(model: Any, a: int, b: int) -> Pair:
     """MuJoCo's mj_contactParam."""
     margin = float(max(model.geom_margin[a], model.geom_margin[b]) + max(model.geom_gap[a], model.geom_gap[b]))
     higher = np.sign(int(model.geom_priority[a]) - int(model.geom_priority[b]))
-    mix = {1: 1.0, -1: 0.0}.get(int(higher), _mix(float(model.geom_solmix[a]), float(model.geom_solmix[b])))
+    one, other = float(model.geom_solmix[a]), float(model.geom_solmix[b])
+    mix = {1: 1.0, -1: 0.0}.get(int(higher), one / (one + other) if one + other > 0.0 else 0.5)
     solref = mix * model.geom_solref[a] + (1.0 - mix) * model.geom_solref[b]
     condim, friction = max(model.geom_condim[a], model.geom_condim[b]), np.maximum(*model.geom_friction[[a, b]])
     if higher:
-        one = a if higher > 0 else b
-        condim, friction = model.geom_condim[one], model.geom_friction[one]
+        first = a if higher > 0 else b
+        condim, friction = model.geom_condim[first], model.geom_friction[first]
     elif np.any(model.geom_solref[[a, b], 0] <= 0.0):  # of direct formats the lesser numbers
         solref = np.minimum(*model.geom_solref[[a, b]])
     solimp = mix * model.geom_solimp[a] + (1.0 - mix) * model.geom_solimp[b]
     return Pair((a, b), int(condim), friction[[0, 0, 1, 2, 2]], solref, np.zeros(2), solimp, margin)
-
-
-def _mix(a: float, b: float) -> float:
-    return a / (a + b) if a + b > 0.0 else 0.5
