@@ -11,6 +11,7 @@ from planner.model.mjcf.text import model_path, model_text
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout
 from planner.problem.plan import Plan, Status
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactHistory
 from planner.proof.replaying import Replay
 
@@ -43,7 +44,7 @@ def make_replay(appearance=APPEARANCE, *, plan_offset=0.0, force=400.0):
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
-        plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
+        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
         act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
         contact_force=np.where(contact, force, 0.0), contact_point=points, substeps=100,
         contacts=ContactHistory(("foot on floor",), t, forces[:, None], points[:, None]),

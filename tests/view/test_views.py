@@ -13,11 +13,11 @@ from treadmills import APPEARANCE, BELT_SPEED, FRICTION, TREADMILL, WEIGHT, stan
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
 from planner.proof import contact_history
 from planner.proof.contact_history import ContactRecorder
-from planner.proof.replaying import compile_model
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene

@@ -1,6 +1,6 @@
 """MJCF files: those of the package, text with includes resolved and the files it names, edits by path.
 
-Pure XML: MuJoCo itself is asked only by mechanism_reader, replay and render.
+Pure XML: nothing here asks MuJoCo.
 """
 
 from __future__ import annotations
