@@ -44,8 +44,8 @@ def make_replay(appearance=APPEARANCE, *, plan_offset=0.0, force=400.0):
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
-        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
-        act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
+        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="RK4", t=t, qpos=qpos,
+        qvel=np.zeros((201, 2)), act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
         contact_force=np.where(contact, force, 0.0), contact_point=points, substeps=100,
         contacts=ContactHistory(("foot on floor",), t, forces[:, None], points[:, None]),
     )  # fmt: skip
