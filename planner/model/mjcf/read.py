@@ -23,6 +23,7 @@ from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR,
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
 from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.meshes import coarsen_visual_meshes
 from planner.model.mjcf.refuse import KINDS, Refusal, actuator_disabled, adheres_to_nothing, unmodelled
 from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
 from planner.model.mjcf.text import model_tree
@@ -58,6 +59,8 @@ def read(
 
     root, files = model_tree(model, assets)
     survey = Survey(compile_model(root, files, name))
+    if coarsen_visual_meshes(root, files, survey.model):
+        survey = Survey(compile_model(root, files, name))
     law = contacts if isinstance(contacts, ContactLaw) else None
     left_out = [] if law is None else give_law(root, survey, law)
     found = [*unmodelled(survey.model), *(contact_refusals(survey, all_of_them=off) if law is None else ())]
