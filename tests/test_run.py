@@ -11,7 +11,7 @@ import pytest
 
 import planner
 from planner.__main__ import main
-from planner.cli import run as run_command
+from planner.cli import running as run_command
 from planner.cli.run_folder import MARK, ROLLOUTS, run_folder
 from planner.problem.plan import Plan
 
