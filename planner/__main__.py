@@ -11,20 +11,20 @@ import sys
 from collections.abc import Sequence
 
 from planner.base.errors import PlannerError
-from planner.cli import about, paper, parser, plans, run
-from planner.cli import stored_plans as check
+from planner.base.versions import installed_versions
+from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
 from planner.cli.console import Console
 
 _COMMANDS = {
-    "list": about.list_cases, "warmup": about.warmup, "run": run.run, "solve": plans.solve_case,
-    "prove": plans.prove_plan, "render": plans.render_plan, "report": plans.report_plan, "check": check.check_plans,
-    "paper": paper.paper,
+    "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+    "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
+    "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    # A kill must clean up like an exception: no hidden folders are left behind.
+    # A kill ends like an exception, so that hidden folders are removed.
     for kill in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(kill, lambda number, _: sys.exit(128 + number))
     words = list(sys.argv[1:] if argv is None else argv)
@@ -32,7 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = parser.parse(words)
         if arguments.version:
-            return about.versions(console)
+            console.say("  ".join(f"{name} {version}" for name, version in installed_versions().items()))
+            return 0
         if arguments.command is None:
             parser.build().print_help()
             return 0

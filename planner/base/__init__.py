@@ -1,1 +1,1 @@
-"""What everything else stands on: errors, argument checks, files, versions, measured values, MuJoCo and OpenGL."""
+"""Errors, argument checks, files, JSON, versions, measured values, loading of MuJoCo and OpenGL."""

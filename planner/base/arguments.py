@@ -1,4 +1,4 @@
-"""Checks of what a caller hands in. Each returns the value in the form the kernels need, or raises one sentence."""
+"""Checks of arguments. Each returns the value in the form that the kernels need, or raises a PlannerError."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 
-LONGEST_HORIZON = 1_000_000  # stages; the gains and models of more fill the memory of any computer
-_LARGEST_COUNT = 2**63 - 1  # of the kernels' integers
+LONGEST_HORIZON = 1_000_000  # stages; gains and models of more do not fit into memory
+_LARGEST_COUNT = 2**63 - 1  # largest integer of the kernels
 _LONGEST_TEXT = 200
 
 
 def shown(value: Any) -> str:
-    """A value for a sentence: its repr in one line, cut where it is long."""
+    """A value for a message: its repr in one line, cut to 200 characters."""
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # Python writes no integers of more than 4300 digits
+    except ValueError:  # Python does not print integers of more than 4300 digits
         return "a number of thousands of digits"
     return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."
 
 
 def _no_number(value: Any) -> bool:
-    """Whether NumPy would make numbers of what is none: of booleans, texts, dates and complex numbers."""
-    if isinstance(value, float):  # most of what lists hold
+    """Whether a value holds booleans, texts, dates or complex numbers, which NumPy would convert to floats."""
+    if isinstance(value, float):  # the usual entry of a list
         return False
     if isinstance(value, (bool, str, bytes, bytearray)):
         return True
@@ -41,27 +41,21 @@ def _no_number(value: Any) -> bool:
 def number(
     name: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
 ) -> float:
-    """A finite float, greater than `above`, at least `least` and at most `most` where given."""
+    """Return a finite float, greater than `above`, at least `least` and at most `most` where given."""
     try:
         result = math.nan if _no_number(value) else float(value)
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     too_small = (above is not None and result <= above) or (least is not None and result < least)
-    too_large = most is not None and result > most
-    if too_small or too_large or not math.isfinite(result):
-        expected = "a finite number"
-        if above is not None:
-            expected += f" greater than {above:g}"
-        if least is not None:
-            expected += f" of at least {least:g}"
-        if most is not None:
-            expected += f" and at most {most:g}"
-        raise PlannerError(f"{name} is {shown(value)}, expected {expected}.")
+    if too_small or (most is not None and result > most) or not math.isfinite(result):
+        bounds = ((" greater than", above), (" of at least", least), (" and at most", most))
+        expected = "".join(f"{words} {bound:g}" for words, bound in bounds if bound is not None)
+        raise PlannerError(f"{name} is {shown(value)}, expected a finite number{expected}.")
     return result
 
 
 def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> int:
-    """An integer of at least `least` and, where given, at most `most`; none that a kernel could not hold."""
+    """Return an integer of at least `least` and at most `most`, by default the largest integer of the kernels."""
     try:
         result = None if _no_number(value) else operator.index(value)
     except TypeError:
@@ -74,7 +68,7 @@ def count(name: str, value: Any, *, least: int = 1, most: int | None = None) -> 
 
 
 def choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """One of some names; the message lists them and guesses what was meant."""
+    """Return one of some names; the error lists them and suggests the nearest."""
     if isinstance(value, str) and value in choices:
         return value
     known = list(choices)
@@ -84,7 +78,7 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
 
 
 def numbers(name: str, value: Any) -> np.ndarray:
-    """Any array of floats."""
+    """Return an array of floats of any shape."""
     try:
         return _floats(value)
     except (TypeError, ValueError, OverflowError):
@@ -92,17 +86,17 @@ def numbers(name: str, value: Any) -> np.ndarray:
 
 
 def _floats(value: Any) -> np.ndarray:
-    """A copy as float64 in C order; TypeError, ValueError or OverflowError where something is no number."""
+    """A copy as float64 in C order; TypeError, ValueError or OverflowError where an entry is not a number."""
     if getattr(getattr(value, "dtype", None), "kind", None) == "c":  # NumPy drops imaginary parts with a warning
         raise TypeError
     result = np.array(value, dtype=np.float64, order="C")
-    if _no_number(value):  # after NumPy has refused what is nested too deeply
+    if _no_number(value):  # NumPy has refused a too deep nesting before
         raise TypeError
     return result
 
 
 def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: bool = False) -> np.ndarray:
-    """A float64 array in C order, finite unless any_value. Sizes in `shape` that are letters match anything."""
+    """Return a float64 array in C order, finite unless any_value. A letter in `shape` matches any size."""
     wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     try:
         result = _floats(value)

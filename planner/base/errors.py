@@ -1,10 +1,10 @@
-"""What the planner raises: one sentence that names what was wrong, what was expected and what exists."""
+"""Exceptions. Each message is one sentence: what was wrong, what was expected, what exists."""
 
 from __future__ import annotations
 
 
 class PlannerError(ValueError):
-    """Wrong input. The message is one sentence; the command line prints it and exits with code 2."""
+    """Wrong input; the command line prints the message and exits with code 2."""
 
 
 class FileError(PlannerError):

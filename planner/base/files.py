@@ -1,8 +1,8 @@
-"""Files: inputs are read within bounds, and a result is there whole or the older one is there untouched.
+"""Read inputs within limits and write outputs whole: a failure leaves the older file untouched.
 
-A pipe or device in place of an input would be read forever, so an input is an ordinary file of a size that fits. An
-output is written beside its place under a hidden name and moved there by os.replace, which is atomic in a file system.
-Files that belong together are written into a hidden folder and published at the end. Every error names its path.
+An input must be an ordinary file of limited size, because reading a pipe or device may never end. An output is written
+under a hidden name beside its place and moved there by os.replace, which is atomic in a file system. Files that belong
+together are written into a hidden folder and moved at the end. Every error names its path.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from planner.base.errors import FileError, PlannerError
@@ -24,12 +23,10 @@ PathLike = str | os.PathLike[str]
 TEXT_LIMIT = 64 * 2**20  # bytes of an XML or TOML file
 ASSET_LIMIT = 512 * 2**20  # bytes of a mesh, a texture or a height field
 
-_HIDDEN = ".planner-"  # how the names of unfinished files and folders begin
+_HIDDEN = ".planner-"  # prefix of the names of unfinished files and folders
+_FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
 
-# A disk counts as full below this many free bytes: some libraries report a failed write without its cause.
-_FULL = 64 * 1024
-
-# Complaints about the device. They come without a file name, since they happen to an open file.
+# Errors of the device, which come without a file name.
 _DEVICE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO, errno.ESTALE}
 
 _SENTENCES = {
@@ -51,9 +48,9 @@ def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: ty
 
     Args:
         path: The file.
-        what: What it is, for the message: "the model".
-        most: Its size in bytes.
-        raises: The kind of error for what cannot be read, is no ordinary file or is too large.
+        what: Its name in the message: "the model".
+        most: Largest size, bytes.
+        raises: Error for a file that cannot be read, is not ordinary or is too large.
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
@@ -66,13 +63,13 @@ def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: ty
                 return file.read()
     except OSError as error:
         reason = error.strerror or str(error)
-    except ValueError:  # a null character, or others that no name can hold
+    except ValueError:  # a null character
         reason = "no file can have this name"
     raise raises(f"cannot read {what} {printable(path)}: {reason}.") from None
 
 
 def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileError) -> str:
-    """The text of an ordinary file in UTF-8, of at most TEXT_LIMIT bytes; see read_input."""
+    """The UTF-8 text of an ordinary file of at most TEXT_LIMIT bytes; see read_input."""
     try:
         return read_input(path, what, most=TEXT_LIMIT, raises=raises).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -80,17 +77,16 @@ def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileErr
 
 
 def printable(path: PathLike) -> str:
-    """A path for a message of one line: as it is, or quoted with its unprintable characters escaped."""
+    """A path for a message: as it is, or quoted with escapes where it has unprintable characters."""
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
 @contextmanager
 def write_atomically(path: PathLike) -> Iterator[Path]:
-    """Yields a hidden path beside `path` to write to; on success that file takes the place of `path`.
+    """Yield a hidden path beside `path`; on success that file replaces `path`, on any exception it is removed.
 
-    On any exception, KeyboardInterrupt included, the hidden file is removed and `path` stays as it was. The
-    hidden file exists from the start, so that an unwritable folder fails before any work, and has the suffix
-    of `path`, since many writers choose the format by it.
+    The hidden file exists from the start, so that an unwritable folder fails before any work. It has the suffix of
+    `path`, because many writers choose the format by it.
 
     Args:
         path: The file to write. A symbolic link is followed. Its folder must exist.
@@ -100,7 +96,7 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
     """
     target = Path(path)
     try:
-        # Through a link, the file it points at is the one to replace, not the link.
+        # A link stays; the file it points at is replaced.
         place = Path(os.path.realpath(target))
         refuse_other_than_file(target)
         hidden = _new_file(place.parent, place.suffix)
@@ -121,50 +117,51 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
             hidden.unlink()
 
 
-@dataclass(frozen=True)
-class StagedFolder:
-    """A set of results in the making.
-
-    Attributes:
-        path: The hidden folder to write into.
-        folder: Where its files go on success.
-    """
-
-    path: Path
-    folder: Path
-
-
-@contextmanager
-def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[StagedFolder]:
-    """Yields a hidden folder inside `path`; on success its files move to `path`, one after the other.
-
-    `path` and its missing parents are created at once, so that an unwritable one fails before any work. On
-    any exception, KeyboardInterrupt included, what was created is removed and older results stay untouched.
+def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]:
+    """Create a folder for results and an empty hidden folder in it, so that an unwritable one fails before any work.
 
     Args:
-        path: The folder of the results.
-        outputs: Names of all files that such a set may have. Those not produced this time are removed on
-            success: the video of an older plan must not lie beside a new plan.
+        folder: The folder; its missing parents are created, too.
+        outputs: Names of the files that will be written into it.
+
+    Returns:
+        The hidden folder, and the folders that were created, innermost first.
 
     Raises:
         FileError: The folder cannot be written: what was wrong and what was expected.
     """
-    folder = Path(path)
-    outputs = tuple(outputs)
     created: list[Path] = []
     try:
         created = missing_folders(folder)
         folder.mkdir(parents=True, exist_ok=True)
         for name in outputs:
             refuse_other_than_file(folder / name)
-        staging = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=folder))
+        return Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=folder)), created
     except BaseException as error:
         remove_empty(created)
         if isinstance(error, FileError) or not isinstance(error, (OSError, ValueError)):
             raise
         raise file_error(error, folder, expected="folder") from error
+
+
+@contextmanager
+def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]:
+    """Yield a hidden folder inside `path`; on success its files move to `path`, one after the other.
+
+    On any exception what was created is removed and older results stay untouched.
+
+    Args:
+        path: The folder of the results; it and its missing parents are created at once.
+        outputs: Names of all files that such a set may have. Older files with these names are removed on success: the
+            video of an older plan must not lie beside a new plan.
+
+    Raises:
+        FileError: The folder cannot be written: what was wrong and what was expected.
+    """
+    folder, outputs = Path(path), tuple(outputs)
+    staging, created = open_folder(folder, outputs)
     try:
-        yield StagedFolder(staging, folder)
+        yield staging
         _publish(staging, folder, outputs)
     except BaseException as error:
         complaint = None
@@ -179,19 +176,12 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Stage
 
 
 def file_error(error: BaseException, path: PathLike, verb: str = "write", expected: str = "file") -> FileError:
-    """The FileError that says in one sentence why `path` could not be written or read.
-
-    Args:
-        error: What the operating system said.
-        path: The file or folder that was asked for.
-        verb: "write" or "read".
-        expected: "file" or "folder".
-    """
+    """The FileError that says why the file or folder `path` cannot be written or read (`verb`)."""
     return FileError(f"Cannot {verb} {_shown(path)}: {_reason(error, Path(path), verb, expected)}.")
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    """An opener that does not wait until someone opens the other end of a pipe."""
+    """Open a file without waiting for the other end of a pipe."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -222,10 +212,7 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
 
 
 def _concerns(error: OSError, hidden: Path, folder: Path) -> bool:
-    """Whether an OSError raised by the caller's own code is about what it was writing.
-
-    Others (a library that does not load, a closed pipe) pass unchanged: blaming the folder would mislead.
-    """
+    """Whether an OSError of the caller's code is about the file it wrote; others, e.g. a closed pipe, pass."""
     if error.filename is not None:
         names = (error.filename, error.filename2)
         return any(name is not None and str(hidden) in os.fsdecode(name) for name in names)
@@ -239,7 +226,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
     for file, name in zip(files, names, strict=True):
         refuse_other_than_file(folder / name)
         _flush_to_device(file)
-    # Old files go first: an interruption here leaves an old plan without its video, never a new plan with it.
+    # Old files go first: an interruption here may leave an old plan without its video, never a new plan with it.
     for name in {Path(output) for output in outputs} - set(names):
         (folder / name).unlink(missing_ok=True)
     for file, name in zip(files, names, strict=True):
@@ -248,7 +235,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
 
 
 def refuse_other_than_file(path: Path) -> None:
-    """Raise FileError when something lies at `path` that os.replace must not replace, e.g. /dev/null."""
+    """Raise FileError where `path` is something that os.replace must not replace, e.g. /dev/null."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -260,14 +247,14 @@ def refuse_other_than_file(path: Path) -> None:
 
 
 def _new_file(folder: Path, suffix: str) -> Path:
-    """A new empty file with a hidden name, and with the permissions that open() would give it."""
+    """Create an empty file with a hidden name and the usual permissions."""
     path = folder / f"{_HIDDEN}{os.urandom(6).hex()}{suffix}"
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     return path
 
 
 def _flush_to_device(path: Path) -> None:
-    """Make sure that the content is on the device before its name is: some disks fail only here."""
+    """Write the content to the device before its name: some disks fail only here."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -281,8 +268,8 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
-    """Remove folders, innermost first, as far as nothing is in them."""
-    with suppress(OSError, ValueError):  # someone else may have put a file there meanwhile
+    """Remove empty folders, innermost first."""
+    with suppress(OSError, ValueError):  # another process may have put a file there
         for folder in folders:
             folder.rmdir()
 
@@ -296,6 +283,6 @@ def _full(path: Path) -> bool:
 
 
 def _shown(path: PathLike) -> str:
-    """A path for a message: quoted, unprintable characters escaped, without the hidden folder it passes."""
+    """A path for a message: quoted, with escapes, without hidden folders."""
     parts = [part for part in Path(path).parts if not part.startswith(_HIDDEN)]
     return repr(str(Path(*parts)))

@@ -1,8 +1,7 @@
-"""Headless OpenGL: which library draws, and importing mujoco so that it finds it.
+"""Choose a headless OpenGL library and import mujoco with it.
 
-MuJoCo decides when it is imported, from the environment variable MUJOCO_GL, how it will draw. Set later, the
-variable does nothing; set to a library that is not installed, the import itself dies. So this is the one place
-where planner imports mujoco, after looking at what is installed, and never before someone needs it.
+MuJoCo reads the environment variable MUJOCO_GL when it is imported: a later change has no effect, and a library that is
+not installed makes the import fail. So only this file imports mujoco, when it is needed, after probing the libraries.
 """
 
 from __future__ import annotations
@@ -18,20 +17,19 @@ from planner.base.errors import RenderingUnavailable
 
 _log = logging.getLogger("planner")
 
-# What MUJOCO_GL may be set to in order to have no drawing at all.
-_OFF = ("disable", "disabled", "off", "false", "0")
+_OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that turn drawing off
 
-# File names that the dynamic loader knows the libraries by. PyOpenGL, which mujoco draws through, tries the same.
+# File names of the libraries; PyOpenGL, which mujoco draws with, tries the same.
 _OSMESA = ("libOSMesa.so", "libOSMesa.so.8", "libOSMesa.so.7", "libOSMesa.so.6")
 _EGL = ("libEGL.so", "libEGL.so.1")
 _OPENGL = ("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1")
 
 
 def backend() -> str | None:
-    """The value of MUJOCO_GL that works here, or None when nothing does.
+    """The value of MUJOCO_GL that works here, or None.
 
-    The user's own MUJOCO_GL comes first if it is usable, then "osmesa" (software, the same pixels everywhere),
-    then "egl". On macOS and Windows the system always has OpenGL, and the answer is "native": leave MUJOCO_GL alone.
+    The order is: the user's own MUJOCO_GL, "osmesa" (software, the same pixels everywhere), "egl". macOS and Windows
+    always have OpenGL: "native" leaves MUJOCO_GL alone.
     """
     if not sys.platform.startswith("linux"):
         return "native"
@@ -42,7 +40,7 @@ def backend() -> str | None:
 
 
 def load_mujoco() -> Any:
-    """The module mujoco, imported ready to draw if anything here can; without that everything but drawing works."""
+    """Import mujoco with a library that draws; without one everything but drawing works."""
     if "mujoco" in sys.modules:
         return sys.modules["mujoco"]
     chosen = backend()
@@ -52,7 +50,7 @@ def load_mujoco() -> Any:
     try:
         mujoco: Any = importlib.import_module("mujoco")
     finally:
-        # The choice is this process's. A child, or the user's next program, shall choose for itself.
+        # The choice holds for this process; a child process chooses for itself.
         if before is None:
             os.environ.pop("MUJOCO_GL", None)
         else:
@@ -63,27 +61,27 @@ def load_mujoco() -> Any:
 
 
 def load_rollout() -> Any:
-    """The module mujoco.rollout, which simulates many models at once on threads of its own."""
+    """Import mujoco.rollout, which simulates many models in threads."""
     load_mujoco()
     return importlib.import_module("mujoco.rollout")
 
 
 def can_render_here() -> bool:
-    """Whether this process can draw. False if mujoco came in before us without a library to draw with."""
+    """Whether this process can draw; it cannot if mujoco was imported before without a library."""
     chosen = backend()
     if chosen is None or chosen == "native":
         return chosen is not None
     context = getattr(load_mujoco(), "GLContext", None)
-    # mujoco.osmesa or mujoco.egl, and mujoco.glfw when the user wants it; missing or a placeholder without any.
+    # mujoco.osmesa, mujoco.egl or, at the user's wish, mujoco.glfw; missing or a placeholder without a library
     name = getattr(context, "__module__", "").removeprefix("mujoco.")
     return name in ("osmesa", "egl", chosen) and _usable(name)
 
 
 def require_backend() -> None:
-    """Do nothing if something here can draw.
+    """Check that a library can draw.
 
     Raises:
-        RenderingUnavailable: Nothing can; the sentence says what to install.
+        RenderingUnavailable: There is none; the message says what to install.
     """
     if backend() is not None:
         return
@@ -97,15 +95,15 @@ def require_backend() -> None:
 
 
 def _usable(name: str) -> bool:
-    """Whether mujoco, imported with MUJOCO_GL=name, would draw."""
+    """Whether mujoco draws after an import with MUJOCO_GL=name."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").strip().lower()
     if name in ("osmesa", "egl") and platform not in ("", name):
-        return False  # mujoco refuses to argue with PyOpenGL's own variable
+        return False  # mujoco refuses a value that contradicts PyOpenGL's own variable
     if name == "osmesa":
         return _load(_OSMESA) is not None
     if name == "egl":
         return _load(_OPENGL) is not None and _egl_devices() > 0
-    # Only if the user asks for it by name: a window system draws too.
+    # A window system draws, too, but only if the user names it.
     return name == "glfw" and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -119,7 +117,7 @@ def _load(names: tuple[str, ...]) -> ctypes.CDLL | None:
 
 
 def _egl_devices() -> int:
-    """How many devices EGL offers. The library alone is not enough: it may come without any driver."""
+    """Number of devices of EGL; the library may have no driver."""
     egl = _load(_EGL)
     if egl is None:
         return 0

@@ -1,14 +1,17 @@
-"""Values as JSON can say them."""
+"""Values as JSON."""
 
 from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
+
+from planner.base.files import write_atomically
 
 
 def finite(value: Any) -> Any:
-    """The same value with null for every number that is not finite: JSON has no NaN and no infinity."""
+    """The value with None for every number that is not finite: JSON has no NaN and no infinity."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -19,5 +22,11 @@ def finite(value: Any) -> Any:
 
 
 def json_text(content: dict[str, Any]) -> str:
-    """A JSON document as files hold it."""
+    """A JSON document for a file."""
     return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON document atomically."""
+    with write_atomically(path) as unfinished:
+        unfinished.write_text(json_text(content), encoding="utf-8")

@@ -1,7 +1,7 @@
-"""Packages whose public names are imported when they are first asked for (PEP 562).
+"""Import the public names of a package at their first use (PEP 562), so that `import planner` is quick.
 
-The names stand once, in the package's `__init__.pyi`, as `from planner.X import NAME as NAME`. Type checkers read that
-file as it is; here it says where each name is found. So `import planner` is quick and chooses no OpenGL.
+The names are written once, in the package's `__init__.pyi`, as `from planner.X import NAME as NAME`. Type checkers read
+that file; here it says where each name is defined.
 """
 
 from __future__ import annotations

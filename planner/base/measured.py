@@ -1,4 +1,4 @@
-"""Figures: a measured value beside the bound it is held to. Proofs are made of them."""
+"""Measured values with their bounds: the content of a proof."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class Measured:
     """One measured number.
 
     Attributes:
-        name: What was measured, as a snake_case key.
-        value: The measured value; infinite when the thing to be measured did not happen.
+        name: A snake_case key.
+        value: The value; infinite where there was nothing to measure.
         unit: Its unit, "" for a pure number.
-        bound: The largest value that passes; None for a number that is shown, not judged.
-        note: Where the bound comes from, or what the number means.
+        bound: Largest value that passes; None for a value without a check.
+        note: The origin of the bound, or the meaning of the value.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Measured:
         return f"{self.name.replace('_', ' ')} {self.value:.5g} {self.unit}".rstrip() + bound
 
     def to_dict(self) -> dict[str, Any]:
-        """The figure as JSON values; what is not finite becomes null (JSON has no infinity)."""
+        """The value and its bound as JSON values; null where they are not finite."""
         return {
             "value": finite(float(self.value)),
             "unit": self.unit,
@@ -48,12 +48,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class Section:
-    """One step of a proof: its measured, or the reason why it does not apply.
+    """One step of a proof: its measured values, or the reason why it does not apply.
 
     Attributes:
         title: The step, e.g. "refined, open loop".
-        measured: What was measured.
-        not_applicable: Why the step does not apply to this machine; "" when it does.
+        measured: The measured values.
+        not_applicable: Why the step does not apply to this machine, or "".
     """
 
     title: str
@@ -62,13 +62,13 @@ class Section:
 
     @property
     def passed(self) -> bool:
-        """Whether every figure is within its bound. A step that does not apply does not fail."""
-        return all(figure.passed for figure in self.measured)
+        """Whether every value is within its bound. A step that does not apply does not fail."""
+        return not self.failures
 
     @property
     def failures(self) -> tuple[Measured, ...]:
-        """The measured beyond their bounds."""
-        return tuple(figure for figure in self.measured if not figure.passed)
+        """The values beyond their bounds."""
+        return tuple(one for one in self.measured if not one.passed)
 
     def to_dict(self) -> dict[str, Any]:
         """The section as JSON values."""
@@ -77,5 +77,5 @@ class Section:
         return {
             "applicable": True,
             "passed": self.passed,
-            "figures": {figure.name: figure.to_dict() for figure in self.measured},
+            "figures": {one.name: one.to_dict() for one in self.measured},
         }

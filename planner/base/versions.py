@@ -1,4 +1,4 @@
-"""Versions of this package and of what its numbers depend on, for the files it writes."""
+"""Versions of this package and of the packages that its numbers depend on, for the files it writes."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ from importlib import metadata
 
 @functools.cache
 def installed_versions() -> dict[str, str]:
-    """Versions of this package and of what its numbers depend on."""
-    names = {
-        "planner": "slq-planner",
-        "mujoco": "mujoco",
-        "numpy": "numpy",
-        "numba": "numba",
-        "scipy": "scipy",
-    }
+    """Versions by name, "not installed" where a package is missing."""
     versions = {"python": platform.python_version()}
-    for name, distribution in names.items():
+    for name in ("planner", "mujoco", "numpy", "numba", "scipy"):
         try:
-            versions[name] = metadata.version(distribution)
+            versions[name] = metadata.version("slq-planner" if name == "planner" else name)
         except metadata.PackageNotFoundError:
             versions[name] = "not installed"
     return versions

@@ -162,7 +162,7 @@ def _appearance(height: float) -> Appearance:
 
 
 def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
-    """What the proof demands of this machine."""
+    """The rules of the proof for this machine."""
     offset = 0.5 * dynamics.smoothing
 
     def equal_states(rng: np.random.Generator, K: int) -> np.ndarray:

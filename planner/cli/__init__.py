@@ -1,1 +1,1 @@
-"""What the command line does, one file per group of commands."""
+"""The command line: a file per command, the grammar, the console."""

@@ -1,6 +1,6 @@
-"""Console: the only place that prints. Results go to stdout, progress and tables of work to stderr.
+"""Console: the only file that prints. Results go to stdout, progress to stderr.
 
-With --json stdout carries one JSON document and nothing else.
+With --json stdout holds one JSON document and nothing else.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from planner.base.jsonable import finite
@@ -19,11 +19,11 @@ from planner.solvers.periodic import Pass
 
 
 class Console:
-    """What a command says.
+    """Output of a command.
 
     Args:
         as_json: Print one JSON document at the end instead of text.
-        quiet: No progress.
+        quiet: Print no progress.
     """
 
     def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
@@ -34,79 +34,71 @@ class Console:
         self._drawn = 0.0
 
     def _print(self, text: str, *, result: bool, end: str = "\n") -> None:
-        """Print, or remember why not: a reader that went away must not undo work that is done."""
+        """Print, or remember why not: a closed pipe must not undo finished work."""
         stream = sys.stdout if result else sys.stderr
         if stream is None or (result and self.lost):
             return
         try:
             print(text, file=stream, end=end, flush=True)
         except OSError as error:
-            # What is still buffered would fail again at exit.
+            # The buffered rest would fail again at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
             if result:
                 self.lost = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
 
     def say(self, text: str = "") -> None:
-        """A line of the result; with --json it goes to stderr."""
+        """Print a line of the result; with --json it goes to stderr."""
         self._print(text, result=not self.as_json)
 
     def note(self, text: str) -> None:
-        """A line about the work in progress."""
+        """Print a line about the work in progress."""
         if not self.quiet:
             self._print(text, result=False)
 
     def complain(self, text: str) -> None:
-        """What was wrong, in one sentence."""
+        """Print an error, one sentence."""
         self._print(f"planner: {text}", result=False)
 
     def document(self, content: dict[str, Any]) -> None:
-        """The result for machines; only with --json."""
+        """Print the JSON document, only with --json."""
         if self.as_json:
             self._print(json.dumps(finite(content), indent=2, allow_nan=False), result=True)
 
+    def finish(self, command: str, code: int, **content: Any) -> int:
+        """Print the JSON document of a command and return its exit code."""
+        self.document({"command": command, **content, "exit_code": code})
+        return code
+
     def table(self, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """A table with aligned columns: the first to the left, the others as their heads."""
+        """Print a table with aligned columns."""
         cells = [list(map(str, row)) for row in rows]
         widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
         for row in (list(heads), ["-" * width for width in widths], *cells):
             self.say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
     def iteration(self, line: Iteration) -> None:
-        """One line of the live iteration table: all of them on a terminal, a thinned table in a log."""
-        if self.quiet:
-            return
-        if line.iteration == 0:
-            self.note(Iteration.header())
+        """Print a line of the table of iterations: every one on a terminal, fewer in a log."""
         i = line.iteration
+        if i == 0:
+            self.note(line.header())
         if self._live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
             self.note(str(line))
 
-    def start(self, line: Start) -> None:
-        """One line of the live table of starts."""
+    def row(self, line: Start | Tried | Pass) -> None:
+        """Print a line of the table of starts, of durations or of passes."""
         if line.number == 0:
-            self.note(Start.header())
+            self.note(line.header())
         self.note(str(line))
 
-    def tried(self, line: Tried) -> None:
-        """One line of the live table of durations."""
-        if line.number == 0:
-            self.note(Tried.header())
-        self.note(str(line))
+    def progress(self, work: str) -> Callable[[int, int], None]:
+        """A callback (done, total) that prints a counter: updated on a terminal, a line at the end elsewhere."""
 
-    def passed(self, line: Pass) -> None:
-        """One line of the live table of passes."""
-        if line.number == 0:
-            self.note(Pass.header())
-        self.note(str(line))
-
-    def progress(self, what: str, done: int, total: int) -> None:
-        """A counter that overwrites itself on a terminal; a line at the end elsewhere."""
-        if self.quiet:
-            return
-        now = time.monotonic()
-        if self._live and (done == total or now - self._drawn > 0.1):
+        def show(done: int, total: int) -> None:
+            now, ended = time.monotonic(), done == total
+            if self.quiet or not (ended or (self._live and now - self._drawn > 0.1)):
+                return
             self._drawn = now
-            end = "\n" if done == total else ""
-            self._print(f"\r{what}: {done}/{total}", result=False, end=end)
-        elif not self._live and done == total:
-            self.note(f"{what}: {done}/{total}")
+            start = "\r" if self._live else ""
+            self._print(f"{start}{work}: {done}/{total}", result=False, end="\n" if ended else "")
+
+        return show

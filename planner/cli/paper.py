@@ -1,4 +1,4 @@
-"""The command `paper`: the paper beside ours. Its failures are results: the exit code is 0 where all was computed."""
+"""The command `paper`: the paper's numbers beside ours. A FAIL is a result: the exit code is 0 if all was computed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAGE, NUMBERS = "paper-results.md", "paper-results.json"
 def paper(arguments: argparse.Namespace, console: Console) -> int:
     """Compute, draw and write the paper's numbers beside ours."""
     if arguments.proofs and arguments.studies:
-        raise PlannerError("--proofs makes a table of its own, expected it without names of studies.")
+        raise PlannerError(f"--proofs is given with {arguments.studies[0]}, expected --proofs or names of studies.")
     with _stoppable():
         if arguments.proofs:
             return _proofs(Path(arguments.out or "renders/paper"), console)
@@ -37,7 +37,7 @@ def paper(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _places(out: str | None) -> tuple[Path, Path]:
-    """Where the page goes and where its pictures and numbers go: into a checkout of this project, or beside us."""
+    """Folders of the page and of its pictures and numbers: in a checkout of this project, or in ./paper."""
     if out is not None:
         return Path(out), Path(out)
     if _in_checkout():
@@ -62,20 +62,19 @@ def _all(at: Path, pictures: Path, console: Console) -> int:
     stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
         began = time.perf_counter()
-        done = run_studies(STUDIES, shown.path, console.note, os.cpu_count() or 1)
+        done = run_studies(STUDIES, shown, console.note, os.cpu_count() or 1)
         rows = table_rows(done)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
-        (text.path / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
+        (text / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
         for one in done:
-            _write_results(one, shown.path)
+            _write_results(one, shown)
         summary = {"rows": [row._asdict() for row in rows], "studies": {one.study.name: _summary(one) for one in done}}
-        (shown.path / NUMBERS).write_text(json_text(summary), encoding="utf-8")
+        (shown / NUMBERS).write_text(json_text(summary), encoding="utf-8")
     code = 0 if complete(done, rows) else 1
     console.table(("where", "the paper says", "we get"), [row[:3] for row in rows])
     console.say(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
     names = [str(at / PAGE), *(str(pictures / name) for name in (*files, NUMBERS))]
-    console.document({"command": "paper", **summary, "files": names, "exit_code": code})
-    return code
+    return console.finish("paper", code, **summary, files=names)
 
 
 def _some(names: list[str], folder: Path, console: Console) -> int:
@@ -83,26 +82,24 @@ def _some(names: list[str], folder: Path, console: Console) -> int:
     studies = chosen(names)
     files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
     with staged_folder(folder, files) as staged:
-        done = run_studies(studies, staged.path, console.note)
+        done = run_studies(studies, staged, console.note)
         for one in done:
-            _write_results(one, staged.path)
+            _write_results(one, staged)
             if one.results is None:
                 raise PlannerError(f"the study {one.study.name} failed: {one.problem}")
             text = one.study.page(one.results)
-            (staged.path / f"{one.study.name}.md").write_text(text, encoding="utf-8")
+            (staged / f"{one.study.name}.md").write_text(text, encoding="utf-8")
             console.say(text)
     console.say(f"{folder}: {', '.join(files)}")
     results: dict[str, Any] = {one.study.name: one.results for one in done}
     alone = (done[0].results or {}) if len(done) == 1 else {}
     rows = table_rows(done)
-    code = 0 if complete(done, rows) else 1
-    document = {**alone, "command": "paper", "studies": results, "rows": [row._asdict() for row in rows]}
-    console.document({**document, "folder": str(folder), "files": files, "exit_code": code})
-    return code
+    document = {**alone, "studies": results, "rows": [row._asdict() for row in rows]}
+    document |= {"folder": str(folder), "files": files}
+    return console.finish("paper", 0 if complete(done, rows) else 1, **document)
 
 
 def _write_results(one: Finished, folder: Path) -> None:
-    """A study's numbers."""
     if one.results is not None:
         (folder / f"{one.study.name}.json").write_text(json_text(one.results), encoding="utf-8")
 
@@ -112,12 +109,12 @@ def _summary(one: Finished) -> dict[str, Any]:
 
 
 class _Stop(BaseException):
-    """Ctrl-C, under a name that a solve does not take for its own: an interrupted plan would be a wrong number."""
+    """Ctrl-C during a study: a solve does not catch it, because an interrupted plan would be a wrong number."""
 
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
-    """Ctrl-C ends the command, not just the solve that is running."""
+    """Make Ctrl-C end the command, not only the running solve."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise _Stop
@@ -137,9 +134,8 @@ def _proofs(folder: Path, console: Console) -> int:
     with staged_folder(folder, names) as staged:
         rows = proofs(progress=lambda name: console.note(f"planning and proving {name}"))
         text = proofs_markdown(rows)
-        (staged.path / "proofs.md").write_text(text, encoding="utf-8")
-        (staged.path / "proofs.json").write_text(json_text({"proofs": rows}), encoding="utf-8")
+        (staged / "proofs.md").write_text(text, encoding="utf-8")
+        (staged / "proofs.json").write_text(json_text({"proofs": rows}), encoding="utf-8")
     console.say(text)
     console.say(f"{folder}: {', '.join(names)}")
-    console.document({"command": "paper", "proofs": rows, "folder": str(folder), "files": list(names), "exit_code": 0})
-    return 0
+    return console.finish("paper", 0, proofs=rows, folder=str(folder), files=list(names))

@@ -1,4 +1,4 @@
-"""The problem that a command line names, and its solve: shared by `run` and `solve`."""
+"""Build and solve the problem that a command line names, for `run` and `solve`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RANKS = {"cost": None, "proven-cost": proven_cost}
 
 
 class ProblemOf(NamedTuple):
-    """What a command line asks for."""
+    """The problem of a command line and how to solve it."""
 
     problem: Problem
     starts: int
@@ -39,7 +39,11 @@ class ProblemOf(NamedTuple):
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
-    """The problem of a case or a file, and from how many first guesses it is solved."""
+    """The problem of a case or a file, its number of starts, objective and durations.
+
+    Raises:
+        PlannerError: A value is out of range, or two flags exclude each other.
+    """
     count("max_iterations", arguments.max_iterations)
     objective = None if arguments.objective is None else objective_of(arguments.objective)
     durations = None if arguments.durations is None else durations_of(arguments.durations)
@@ -59,7 +63,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
         problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
     if durations is not None and problem.periodic is not None:
         raise PlannerError(
-            "--durations are given for a periodic motion, expected none: its cycle has a time of its own."
+            "--durations is given for a periodic motion, expected none: the duration of its cycle is fixed."
         )
     if objective is not None:
         problem = with_objective(problem, objective)
@@ -99,14 +103,14 @@ def durations_of(text: str) -> list[float]:
 
 
 def name_of(arguments: argparse.Namespace) -> str:
-    """What a run is called: its case, or its file without folder and ending."""
+    """Name of a run: its case, or its file without folder and ending."""
     return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
 
 
 def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
-    """The plan, and the seconds that the solve took."""
+    """The plan and the time of its solve, s."""
     problem = asked.problem
-    solve(problem, hessian=arguments.hessian, max_iterations=1)  # what a first run compiles is not the solve's time
+    solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
     began = time.perf_counter()
@@ -115,10 +119,9 @@ def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) ->
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
         "rank": RANKS[arguments.rank],
     }  # fmt: skip
-    timed = asked.durations is not None
-    progress = console.tried if timed else console.iteration if asked.starts == 1 else console.start
+    progress = console.iteration if asked.durations is None and asked.starts == 1 else console.row
     if problem.periodic is not None:
-        plan = solve_periodic(problem, callback=console.passed, **options)
+        plan = solve_periodic(problem, callback=console.row, **options)
     elif asked.objective is None:
         plan = solve(problem, callback=progress, **options)
     else:

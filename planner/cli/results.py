@@ -1,4 +1,7 @@
-"""The files of a run: plan, proof, plots, pictures, video, report, each of them finished or not there."""
+"""Write the files of a run (plan, proof, plots, pictures, video, report) and print its results.
+
+Each file is complete or absent.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from planner.base.errors import RenderingUnavailable
-from planner.base.files import file_error, write_atomically
-from planner.base.jsonable import json_text
+from planner.base.files import file_error
+from planner.base.jsonable import write_json
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
@@ -24,28 +29,19 @@ PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "vid
 OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
 
 
-def write_results(plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console) -> str:
-    """Write everything into a folder; returns why there is no video, or "".
-
-    Args:
-        plan: As solved.
-        proof: Of the plan; None for a plan that is not finite or whose replay was interrupted.
-        folder: An existing folder.
-        video: Whether to draw with OpenGL.
-        console: For progress.
-    """
-    plan.save(folder / "plan.npz")
-    write_proof(plan, proof, folder)
-    return draw_results(plan, proof, folder, video, console)
+def is_finite(plan: Plan) -> bool:
+    """Whether a plan can be replayed."""
+    return bool(np.isfinite(plan.xs).all() and np.isfinite(plan.cost))
 
 
 def write_proof(plan: Plan, proof: Proof | None, folder: Path, path: Sequence[Refinement] = ()) -> None:
-    """Write proof.json, also for a plan that was not replayed; `path` is how the plan was refined."""
-    content = proof.to_dict() if proof is not None else _no_proof(plan)
+    """Write proof.json, also for a plan that was not replayed; `path` lists the refinements of the plan."""
+    content = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
+    if proof is not None:
+        content = proof.to_dict()
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
-    with write_atomically(folder / "proof.json") as unfinished:
-        unfinished.write_text(json_text(content), encoding="utf-8")
+    write_json(folder / "proof.json", content)
 
 
 def draw_results(
@@ -58,20 +54,19 @@ def draw_results(
     keep: Collection[str] = frozenset(),
     options: Mapping[str, Any] | None = None,
 ) -> str:
-    """Draw the pictures and the report into a folder, one finished file after the other; returns why there is no video.
+    """Draw the pictures and the report into a folder, file by file; returns why there is no video, or "".
 
-    What is interrupted leaves the files before it finished and none half written, and a report of what there is.
+    An interruption leaves the finished files, no file half written, and a report of what is there.
 
     Args:
-        plan: As solved.
-        proof: Of the plan; None for a plan that is not finite or whose replay was interrupted.
-        folder: An existing folder. Pictures in it that are not kept are removed first: they are of an older plan.
+        plan: The solved plan.
+        proof: Its proof; None for a plan that is not finite or whose replay was interrupted.
+        folder: An existing folder. Pictures of older plans, those not in `keep`, are removed first.
         video: Whether to draw with OpenGL.
         console: For progress.
-        path: How the plan was refined, if it was.
-        keep: Names of files that are finished and of this very plan and proof. The report is kept when nothing else
-            had to be drawn.
-        options: Flags that the command was given, for the report.
+        path: The refinements of the plan.
+        keep: Names of finished files of this plan and proof. The report is kept where no picture is drawn.
+        options: Flags of the command, for the report.
     """
     wanted = _pictures(plan, proof, folder, video, console)
     for name in PICTURES:
@@ -98,7 +93,7 @@ def draw_results(
 def _pictures(
     plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console
 ) -> dict[str, Callable[[Path], object]]:
-    """How each picture of a run is drawn, the quickest first."""
+    """Functions that draw the pictures of a run, by file name, the quickest first."""
     pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: save(draw_plan(plan, proof), file)}
     if proof is not None:
         for name, picture in case_pictures(plan, proof.replay).items():
@@ -107,11 +102,8 @@ def _pictures(
         if video:
             from planner.view.render.video import render_strip, render_video
 
-            def film(file: Path) -> object:
-                return render_video(proof, file, progress=lambda done, of: console.progress("video", done, of))
-
             pictures["strip.png"] = lambda file: render_strip(proof.replay, file)
-            pictures["video.mp4"] = film
+            pictures["video.mp4"] = lambda file: render_video(proof, file, progress=console.progress("video"))
     return pictures
 
 
@@ -122,17 +114,13 @@ def _remove(file: Path) -> None:
         raise file_error(error, file) from error
 
 
-def _no_proof(plan: Plan) -> dict[str, Any]:
-    return {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
-
-
 def refinement_row(line: Refinement) -> dict[str, Any]:
-    """One step of a refinement as JSON values."""
+    """A step of a refinement as JSON values."""
     return line._asdict() | {"status": line.status.name}
 
 
 def plan_facts(plan: Plan) -> dict[str, Any]:
-    """A plan in JSON values, without its arrays."""
+    """A plan as JSON values, without its arrays."""
     return {
         "case": plan.case, "parameters": plan.parameters, "status": plan.status.name, "success": plan.success,
         "message": plan.message, "cost": plan.cost, "gradient_norm": plan.gradient_norm, "iterations": plan.nit,
@@ -143,7 +131,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
 
 
 def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
-    """The solve in two lines."""
+    """Print the solve in two lines."""
     took = "" if seconds is None else f", {1e3 * seconds:.3g} ms"
     console.say(
         f"{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, |gradient| {plan.gradient_norm:.2e}{took}"
@@ -156,7 +144,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
 
 
 def show_proof(proof: Proof, console: Console) -> None:
-    """Every figure beside its bound, then the verdict."""
+    """Print every measured number beside its bound, then the verdict."""
     console.say()
     console.table(("step", "figure", "value", "bound", ""), proof.rows())
     for section in proof.sections.values():

@@ -1,1 +1,1 @@
-"""Many problems, many plans."""
+"""Many plans at once: stored plans are proved again and compared."""

@@ -1,11 +1,11 @@
-"""check(): prove stored plans again and compare with the figures stored beside them, a user's fidelity regression test.
+"""check(): prove stored plans again and compare with the stored numbers, a regression test of the user's plans.
 
-A plan.npz has its figures in proof.json, any other NAME.npz in NAME.proof.json; `planner run` writes both. What is
-asked of the proof (seed, rollouts, perturbation) is in that file, so the same is measured again.
+The numbers of a plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json; `planner run` writes both.
+That file also holds seed, rollouts and perturbation of the proof, so that the same is measured again.
 
-    regressed   a verdict or mode that was better, a figure that passed its bound and does not,
-                or one that is worse by more than the tolerance
-    moved       any other figure that changed by more than the tolerance: shown, no regression
+    regressed   the verdict or mode got worse, a number that passed its bound fails,
+                or it is worse by more than the tolerance
+    moved       any other number changed by more than the tolerance: shown, no regression
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from typing import Any, NamedTuple
 
 from planner.base.arguments import number
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import read_text, write_atomically
-from planner.base.jsonable import json_text
+from planner.base.files import read_text
+from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.perturbation import Perturbation
 
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
-_ROUNDING = 1e-9  # figures without a bound that are smaller are rounding
-_OF_BOUND = 1e-3  # changes below this part of a figure's bound do not count
+_ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
+_OF_BOUND = 1e-3  # smaller changes relative to the bound do not count
 _RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
 
 
 class Change(NamedTuple):
-    """A figure that is not what was stored.
+    """A number that differs from the stored one.
 
     Attributes:
-        step: Of the proof, e.g. "refined_feedback"; "verdict" for the verdict itself.
-        figure: Its name.
-        stored: Value in the file, None when it was not there.
-        now: Value now, None when it is gone.
-        bound: What passes, None where nothing is judged.
+        step: Step of the proof, e.g. "refined_feedback"; "verdict" for the verdict itself.
+        figure: Name of the number.
+        stored: Value in the file, or None.
+        now: Value in the new proof, or None.
+        bound: Largest value that passes, or None.
         regressed: Whether it is worse.
     """
 
@@ -62,10 +62,10 @@ class Checked:
 
     Attributes:
         plan: The file.
-        changes: What is not as stored.
-        problem: Why nothing could be compared, "" when it could.
-        proof: The new proof, None when there is none.
-        updated: Whether the new figures were stored.
+        changes: The numbers that differ.
+        problem: Why nothing could be compared, or "".
+        proof: The new proof, or None.
+        updated: Whether the new numbers were stored.
     """
 
     plan: Path
@@ -76,12 +76,12 @@ class Checked:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing regressed, or what did was accepted."""
+        """Whether nothing regressed, or the new numbers were stored."""
         return not self.problem and (self.updated or not any(change.regressed for change in self.changes))
 
     def __str__(self) -> str:
-        what = self.problem or "; ".join(map(str, self.changes)) or "as stored"
-        return f"{self.plan}: {'ok' if self.passed else 'REGRESSED'}, {what}"
+        found = self.problem or "; ".join(map(str, self.changes)) or "as stored"
+        return f"{self.plan}: {'ok' if self.passed else 'REGRESSED'}, {found}"
 
 
 def check(
@@ -92,28 +92,27 @@ def check(
 
     Args:
         paths: Folders, searched with all below them, or plan files.
-        tolerance: Relative change of a figure that counts.
-        update: Store the new figures where they differ.
-        callback: Called with each Checked as it is done.
+        tolerance: Relative change that counts.
+        update: Store the new numbers where they differ.
+        callback: Called with each Checked.
 
     Returns:
         One Checked per plan, in the order of their names.
 
     Raises:
-        PlannerError: A path that does not exist, or nowhere a plan.
+        PlannerError: A path does not exist, or holds no plan.
     """
     number("tolerance", tolerance, above=0.0)
     done = []
     for plan in _plans(paths):
-        found = _checked(plan, tolerance, update)
-        done.append(found)
+        done.append(_checked(plan, tolerance, update))
         if callback is not None:
-            callback(found)
+            callback(done[-1])
     return done
 
 
 def stored_proof(plan: Path) -> Path:
-    """Where the figures of a plan file lie."""
+    """The file with the numbers of a plan file."""
     return plan.with_name("proof.json" if plan.name == "plan.npz" else f"{plan.stem}.proof.json")
 
 
@@ -142,19 +141,14 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
         return Checked(path, problem=str(error))
     now = proof.to_dict()
     if stored is None:
-        problem = f"it has no stored figures, expected {file.name} beside it (--update)."
+        problem = f"it has no stored numbers, expected {file.name} beside it (--update)."
         if update:
-            _store(file, now)
+            write_json(file, now)
         return Checked(path, problem="" if update else problem, proof=proof)
     changes = tuple(_changes(stored, now, tolerance))
     if update and changes:
-        _store(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
+        write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
     return Checked(path, changes, proof=proof, updated=update and bool(changes))
-
-
-def _store(file: Path, proof: dict[str, Any]) -> None:
-    with write_atomically(file) as unfinished:
-        unfinished.write_text(json_text(proof), encoding="utf-8")
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -168,11 +162,11 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
-    """The proof that was asked for when the figures were stored."""
+    """Prove a plan with the seed, rollouts and perturbation of its stored proof."""
     asked = (stored or {}).get("asked", {})
     try:
         if asked.get("another_model"):
-            raise FileError("its figures are of another model (prove --mjcf), expected those of its own.")
+            raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
     except (TypeError, AttributeError):
@@ -195,7 +189,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
 
 
 def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[Change]:
-    """What became of one figure. A value that is no number is stored as null."""
+    """The change of one number, if it counts. A value that is not finite is stored as null."""
     if not isinstance(old, dict) or not isinstance(new, dict):
         before, now = (one.get("value") if isinstance(one, dict) else None for one in (old, new))
         yield Change(step, name, before, now, None, regressed=not isinstance(new, dict))

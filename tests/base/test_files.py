@@ -37,7 +37,7 @@ def write_one(path, data, raises=None):
 def write_set(folder, files, raises=None):
     with staged_folder(folder, OUTPUTS) as staging:
         for name, data in files.items():
-            (staging.path / name).write_bytes(data)
+            (staging / name).write_bytes(data)
         if raises is not None:
             raise raises
 
@@ -233,9 +233,9 @@ def test_inputs_are_ordinary_files_of_a_size_that_fits(tmp_path):
 def test_a_set_is_published_whole(tmp_path):
     out = tmp_path / "new" / "out"
     with staged_folder(out, OUTPUTS) as staging:
-        assert staging.folder == out
-        (staging.path / "plan.npz").write_text("plan")
-        (staging.path / "report.html").write_text("report")
+        assert staging.parent == out
+        (staging / "plan.npz").write_text("plan")
+        (staging / "report.html").write_text("report")
         assert [path for path in out.iterdir() if not path.name.startswith(".")] == []
     assert contents(out) == {"plan.npz": "plan", "report.html": "report"}
 
@@ -244,7 +244,7 @@ def test_a_stale_output_goes_and_a_strangers_file_stays(tmp_path):
     for name in ("plan.npz", "video.mp4", "notes.txt"):
         (tmp_path / name).write_text("old")
     with staged_folder(tmp_path, OUTPUTS) as staging:
-        (staging.path / "plan.npz").write_text("new")
+        (staging / "plan.npz").write_text("new")
     assert contents(tmp_path) == {"notes.txt": "old", "plan.npz": "new"}
 
 
@@ -313,7 +313,7 @@ def test_a_device_that_fails_while_publishing_leaves_the_older_set(tmp_path, mon
 
 def test_a_file_inside_a_set_is_named_without_the_hidden_folder(tmp_path):
     with pytest.raises(FileError) as error, staged_folder(tmp_path / "out") as staging:
-        write_one(staging.path / "missing" / "plan.npz", b"")
+        write_one(staging / "missing" / "plan.npz", b"")
     assert f"'{tmp_path}/out/missing'" in sentence(error)
 
 
@@ -341,7 +341,7 @@ def test_a_full_disk_leaves_the_older_set(small_disk):
 def test_a_writer_that_hides_the_cause_of_a_full_disk(small_disk):
     def work():
         with staged_folder(small_disk / "out", OUTPUTS) as staging:
-            with (staging.path / "video.mp4").open("wb", buffering=0) as file, suppress(OSError):
+            with (staging / "video.mp4").open("wb", buffering=0) as file, suppress(OSError):
                 while file.write(bytes(4096)) == 4096:
                     pass
             raise OSError("4096 bytes requested and 512 written")

@@ -12,7 +12,7 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
-from planner.cli import run as run_command
+from planner.cli import running as run_command
 from planner.cli.run_folder import MARK, ROLLOUTS, run_folder
 
 EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]

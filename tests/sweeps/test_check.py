@@ -84,7 +84,7 @@ def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda folder: (folder / "arm" / "proof.json").unlink(), "it has no stored figures"),
+        (lambda folder: (folder / "arm" / "proof.json").unlink(), "it has no stored numbers"),
         (lambda folder: (folder / "arm" / "proof.json").write_text("[]"), "is not a proof"),
         (lambda folder: (folder / "arm" / "proof.json").write_text("{" * 10), "is not a proof"),
         (lambda folder: (folder / "arm" / "plan.npz").write_bytes(b"PK"), "is not a plan"),

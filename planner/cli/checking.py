@@ -7,11 +7,9 @@ import argparse
 from planner.cli.console import Console
 from planner.sweeps.stored_plans import Checked, check
 
-UNCHANGED, REGRESSED = 0, 1
-
 
 def check_plans(arguments: argparse.Namespace, console: Console) -> int:
-    """Prove again and compare; a table of what moved."""
+    """Prove stored plans again and print a table of the numbers that changed."""
 
     def show(one: Checked) -> None:
         console.note(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
@@ -33,21 +31,15 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.update:
         counts["updated"] = sum(one.updated for one in done)
     console.say(f"plans {', '.join(f'{word}: {count}' for word, count in counts.items())}")
-    code = REGRESSED if bad else UNCHANGED
-    console.document(
+    plans = [
         {
-            "command": "check", "exit_code": code,
-            "plans": [
-                {
-                    "plan": str(one.plan), "passed": one.passed, "problem": one.problem,
-                    "verdict": None if one.proof is None else one.proof.verdict,
-                    "changes": [change._asdict() for change in one.changes],
-                }
-                for one in done
-            ],
+            "plan": str(one.plan), "passed": one.passed, "problem": one.problem,
+            "verdict": None if one.proof is None else one.proof.verdict,
+            "changes": [change._asdict() for change in one.changes],
         }
-    )  # fmt: skip
-    return code
+        for one in done
+    ]  # fmt: skip
+    return console.finish("check", 1 if bad else 0, plans=plans)
 
 
 def _shown(value: float | str | None) -> str:

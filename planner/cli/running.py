@@ -1,6 +1,6 @@
-"""The command `run`: plan, prove, refine where the step was too coarse, plot and film, into one folder.
+"""The command `run`: plan, prove, refine a plan whose step is too coarse, plot and film, into one folder.
 
-Each file is there as soon as it is finished. What an interrupted run left, the same command goes on from.
+Each file appears when it is finished. After an interruption the same command continues with the missing files.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
@@ -19,7 +17,16 @@ from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.results import INTERRUPTED as UNFINISHED
-from planner.cli.results import OUTPUTS, draw_results, plan_facts, refinement_row, show_plan, show_proof, write_proof
+from planner.cli.results import (
+    OUTPUTS,
+    draw_results,
+    is_finite,
+    plan_facts,
+    refinement_row,
+    show_plan,
+    show_proof,
+    write_proof,
+)
 from planner.cli.run_folder import ROLLOUTS as PARTIAL
 from planner.cli.run_folder import RunFolder, run_folder
 from planner.problem.plan import Plan, Status
@@ -30,8 +37,11 @@ from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
 from planner.proof.verdict import with_rollouts
 
-DONE, NOT_DONE, INTERRUPTED = 0, 1, 130
-BUDGET = 20.0  # s of the perturbed step; planner prove takes what it needs
+INTERRUPTED = 130
+BUDGET = 20.0  # s, limit of the perturbed rollouts; `planner prove` has none
+FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
+         "durations", "control_limit", "exact_goal")  # fmt: skip
+"""Flags of plan and proof, beside the problem, starts and seed."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -42,7 +52,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     number("hold", arguments.hold, least=0.0)
     asked = asked_problem(arguments)
     if arguments.hold:
-        hold_gain(asked.problem)  # a goal that cannot be held is refused before any work
+        hold_gain(asked.problem)  # refuses a goal that cannot be held before any work
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
     with run_folder(place, OUTPUTS, _identity(asked, arguments)) as folder:
         try:
@@ -53,19 +63,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             finished = ", ".join(sorted(folder.finished))
             console.complain(f"interrupted; {place} holds {finished}, and the same command goes on from there.")
             return INTERRUPTED
-    console.document({"command": "run", **document, "folder": str(place), "exit_code": code})
-    return code
+    return console.finish("run", code, **document, folder=str(place))
 
 
 def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]:
-    """What makes two runs the same: their plan and what is asked of its proof."""
+    """JSON values that are equal for two runs with the same plan and proof."""
     problem = asked.problem
-    solver = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold",
-              "objective", "durations", "control_limit", "exact_goal")  # fmt: skip
     return {
         "case": problem.case, "parameters": problem.parameters, "starts": asked.starts, "seed": asked.seed,
         "model": None if problem.twin is None else problem.twin.mjcf, "versions": installed_versions(),
-        **{name: getattr(arguments, name) for name in solver},
+        **{name: getattr(arguments, name) for name in FLAGS},
     }  # fmt: skip
 
 
@@ -79,20 +86,20 @@ def _run(
         plan, seconds = solved(asked, arguments, console)
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
-        console.note(f"going on with {folder.path}, finished so far: {', '.join(sorted(folder.finished))}")
+        console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
     show_plan(plan, seconds, console)
-    proof = _proved(plan, arguments.hold)
+    proof = _proved(plan, arguments.hold) if is_finite(plan) else None
     if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
         plan, proof, path = _refined(plan, proof, arguments, console)
         if path:
             folder.begin("plan.npz", plan.save, seconds=seconds, path=[refinement_row(line) for line in path])
-    write_proof(plan, proof, folder.path, path)  # with all but the rollouts, which may be interrupted
+    write_proof(plan, proof, folder.path, path)  # without the rollouts, which may be interrupted
     if proof is not None and arguments.rollouts:
         proof = with_rollouts(
             proof, arguments.rollouts, budget=BUDGET, partial=folder.path / PARTIAL,
-            progress=lambda done, total: console.progress("perturbed simulations", done, total),
+            progress=console.progress("perturbed simulations"),
         )  # fmt: skip
         write_proof(plan, proof, folder.path, path)
     if proof is not None:
@@ -108,8 +115,7 @@ def _run(
     console.say(f"\n{folder.path}: {', '.join(files)}")
     if note and not arguments.no_video:
         console.say(f"no video: {note}")
-    code = DONE if plan.success and proof is not None and proof.passed else NOT_DONE
-    return code, {
+    return 0 if plan.success and proof is not None and proof.passed else 1, {
         "plan": plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [refinement_row(line) for line in path], "resumed": resumed, "files": files, "video_note": note,
     }  # fmt: skip
@@ -118,13 +124,13 @@ def _run(
 def _refined(
     plan: Plan, proof: Proof, arguments: argparse.Namespace, console: Console
 ) -> tuple[Plan, Proof, tuple[Refinement, ...]]:
-    """What finer steps make of a plan that failed; nothing where the step is not what is wrong."""
+    """Solve a failed plan again at finer steps; returns it unchanged where the step is not the cause."""
     lines: list[Refinement] = []
 
     def show(line: Refinement) -> None:
         lines.append(line)
-        if len(lines) == 2:  # the first is the plan as it was
-            console.note("the plan does not survive a finer step; refining it")
+        if len(lines) == 2:  # the first is the failed plan
+            console.note("the proof fails at a finer step; solving again with dt / 2")
             console.note(Refinement.header())
             console.note(str(lines[0]))
         if len(lines) > 1:
@@ -133,11 +139,11 @@ def _refined(
     began = time.perf_counter()
     done = refine(plan, proof, callback=show, update=arguments.update, line_search=arguments.line_search,
                   hessian=arguments.hessian, max_iterations=arguments.max_iterations,
-                  prove=lambda p: _certain(p, arguments.hold))  # fmt: skip
+                  prove=lambda p: _proved(p, arguments.hold))  # fmt: skip
     if len(done.path) == 1:
         return plan, proof, ()
     if done.plan.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt  # a refinement cut short is begun again
+        raise KeyboardInterrupt  # the next run begins an interrupted refinement again
     console.say(f"refinements: {len(done.path) - 1}, in {time.perf_counter() - began:.1f} s; {done.reason}")
     show_plan(done.plan, None, console)
     return done.plan, done.proof, done.path
@@ -145,27 +151,17 @@ def _refined(
 
 def _check_model(problem: Problem) -> None:
     """Refuse a problem whose model in MuJoCo is another machine, before any planning."""
-    first = parity(problem)
-    if not first.passed:
-        failures = "; ".join(f"{figure}, {figure.note}" for figure in first.failures[:1])
-        raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures}.")
+    failures = parity(problem).failures
+    if failures:
+        raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
 
 
-def _proved(plan: Plan, hold: float) -> Proof | None:
-    """The proof without rollouts; None for a plan that is not finite."""
-    if not (np.isfinite(plan.xs).all() and np.isfinite(plan.cost)):
-        return None
-    return _certain(plan, hold)
-
-
-def _certain(plan: Plan, hold: float) -> Proof:
+def _proved(plan: Plan, hold: float) -> Proof:
+    """The proof without rollouts."""
     return prove(plan, rollouts=0, hold_seconds=hold)
 
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What a run was told beside its problem, for the line that repeats it."""
-    usual = {"update": "feedback", "line_search": "armijo", "hessian": "gauss-newton",
-             "max_iterations": 1000, "starts": None, "seed": None,
-             "rank": "cost", "no_refine": False, "rollouts": 512, "hold": 0.0, "objective": None, "durations": None,
-             "control_limit": None, "exact_goal": False}  # fmt: skip
-    return {name: getattr(arguments, name) for name in usual if getattr(arguments, name) != usual[name]}
+    """Flags that are not at their defaults, for the line of the report that repeats the run."""
+    given = {name: getattr(arguments, name) for name in (*FLAGS, "starts", "seed")}
+    return {name: value for name, value in given.items() if value != arguments.parser.get_default(name)}

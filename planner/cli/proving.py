@@ -1,0 +1,94 @@
+"""The command `prove`: replay a stored plan in MuJoCo and judge it, or show one of its perturbed rollouts."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arguments import choice, count
+from planner.base.errors import PlannerError
+from planner.base.files import write_atomically
+from planner.base.jsonable import json_text
+from planner.cases.plan_file import load_plan
+from planner.cli.console import Console
+from planner.cli.results import plan_facts, show_proof
+from planner.problem.plan import Plan
+from planner.proof import prove
+from planner.proof.case_replay import replay_case
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.perturbation import Perturbation
+from planner.proof.replaying import Replay
+
+
+def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
+    """Replay a stored plan and judge it."""
+    plan = load_plan(arguments.plan)
+    if arguments.replay_case is not None:
+        for flag in ("mjcf", "out"):
+            if getattr(arguments, flag) is not None:
+                raise PlannerError(
+                    f"--{flag} is given with --replay-case, which prints a rollout in the plan's own model, "
+                    "expected one of the two flags."
+                )
+        return _show_rollout(plan, arguments, console)
+    if arguments.out is not None and Path(arguments.out).suffix != ".json":
+        raise PlannerError(f"cannot write the proof as {arguments.out!r}: expected a name ending in .json.")
+    perturbation = _perturbation(plan, arguments)
+    # an unwritable file fails before the work
+    with nullcontext() if arguments.out is None else write_atomically(arguments.out) as unfinished:
+        proof = prove(
+            plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
+            seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
+            progress=console.progress("perturbed simulations"),
+        )  # fmt: skip
+        if unfinished is not None:
+            unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")
+    show_proof(proof, console)
+    if arguments.out is not None:
+        console.say(arguments.out)
+    return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=proof.to_dict())
+
+
+def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
+    """The perturbed rollout that --replay-case, --mode, --seed and --perturb name."""
+    perturbation = _perturbation(plan, arguments)
+    if plan.twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    number = count("replay-case", arguments.replay_case, least=0)
+    compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
+    return replay_case(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
+
+
+def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
+    """The usual perturbation of a plan with the changes of --perturb, e.g. mass=0.1."""
+    given = {}
+    for word in arguments.perturb or ():
+        name, _, value = word.partition("=")
+        name = choice("--perturb", name.strip(), Perturbation.__dataclass_fields__)
+        try:
+            given[name] = float(value)
+        except ValueError:
+            raise PlannerError(f"--perturb {name} is {value!r}, expected a number, e.g. {name}=0.05.") from None
+    return Perturbation.usual(plan.problem, **given)
+
+
+def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -> int:
+    run = rollout_of(plan, arguments)
+    end, largest = float(np.abs(run.error[-1]).max()), float(np.abs(run.error).max())
+    facts = {
+        "case": arguments.replay_case, "seed": arguments.seed, "mode": arguments.mode, "end_error": end,
+        "largest_error": largest, "cost": run.cost, "timestep": run.timestep, "warnings": list(run.warnings),
+        "reached": list(run.reached),
+    }  # fmt: skip
+    console.table(("rollout", "value"), [(name.replace("_", " "), _shown(value)) for name, value in facts.items()])
+    console.say(
+        f"planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode} films it"
+    )
+    return console.finish("prove", 0, replay_case=facts)
+
+
+def _shown(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else " ".join(value) if isinstance(value, list) else str(value)

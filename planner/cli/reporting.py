@@ -1,0 +1,30 @@
+"""The command `report`: prove a stored plan again and write all its files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planner.base.files import staged_folder
+from planner.cases.plan_file import load_plan
+from planner.cli.console import Console
+from planner.cli.results import OUTPUTS, draw_results, is_finite, show_proof, write_proof
+from planner.proof import prove
+
+
+def report_plan(arguments: argparse.Namespace, console: Console) -> int:
+    """Prove a stored plan again and write all its files."""
+    plan = load_plan(arguments.plan)
+    with staged_folder(arguments.out, OUTPUTS) as staged:
+        proof = None
+        if is_finite(plan):
+            progress = console.progress("perturbed simulations")
+            proof = prove(plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold, progress=progress)
+        plan.save(staged / "plan.npz")
+        write_proof(plan, proof, staged)
+        draw_results(plan, proof, staged, not arguments.no_video, console)
+    if proof is not None:
+        show_proof(proof, console)
+    console.say(f"\n{Path(arguments.out) / 'report.html'}")
+    passed = plan.success and proof is not None and proof.passed
+    return console.finish("report", 0 if passed else 1, folder=arguments.out)

@@ -1,0 +1,24 @@
+"""The command `solve`: plan a case and save the plan."""
+
+from __future__ import annotations
+
+import argparse
+
+from planner.base.files import write_atomically
+from planner.cli.console import Console
+from planner.cli.problems import asked_problem, solved
+from planner.cli.results import plan_facts, show_plan
+from planner.problem.archive import plan_name
+
+
+def solve_case(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan a case and save the plan."""
+    asked = asked_problem(arguments)
+    out = plan_name(arguments.out)
+    with write_atomically(out) as unfinished:  # an unwritable file fails before the work
+        plan, seconds = solved(asked, arguments, console)
+        plan.save(unfinished)
+    show_plan(plan, seconds, console)
+    console.say(str(out))
+    facts = plan_facts(plan)
+    return console.finish("solve", 0 if plan.success else 1, plan=facts, solve_seconds=seconds, file=str(out))
