@@ -11,13 +11,14 @@ from planner.model.mjcf.text import model_path, model_text
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout
 from planner.problem.plan import Plan, Status
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactHistory
 from planner.proof.replaying import Replay
 
 SMALL = {"width": 320, "height": 180}
 
 
-STAGE = Appearance(
+APPEARANCE = Appearance(
     title="test", readouts=(Readout("height", 0, "in"),), ghost_offset=(26.0, 0.0, 0.0),
     goal_line=((-16.0, 0.0, 34.0), (42.0, 0.0, 34.0)), goal_label="goal",
     look_at=(13.0, 0.0, 24.0), follow=(0, 0.5), distance=100.0, azimuth=100.0, elevation=-10.0,
@@ -25,7 +26,7 @@ STAGE = Appearance(
 )  # fmt: skip
 
 
-def make_replay(appearance=STAGE, *, plan_offset=0.0, force=400.0):
+def make_replay(appearance=APPEARANCE, *, plan_offset=0.0, force=400.0):
     """A hop that nobody simulated: up and down in a fifth of a second, in contact at first."""
     t = np.linspace(0.0, 0.2, 201)
     y = 10.0 * np.sin(np.pi * t / 0.2) - 2.0
@@ -43,8 +44,8 @@ def make_replay(appearance=STAGE, *, plan_offset=0.0, force=400.0):
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
-        plan=plan, twin=twin, feedback=False, integrator="RK4", t=t, qpos=qpos, qvel=np.zeros((201, 2)),
-        act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
+        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="RK4", t=t, qpos=qpos,
+        qvel=np.zeros((201, 2)), act=np.zeros((201, 1)), ctrl=np.zeros((200, 1)), xs=xs, plan_xs=xs + plan_offset,
         contact_force=np.where(contact, force, 0.0), contact_point=points, substeps=100,
         contacts=ContactHistory(("foot on floor",), t, forces[:, None], points[:, None]),
     )  # fmt: skip

@@ -9,6 +9,7 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.recipe import Recipe
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbation import Perturbation
@@ -16,7 +17,7 @@ from planner.proof.perturbed import Perturbed
 from planner.proof.replaying import Replay
 
 MODES = ("open-loop", "feedback")
-STAGE = Appearance(
+APPEARANCE = Appearance(
     "A mass on a spring",
     plots=(
         Panel("Height", "height (in)", states=((0, "height"),), difference=True),
@@ -34,14 +35,17 @@ def states(t):
 def make_plan():
     """Twenty stages of what nobody solved."""
     t = np.linspace(0.0, N * DT, N + 1)
-    problem = SimpleNamespace(appearance=STAGE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None)
+    problem = SimpleNamespace(
+        appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None
+    )
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
     return Plan(
         t, states(t), np.linspace(0.2, 1.0, N)[:, None], np.zeros((N, 1, 3)), 5.0, 1e-6,
-        Status.CONVERGED, tuple(history), problem=problem, recipe=Recipe("spring", {}), twin=twin,
-        parameters={"height": 20.0, "horizon": 200, "integrator": "rk4"}, made_with={"planner": "0.1.0"},
+        Status.CONVERGED, tuple(history), problem=problem, twin=twin,
+        recipe=Recipe("spring", {"height": 20.0, "horizon": 200, "integrator": "rk4"}),
+        made_with={"planner": "0.1.0"},
     )  # fmt: skip
 
 
@@ -52,7 +56,7 @@ def make_replay(plan, feedback=False, error=1e-3):
     xs[:, 0] += error * t
     force = np.maximum(0.0, -xs[:, 0])
     return Replay(
-        plan, plan.twin, feedback, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
+        plan, CompiledTwin(plan.twin), feedback, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
         np.repeat(plan.us, SUBSTEPS, axis=0), xs, states(t), force, np.full((len(t), 3), np.nan), SUBSTEPS,
     )  # fmt: skip
 

@@ -7,11 +7,13 @@ from legs import attributes
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contacts import contact_attributes
+from planner.model.mjcf.survey import compile_model
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout, View
 from planner.problem.plan import Plan, Status
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactRecorder
-from planner.proof.replaying import Replay, compile_model
+from planner.proof.replaying import Replay
 
 BELT_SPEED = 1.0  # m/s, backward
 FRICTION, IMPRATIO = 0.6, 1000.0
@@ -40,13 +42,13 @@ TREADMILL = f"""<mujoco model="treadmill"><option timestep="1e-3" cone="elliptic
   <contact><pair geom1="belt" geom2="left_foot" {PAIR}/>
     <pair geom1="belt" geom2="right_foot" {PAIR}/></contact></mujoco>"""
 
-STAGE = Appearance(
+APPEARANCE = Appearance(
     title="standing", readouts=(Readout("height", 2, "m"),), scenery=("belt", "strut"), look_at=(0.0, 0.0, 0.5),
     distance=3.0, views=(View(90.0, -8.0, label="side"), View(180.0, -8.0, label="front")), force_scale=0.004,
 )  # fmt: skip
 
 
-def standing(appearance=STAGE, steps=400, text=TREADMILL):
+def standing(appearance=APPEARANCE, steps=400, text=TREADMILL):
     """MuJoCo's replay of one who is dragged along by the belt until friction holds what his spring does; x = (q, v)."""
     mujoco, model = load_mujoco(), compile_model(text)
     data, recorder = mujoco.MjData(model), ContactRecorder(model, steps)
@@ -64,7 +66,7 @@ def standing(appearance=STAGE, steps=400, text=TREADMILL):
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
-        plan=plan, twin=twin, feedback=False, integrator="EULER", t=t, qpos=w[:, : model.nq], qvel=w[:, model.nq :],
-        act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w, contact_force=recorder.force,
-        contact_point=recorder.point, substeps=steps, contacts=recorder.history(t),
+        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="EULER", t=t, qpos=w[:, : model.nq],
+        qvel=w[:, model.nq :], act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w,
+        contact_force=recorder.force, contact_point=recorder.point, substeps=steps, contacts=recorder.history(t),
     )  # fmt: skip

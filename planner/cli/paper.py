@@ -17,7 +17,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import read_text, staged_folder
 from planner.base.jsonable import json_text
 from planner.cli.console import Console
-from planner.paper.studies.catalogue import PENDING, STUDIES, chosen
+from planner.paper.studies.catalogue import STUDIES, chosen
 from planner.paper.studies.page import Finished, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
 
@@ -63,15 +63,15 @@ def _all(at: Path, pictures: Path, console: Console) -> int:
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
         began = time.perf_counter()
         done = run_studies(STUDIES, shown.path, console.note, os.cpu_count() or 1)
-        rows = table_rows(done, PENDING)
+        rows = table_rows(done)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
         (text.path / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
         for one in done:
             _write_results(one, shown.path)
-        summary = {"rows": rows, "studies": {one.study.name: _summary(one) for one in done}}
+        summary = {"rows": [row._asdict() for row in rows], "studies": {one.study.name: _summary(one) for one in done}}
         (shown.path / NUMBERS).write_text(json_text(summary), encoding="utf-8")
     code = 0 if complete(done, rows) else 1
-    console.table(("where", "the paper says", "we get"), [(row["where"], row["paper"], row["ours"]) for row in rows])
+    console.table(("where", "the paper says", "we get"), [row[:3] for row in rows])
     console.say(f"{at / PAGE}: {len(rows)} rows; {pictures}: {', '.join([*files, NUMBERS])}")
     names = [str(at / PAGE), *(str(pictures / name) for name in (*files, NUMBERS))]
     console.document({"command": "paper", **summary, "files": names, "exit_code": code})
@@ -88,16 +88,16 @@ def _some(names: list[str], folder: Path, console: Console) -> int:
             _write_results(one, staged.path)
             if one.results is None:
                 raise PlannerError(f"the study {one.study.name} failed: {one.problem}")
-            text = one.study.markdown(one.results)
+            text = one.study.page(one.results)
             (staged.path / f"{one.study.name}.md").write_text(text, encoding="utf-8")
             console.say(text)
     console.say(f"{folder}: {', '.join(files)}")
     results: dict[str, Any] = {one.study.name: one.results for one in done}
     alone = (done[0].results or {}) if len(done) == 1 else {}
-    rows = table_rows(done, {})
+    rows = table_rows(done)
     code = 0 if complete(done, rows) else 1
-    document = {**alone, "command": "paper", "studies": results, "rows": rows, "folder": str(folder)}
-    console.document({**document, "files": files, "exit_code": code})
+    document = {**alone, "command": "paper", "studies": results, "rows": [row._asdict() for row in rows]}
+    console.document({**document, "folder": str(folder), "files": files, "exit_code": code})
     return code
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ from planner.base.jsonable import json_text
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
-from planner.view.plots import CASE_PICTURES, case_pictures, plot_case_picture, plot_plan, plot_proof
+from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
 
@@ -100,11 +99,11 @@ def _pictures(
     plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console
 ) -> dict[str, Callable[[Path], object]]:
     """How each picture of a run is drawn, the quickest first."""
-    pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: plot_plan(plan, proof, file)}
+    pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: save(draw_plan(plan, proof), file)}
     if proof is not None:
         for name, picture in case_pictures(plan, proof.replay).items():
-            pictures[name] = partial(plot_case_picture, picture)
-        pictures["proof.png"] = lambda file: plot_proof(proof, file)
+            pictures[name] = lambda file, picture=picture: save(draw_case_picture(picture), file)
+        pictures["proof.png"] = lambda file: save(draw_proof(proof), file)
         if video:
             from planner.view.render.video import render_strip, render_video
 

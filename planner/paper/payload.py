@@ -93,14 +93,14 @@ class Attempt:
 
 @dataclass(frozen=True)
 class LargestPayload:
-    """What a search found.
+    """Result of largest_payload().
 
     Attributes:
         payload: The largest that was lifted, kg.
         failed: The smallest above it that was not, kg: the bracket.
-        static: What a slow lift along the straight line can do.
-        held: What could be held still everywhere along the way of the plan found: where this is less than the payload,
-            the swing does what no slow motion on the same way could.
+        static: Limit of a slow lift along the straight line.
+        held: Limit of holding still everywhere on the plan's way: where it is less than the payload, no slow motion on
+            the same way could lift as much.
         plan: Of the largest payload.
         attempts: All, in order.
     """

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from leg_chain import LegChain
 
 from planner.base.errors import PlannerError
 from planner.cases.human_step.gait import ANGLES, COLUMNS, NORMAL_GAIT, Gait, reference
-from planner.cases.human_step.leg_chain import LegChain
 
 # A body of 1.75 m by Winter's table; heel and toe of the study of the human step
 BODY = LegChain(0.0955 * 1.75 / 2, 0.245 * 1.75, 0.246 * 1.75, (-0.055, -0.039 * 1.75), (0.165, -0.039 * 1.75))

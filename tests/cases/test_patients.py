@@ -13,9 +13,10 @@ from planner.cases.human_step.gait import ANGLES, NORMAL_GAIT, basis
 from planner.cases.human_step.measures import CLEAR, FOLLOWS, PATIENT, follows, measures, robot_wrench
 from planner.cases.human_step.walker import Walker
 from planner.model.mjcf.text import edited, written
-from planner.proof.models_agree import parity
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.model_parity import parity
 from planner.proof.perturbation import Perturbation, Sizes, draw
-from planner.proof.perturbed import perturbed
+from planner.proof.perturbed import Trials, perturbed
 from planner.proof.replaying import replay
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
@@ -120,13 +121,14 @@ def test_monte_carlo_over_patients(swing):
     assert {name: getattr(usual, name) for name in PATIENT} == PATIENT
     assert usual.mass == Perturbation().mass
     assert Perturbation.usual(swing.problem, common_mass=0.3).common_mass == 0.3
-    coarse = replace(swing.twin, mjcf=swing.twin.mjcf.replace('timestep="0.0005"', 'timestep="0.001"'))
-    found = perturbed(swing, coarse, rollouts=8, threads=1)
+    text = swing.twin.mjcf.replace('timestep="0.0005"', 'timestep="0.001"')
+    coarse = CompiledTwin(replace(swing.twin, mjcf=text))
+    found = perturbed(swing, coarse, Trials(8), threads=1)
     assert found.perturbation == usual
     assert np.isnan(found.tolerance)
     assert found.rates["feedback"].value == 1.0
     assert found.margin["feedback"] >= 0.1
-    stiff = perturbed(swing, coarse, rollouts=8, threads=1, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99}))
+    stiff = perturbed(swing, coarse, Trials(8, perturbation=Perturbation(**NOTHING | {"stiffness": 0.99})), threads=1)
     assert stiff.rates["open-loop"].value < 1.0
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, wishes
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.step import Step
+from planner.cases.human_step.phase import Step
 from planner.cases.human_step.walker import Walker
 
 

@@ -283,13 +283,13 @@ def test_the_puma_study_finds_what_its_page_says(monkeypatch, tmp_path):
     monkeypatch.setattr(puma_study, "SHOWN", 1.5)
     monkeypatch.setattr(puma_study, "RESOLUTION", 40.0)
     monkeypatch.setattr(puma_study, "TRIPLED", 1.2)
-    results = puma_study.puma_results()
-    (row,) = puma_study.puma_rows(results)
+    results = puma_study.STUDY.run()
+    (row,) = puma_study.STUDY.rows(results)
     assert set(row) == {"where", "paper", "ours", "why"}
     assert all(row.values())
     assert "tripled" in row["paper"]
     assert results["shown"]["verdict"] == "PASS"
-    page = puma_study.puma_markdown(results)
+    page = puma_study.STUDY.page(results)
     assert f"| 1.5 | none | {results['searches'][0]['payload']:.1f} |" in page
-    puma_study.draw_puma(results, tmp_path / "puma.png")
+    puma_study.STUDY.pictures["puma.png"](results, tmp_path / "puma.png")
     assert (tmp_path / "puma.png").stat().st_size > 20_000

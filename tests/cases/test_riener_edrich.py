@@ -11,8 +11,8 @@ from planner.base.errors import PlannerError
 from planner.cases import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import measures
+from planner.cases.human_step.phase import Step
 from planner.cases.human_step.riener_edrich import CURVED, SIGNS, TERMS
-from planner.cases.human_step.step import Step
 from planner.cases.human_step.walker import BRACES, PASSIVE, SIDES, Walker
 from planner.dynamics.contacts import generalized_forces
 

@@ -118,7 +118,7 @@ def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, cap
 def test_a_film_that_was_interrupted_is_made_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr("planner.cli.results.plot_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("planner.cli.results.draw_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
     assert (tmp_path / "o" / MARK).is_file()
     before = (tmp_path / "o" / "plots.png").stat().st_mtime_ns

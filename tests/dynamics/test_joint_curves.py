@@ -17,9 +17,10 @@ from planner.base.errors import ModelError, PlannerError
 from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
 from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
+from planner.model.mjcf.survey import compile_model
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.curve_callback import curves_acting
 from planner.proof.perturbation import Perturbation, draw
-from planner.proof.replaying import compile_model
 from planner.proof.rollouts import Rollouts
 
 # Two arms on a cart that slides: curves couple all three, as muscles do that span several joints.
@@ -152,7 +153,7 @@ def test_a_plan_is_stored_with_its_curves(plan, tmp_path):
 
 def test_rollouts_feel_the_curves_as_stiff_as_they_were_drawn(plan):
     """One with everything nominal is the replay; a stiffer one is not."""
-    with Rollouts(plan, plan.twin) as rollouts:
+    with Rollouts(plan, CompiledTwin(plan.twin)) as rollouts:
         errors = draw(Perturbation(), 0, 0, rollouts.nominal.sizes)
         zero = {name: np.zeros_like(getattr(errors, name)) for name in ("drag", "friction", "start", "noise")}
         one = {name: np.ones_like(getattr(errors, name)) for name in ("mass", "inertia", "damping", "stiffness")}

@@ -14,7 +14,6 @@ from planner.model.space import (
     StateSpace,
     conjugate,
     euclidean,
-    exp_jacobian,
     exp_quaternion,
     hat,
     log_jacobian,
@@ -28,6 +27,17 @@ SPACE = StateSpace(13, 11, ((2, 2), (9, 8)))  # two numbers, a quaternion, three
 # Where formulas break: nothing, below and about the switches to series, ordinary, almost half a turn.
 SIZES = [0.0, 1e-13, 1e-9, 0.99e-4, 1.01e-4, 1e-2, 1.0, 3.1]
 seeds = st.integers(0, 2**32 - 1)
+
+
+def exp_jacobian(rotation: np.ndarray) -> np.ndarray:
+    """SO(3)'s right Jacobian (..., 3, 3): exp(r + e) = exp(r) exp(Jr(r) e) to first order in e."""
+    square = np.sum(rotation**2, axis=-1)[..., None, None]
+    angle2 = np.maximum(square, 1e-4**2)
+    angle = np.sqrt(angle2)
+    first = np.where(square > 1e-4**2, 2.0 * np.sin(0.5 * angle) ** 2 / angle2, 0.5 - square / 24.0)
+    second = np.where(square > 1e-4**2, (angle - np.sin(angle)) / (angle2 * angle), 1.0 / 6.0 - square / 120.0)
+    H = hat(rotation)
+    return np.eye(3) - first * H + second * (H @ H)
 
 
 def rotation_vectors(size, count=20):

@@ -7,10 +7,10 @@ import planner
 from planner.cases import hopper
 from planner.cases.hopper import PAPER
 from planner.dynamics import FunctionDynamics
-from planner.paper.methods.adjoint import AdjointCost
+from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.paper.methods.control_spline import SplineCost, solve_by_splines
-from planner.paper.methods.spline_basis import SplineBasis
+from planner.paper.methods.splines import SplineSpace
 from planner.paper.studies.hopper_splines import hessian
 
 
@@ -28,7 +28,7 @@ def slopes(function, P, h):
 
 
 def test_the_discrete_gradient_is_exact():
-    cost = SplineCost(jump(), SplineBasis(1.0, 5, 3))
+    cost = SplineCost(jump(), SplineSpace(5, 3).basis(1.0))
     P = 20.0 * np.random.default_rng(0).normal(size=8)
     gradient = cost(P)[1]
     assert np.linalg.norm(gradient - slopes(lambda P: cost(P)[0], P, 1e-4)) < 1e-7 * np.linalg.norm(gradient)
@@ -36,7 +36,9 @@ def test_the_discrete_gradient_is_exact():
 
 @pytest.mark.parametrize("problem", [jump(), linear()], ids=["hopper", "linear"])
 def test_equation_7_is_the_gradient_of_the_integral(problem):
-    cost = AdjointCost(ContinuousProblem(problem), SplineBasis(1.0, 3, 3), problem.x0, 1e-11, "DOP853")
+    cost = AdjointCost(
+        ContinuousProblem(problem), SplineSpace(3, 3).basis(1.0), problem.x0, Integration(1e-11, "DOP853")
+    )
     P = 5.0 * np.random.default_rng(0).normal(size=6)
     gradient = cost(P[:, None])[1].ravel()
     by_differences = slopes(lambda P: cost.value(P[:, None]), P, 1e-3)
@@ -46,8 +48,8 @@ def test_equation_7_is_the_gradient_of_the_integral(problem):
 def test_the_integral_is_what_the_sum_tends_to():
     """Explicit Euler's sum is off by the order of its step: a hundredth of it, a hundredth of the error."""
     P = np.array([0.0, 30.0, -20.0, 40.0, 10.0, 0.0])
-    basis = SplineBasis(1.0, 3, 3)
-    integral = AdjointCost(ContinuousProblem(jump()), basis, np.zeros(3), 1e-10).value(P[:, None])
+    basis = SplineSpace(3, 3).basis(1.0)
+    integral = AdjointCost(ContinuousProblem(jump()), basis, np.zeros(3), Integration(1e-10)).value(P[:, None])
     errors = [abs(SplineCost(hopper(**(PAPER | {"horizon": N})), basis)(P)[0] - integral) for N in (500, 50_000)]
     assert errors[1] < 0.02 * errors[0]
 
@@ -68,7 +70,7 @@ def test_the_hopper_converges_with_the_exact_gradient():
     assert found.success
     assert plan.cost - 1e-6 < found.cost < 1.001 * plan.cost
     assert np.all(np.diff(found.costs) <= 1e-9 * found.costs[0])
-    eigenvalues = np.linalg.eigvalsh(hessian(jump(1.0), 17, found.amplitudes))
+    eigenvalues = np.linalg.eigvalsh(hessian(jump(1.0), 17, found.spline.c))
     assert eigenvalues[0] > 0.0  # a minimum
     assert eigenvalues[-1] / eigenvalues[0] > 1e4  # and why it takes hundreds of iterations
 

@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from planner.paper.studies.dive import PARTS, SHOWN, dive_markdown, dive_results, dive_rows, draw_dive
+from planner.paper.studies.dive import PARTS, SHOWN, STUDY
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def results():
-    return dive_results()
+    return STUDY.run()
 
 
 def test_results_are_json_and_the_dives_converged(results):
@@ -36,10 +36,9 @@ def test_momentum_shows_the_integrators_orders(results):
 
 
 def test_page_rows_and_picture(results, tmp_path):
-    page = dive_markdown(results)
+    page = STUDY.page(results)
     assert page.count("\n| 1.5 |") == 2
-    for row in dive_rows(results):
-        assert set(row) == {"where", "paper", "ours", "why"}
-        assert all(row.values())
-    draw_dive(results, tmp_path / "dive.png")
+    for row in STUDY.rows(results):
+        assert all(row)
+    STUDY.pictures["dive.png"](results, tmp_path / "dive.png")
     assert (tmp_path / "dive.png").stat().st_size > 20_000  # an empty picture is smaller

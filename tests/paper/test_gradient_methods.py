@@ -7,7 +7,7 @@ import planner
 from planner import FunctionDynamics, Problem, TrackingCost
 from planner.base.errors import PlannerError
 from planner.paper.methods.gradient_methods import METHODS, cost_and_gradient, minimize_by_gradient
-from planner.paper.studies.gradient import draw_gradients, gradient_markdown, gradient_results, gradient_rows
+from planner.paper.studies.gradient import STUDY
 from planner.problem.plan import Status
 from tests.solves import flight, hopper, linear, numpy_twin, rollout, swing
 
@@ -108,16 +108,16 @@ def test_bad_arguments(change, words):
 
 
 def test_study_of_one_small_problem(tmp_path):
-    results = gradient_results({"small": lambda: hopper("paper 1")}, limit=15)
+    results = STUDY.run({"small": lambda: hopper("paper 1")}, limit=15)
     (case,) = results["cases"]
     assert case["gradient_error"] < 1e-5
     for name, entry in case["methods"].items():
-        assert name in gradient_markdown(results)
+        assert name in STUDY.page(results)
         assert entry["curve"]["iteration"][-1] == entry["iterations"] <= 15
         assert entry["curve"]["cost"][-1] == pytest.approx(entry["cost"], rel=1e-12)
         assert entry["curve"]["seconds"][0] >= 0.0
     slq, *_, steepest = case["methods"].values()
     assert slq["cost"] < steepest["cost"]  # the direction of the LQ problem is not steepest descent (3.3)
-    assert all(cell for row in gradient_rows(results) for cell in row.values())
-    draw_gradients(results, tmp_path / "g.png")
+    assert all(cell for row in STUDY.rows(results) for cell in row)
+    STUDY.pictures["gradients.png"](results, tmp_path / "g.png")
     assert (tmp_path / "g.png").stat().st_size > 10_000

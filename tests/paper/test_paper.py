@@ -1,4 +1,4 @@
-"""`planner.paper.studies.hopper hopper`: what the paper reports, beside what is computed here."""
+"""`planner paper hopper`: what the paper reports, beside what is computed here."""
 
 import json
 
@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from planner.__main__ import main
-from planner.paper.studies.hopper import HEIGHTS, PAPER_ITERATIONS, hopper_results, paper_plan
+from planner.paper.studies.hopper import HEIGHTS, PAPER_ITERATIONS, STUDY, paper_plan
 
 pytestmark = [pytest.mark.paper, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
 def results():
-    return hopper_results()
+    return STUDY.run()
 
 
 def test_the_papers_problem_is_the_papers():

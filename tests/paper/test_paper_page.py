@@ -13,23 +13,16 @@ from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
 from planner.cli import paper as command
 from planner.paper.studies import catalogue
-from planner.paper.studies.page import NOT_BUILT, Study, complete, page, run_studies, table_rows
+from planner.paper.studies.page import complete, page, run_studies, table_rows
+from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table import random_lq, table_one, table_results
-from planner.paper.studies.theorem import (
-    Family,
-    draw_theorems,
-    identity_errors,
-    local_minima,
-    random_identity,
-    theorem_markdown,
-    theorem_results,
-    theorem_rows,
-)
+from planner.paper.studies.theorem import STUDY as THEOREMS
+from planner.paper.studies.theorem import Family, identity_errors, local_minima, random_identity
 from planner.paper.studies.watched import watched
 from planner.solvers import lq
 from tests.solves import hopper, swing
 
-ROW = {"where": "2.1", "paper": "9.9", "ours": "10 | 11", "why": "masses"}
+ROW = Row("2.1", "9.9", "10 | 11", "masses")
 
 
 def draw(results, path):
@@ -60,14 +53,12 @@ def fails():
 # The page
 
 
-def test_rows_are_sorted_by_section_and_pending_ones_go_where_the_study_ran(tmp_path):
-    done = run_studies([study(rows=({**ROW, "where": "4"}, ROW))], tmp_path)
-    pending = {"one": [{"where": "1", "paper": "p", "why": "w"}], "two": [{"where": "3.1", "paper": "p", "why": "w"}]}
-    rows = table_rows(done, pending)
-    assert [row["where"] for row in rows] == ["2.1", "3.1", "4"]
-    assert [row["ours"] == NOT_BUILT for row in rows] == [False, True, False]
+def test_rows_are_sorted_by_section(tmp_path):
+    done = run_studies([study(rows=(ROW._replace(where="4"), ROW))], tmp_path)
+    rows = table_rows(done)
+    assert [row.where for row in rows] == ["2.1", "4"]
     assert complete(done, rows)
-    assert not complete(done, [*rows, {**ROW, "why": " "}])
+    assert not complete(done, [*rows, ROW._replace(why=" ")])
 
 
 def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_path):
@@ -84,7 +75,7 @@ def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_pat
 
 def test_page_has_headings_links_and_cells_in_order(tmp_path):
     done = run_studies([study(), study("two")], tmp_path)
-    text = page(done, table_rows(done, {}), "../pictures/", 2.0)
+    text = page(done, table_rows(done), "../pictures/", 2.0)
     assert "10 \\| 11" in text
     assert text.count("\n## Head\n\n### Below\n") == 2
     assert "](../pictures/one.png)" in text
@@ -95,8 +86,8 @@ def test_page_has_headings_links_and_cells_in_order(tmp_path):
 def test_a_study_that_fails_is_a_row(tmp_path):
     lines = []
     done = run_studies([study(results=fails), study("two")], tmp_path, lines.append)
-    rows = table_rows(done, {})
-    assert {"where": "one", "paper": "about one", "ours": "failed", "why": "no data, expected some."} in rows
+    rows = table_rows(done)
+    assert ("one", "about one", "failed", "no data, expected some.") in rows
     assert not complete(done, rows)
     assert "no data" in page(done, rows, "", 2.0)
     assert any("no data" in line for line in lines)
@@ -107,8 +98,6 @@ def test_catalogue():
     assert len(set(names)) == len(names)
     pictures = [name for one in catalogue.STUDIES for name in one.pictures]
     assert len(set(pictures)) == len(pictures)
-    for rows in catalogue.PENDING.values():
-        assert all(row[key] for row in rows for key in ("where", "paper", "why"))
     with pytest.raises(PlannerError, match=f"expected one of: {', '.join(names)}"):
         catalogue.chosen(["hopper", "flight"])
 
@@ -143,7 +132,7 @@ def test_the_page_goes_into_a_checkout_or_beside_us(small, tmp_path, monkeypatch
     capsys.readouterr()
     assert main(["paper", "--quiet", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["rows"][0] == ROW
+    assert document["rows"][0] == ROW._asdict()
     assert all((tmp_path / name).is_file() for name in document["files"])
     assert [file.name for file in (tmp_path / "docs").iterdir()] == ["paper-results.md"]
     assert {file.name for file in (tmp_path / "renders/gallery/paper").iterdir()} == files - {"paper-results.md"}
@@ -236,19 +225,19 @@ def test_local_minima_are_told_apart_at_a_thousandth():
 
 def test_theorems_on_a_small_family(tmp_path):
     family = Family(lambda: cases.build("hopper", **{**PAPER, "height": 1.0}), 1.0, 200, (3, 200))
-    results = theorem_results({"hop": family}, starts=6, problems=5)
+    results = THEOREMS.run({"hop": family}, starts=6, problems=5)
     (case,) = results["cases"]
     assert case["feedback"]["converged"] == 6
     assert sum(one["count"] for one in case["feedback"]["minima"]) == 6
     assert case["along"]["falls"] == case["along"]["steps"] > 0
     assert case["along"]["gradient_error"] < 1e-6
     assert (
-        theorem_results({"hop": family}, starts=6, problems=5)["cases"][0]["feedback"]["costs"]
+        THEOREMS.run({"hop": family}, starts=6, problems=5)["cases"][0]["feedback"]["costs"]
         == (case["feedback"]["costs"])
     )
-    assert "hop" in theorem_markdown(results)
-    assert all(cell for row in theorem_rows(results) for cell in row.values())
-    draw_theorems(results, tmp_path / "t.png")
+    assert "hop" in THEOREMS.page(results)
+    assert all(cell for row in THEOREMS.rows(results) for cell in row)
+    THEOREMS.pictures["theorems.png"](results, tmp_path / "t.png")
     assert (tmp_path / "t.png").stat().st_size > 10_000
 
 

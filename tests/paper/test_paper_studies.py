@@ -5,6 +5,7 @@ import pytest
 
 from planner.cases import acrobot
 from planner.dynamics.algorithms import mass_matrix
+from planner.paper.methods.adjoint import Integration
 from planner.paper.studies import elbow as elbow_study
 from planner.paper.studies import masses as masses_study
 
@@ -22,17 +23,17 @@ def test_points_at_the_tips_are_points_at_the_tips():
 @pytest.mark.parametrize("kind", masses_study.KINDS)
 def test_the_scale_of_the_masses_gives_the_papers_first_effort(kind):
     arm = masses_study.with_first_effort(kind, 0.6, 0.8)
-    assert masses_study.by_splines(masses_study.mechanism_of(arm)).first_effort == pytest.approx(
+    assert masses_study.by_splines(masses_study.mechanism_of(arm)).first_cost == pytest.approx(
         masses_study.FIRST, abs=0.01
     )
 
 
 def test_a_pair_of_masses_has_both_of_the_papers_efforts():
-    """Section 2.1: 73.6 and 9.9. Two equal points at the tips of links of 1.078 m, as masses_results() finds."""
+    """Section 2.1: 73.6 and 9.9. Two equal points at the tips of links of 1.078 m, as the study finds."""
     arm = masses_study.with_first_effort("points at the tips", 1.0, 1.078)
     motion = masses_study.by_splines(masses_study.mechanism_of(arm))
     assert motion.success
-    assert (round(motion.first_effort, 1), round(motion.effort, 1)) == (masses_study.FIRST, masses_study.LAST)
+    assert (round(motion.first_cost, 1), round(motion.cost, 1)) == (masses_study.FIRST, masses_study.LAST)
 
 
 def test_the_discrete_gradient_is_exact_at_any_step():
@@ -43,6 +44,6 @@ def test_the_discrete_gradient_is_exact_at_any_step():
 
 def test_the_gradient_of_the_integral_is_not():
     """Loose tolerances spoil it: by the paper's own account, and here by more than SLQ's at every step."""
-    exact, loose = elbow_study._problem(1e-8), elbow_study._problem(1e-3)
+    exact, loose = (elbow_study.problem_at(Integration(tolerance)) for tolerance in (1e-8, 1e-3))
     reference, spoiled = exact(exact.first)[1], loose(exact.first)[1]
     assert np.linalg.norm(spoiled - reference) > 1e-4 * np.linalg.norm(reference)

@@ -7,9 +7,8 @@ import pytest
 
 from planner.cases import human_step
 from planner.paper.studies import step as step_study
-from planner.paper.studies.step import feedforward_alone, first_within, step_results
-from planner.paper.studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
-from planner.paper.studies.step_page import step_markdown, step_rows
+from planner.paper.studies.step import feedforward_alone, first_within
+from planner.paper.studies.step_page import STUDY
 from planner.solvers.slq import solve
 
 pytestmark = pytest.mark.slow
@@ -21,15 +20,15 @@ def results():
         patch.setattr(step_study, "MOST", (20, 2))
         patch.setattr(step_study, "CYCLES", 1)
         patch.setattr(step_study, "LIMITS", {"feedback": 100, "open-loop": 30, "feedforward alone": 2})
-        return step_results()
+        return STUDY.run()
 
 
 def test_numbers_are_json_and_the_page_has_no_empty_cell(results):
     results = json.loads(json.dumps(results))
-    rows = step_rows(results)
+    rows = STUDY.rows(results)
     assert len(rows) == 5  # one for each thing that section 2.3 says
-    assert all(row[key].strip() for row in rows for key in ("where", "paper", "ours", "why"))
-    page = step_markdown(results)
+    assert all(cell.strip() for row in rows for cell in row)
+    page = STUDY.page(results)
     for word in ("feedforward alone", "step_fig5.png", "step_cycle.png", "step_methods.png"):
         assert word in page
 
@@ -73,7 +72,8 @@ def test_first_within():
 
 
 def test_the_pictures_of_the_step_study_are_drawn(results, tmp_path):
-    for draw in (draw_step, draw_step_cycle, draw_step_methods):
-        path = tmp_path / f"{draw.__name__}.png"
+    assert len(STUDY.pictures) == 3
+    for name, draw in STUDY.pictures.items():
+        path = tmp_path / name
         draw(results, path)
         assert path.stat().st_size > 10_000

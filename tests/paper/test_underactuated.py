@@ -6,7 +6,9 @@ import pytest
 import planner
 from planner.cases import acrobot
 from planner.dynamics.algorithms import hybrid_dynamics, rnea
-from planner.paper.methods.underactuated import DrivenProblem, DrivenSystem, minimize_effort_underactuated
+from planner.paper.methods.adjoint import Integration
+from planner.paper.methods.splines import Boundary, SplineSpace
+from planner.paper.methods.underactuated import DrivenProblem, DrivenSystem, Weights, minimize_effort_underactuated
 
 UP = np.array([np.pi / 2, 0.0])
 
@@ -16,13 +18,14 @@ def arm():
     return acrobot().dynamics.mechanism
 
 
-def problem_of(arm, duration=0.6, **options):
-    return DrivenProblem(arm, [-1.0, 0.0], UP, duration, driven=("elbow",), intervals=4, degree=4, **options)
+def problem_of(arm, *integration):
+    boundary = Boundary([-1.0, 0.0], UP, 0.6)
+    return DrivenProblem(arm, boundary, ("elbow",), space=SplineSpace(4, 4), integration=Integration(*integration))
 
 
 @pytest.fixture(scope="module")
 def system(arm):
-    return DrivenSystem(arm, "elbow", UP, 3.0, 5.0, 2.0)
+    return DrivenSystem(arm, Boundary([-1.0, 0.0], UP, 0.6), "elbow", Weights(3.0, 5.0, 2.0))
 
 
 def slopes(function, x, h=1e-4):
@@ -54,7 +57,7 @@ def test_rates_are_the_hybrid_dynamics(system, arm):
 
 
 def test_the_gradient_is_that_of_equation_7(arm):
-    problem = problem_of(arm, tolerance=1e-12, method="DOP853")
+    problem = problem_of(arm, 1e-12, "DOP853")
     free = problem.first + 0.3 * np.random.default_rng(0).normal(size=problem.first.size)
     J, gradient = problem(free)
     by_differences = slopes(lambda free: problem.cost.value(problem.amplitudes(free)), free, h=1e-3)
@@ -63,17 +66,17 @@ def test_the_gradient_is_that_of_equation_7(arm):
 
 
 def test_the_gradient_is_worse_at_a_loose_tolerance(arm):
-    exact = problem_of(arm, tolerance=1e-12, method="DOP853")
+    exact = problem_of(arm, 1e-12, "DOP853")
     free = exact.first + 0.3 * np.random.default_rng(0).normal(size=exact.first.size)
     reference = exact(free)[1]
-    errors = [np.linalg.norm(problem_of(arm, tolerance=t)(free)[1] - reference) for t in (1e-3, 1e-5, 1e-8)]
+    errors = [np.linalg.norm(problem_of(arm, t)(free)[1] - reference) for t in (1e-3, 1e-5, 1e-8)]
     assert errors[0] > 10.0 * errors[1] > 100.0 * errors[2]
 
 
 def test_a_motion_is_one_of_the_mechanism(arm):
     """What comes back satisfies Eq. 6 without a force on the shoulder, starts where asked, and costs less."""
     motion = minimize_effort_underactuated(
-        arm, [-1.0, 0.1], UP, 0.6, driven=("elbow",), intervals=4, start_velocity=[0.0, 0.5], max_iterations=5
+        arm, Boundary([-1.0, 0.1], UP, 0.6, [0.0, 0.5]), ("elbow",), space=SplineSpace(4), max_iterations=5
     )
     assert motion.cost < motion.first_cost
     assert np.allclose(motion.q[0], [-1.0, 0.1])
@@ -91,13 +94,25 @@ def test_a_motion_is_one_of_the_mechanism(arm):
     [
         ({"driven": ()}, "driven names no joint"), ({"driven": ("shoulder", "elbow")}, "driven names every joint"),
         ({"driven": ("knee",)}, "knee"), ({"driven": 3}, "expected names of joints"),
-        ({"start": [0.0]}, "start has shape"), ({"goal": [0.0]}, "goal has shape"),
-        ({"tolerance": 0.0}, "tolerance is 0"), ({"method": "ode45"}, "method is 'ode45'"),
         ({"mechanism": None}, "expected a Mechanism"), ({"guess": lambda t: t}, r"guess\(t\) has shape"),
-        ({"effort_weight": 0.0}, "effort_weight is 0"), ({"start_velocity": [1.0]}, "start_velocity has shape"),
+        ({"boundary": Boundary([0.0], UP, 1.0)}, "start has shape"),
+        ({"boundary": Boundary([0.0, 0.0], [0.0], 1.0)}, "goal has shape"),
+        ({"boundary": Boundary([0.0, 0.0], UP, 1.0, [1.0])}, "start_velocity has shape"),
     ],
 )  # fmt: skip
 def test_wrong_arguments_are_refused_in_one_sentence(arm, changes, words):
-    arguments = {"mechanism": arm, "start": [-1.0, 0.0], "goal": UP, "duration": 1.0, "driven": ("elbow",)} | changes
+    arguments = {"mechanism": arm, "boundary": Boundary([-1.0, 0.0], UP, 1.0), "driven": ("elbow",)} | changes
     with pytest.raises(planner.PlannerError, match=words):
         minimize_effort_underactuated(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Integration(0.0), "tolerance is 0"), (lambda: Integration(method="ode45"), "method is 'ode45'"),
+        (lambda: Weights(effort=0.0), "effort weight is 0"),
+    ],
+)  # fmt: skip
+def test_wrong_options_are_one_sentence(make, words):
+    with pytest.raises(planner.PlannerError, match=words):
+        make()

@@ -13,13 +13,13 @@ from planner import Mechanism, PlannerError, RigidBodyDynamics, TrackingCost
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import generalized_forces
 from planner.model.mjcf.driven import HEAVY, twin_of
+from planner.model.mjcf.survey import compile_model
 from planner.model.twin import Twin
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.jerk import driven_by_jerk
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.criteria import with_objective
 from planner.proof.perturbation import Nominal
-from planner.proof.replaying import compile_model
 
 
 def standing(K, spread=0.02):

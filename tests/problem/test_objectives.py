@@ -238,8 +238,8 @@ def test_the_study_says_what_it_found(tmp_path):
         "best": {name: name for name in values}, "least_times": [least] * 3, "acrobot_bound_Nm": 5.0,
         "acrobot": motion | {"u_Nm": [[5.0], [0.0]]},
     }  # fmt: skip
-    page = study.objective_markdown(results)
+    page = study.STUDY.page(results)
     assert "| effort | **1** | 2 | 3 | 4 | 50 % |" in page
-    assert [set(row) for row in study.objective_rows(results)] == [{"where", "paper", "ours", "why"}] * 3
-    study.draw_objectives(results, tmp_path / "objectives.png")
+    assert [len(row) for row in study.STUDY.rows(results)] == [4] * 3
+    study.STUDY.pictures["objectives.png"](results, tmp_path / "objectives.png")
     assert (tmp_path / "objectives.png").stat().st_size > 10_000

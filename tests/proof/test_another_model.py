@@ -6,9 +6,10 @@ from mechanisms import OBJ
 
 import planner
 from planner.__main__ import main
+from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.proof.replaying import compile_model, with_model
+from planner.proof.another_model import with_model
 
 CART = """
 <mujoco model="cart">

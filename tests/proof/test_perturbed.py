@@ -10,13 +10,15 @@ import planner
 from planner.base.errors import FileError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import compile_model
 from planner.problem.problem import Requirements
 from planner.proof import perturbed as step
 from planner.proof.case_replay import replay_case
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.partial import Partial
 from planner.proof.perturbation import Nominal, Perturbation, draw, draw_masses
-from planner.proof.perturbed import perturbed
-from planner.proof.replaying import compile_model, replay
+from planner.proof.perturbed import Trials, perturbed
+from planner.proof.replaying import replay
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
 from planner.proof.statistics import Rate
 
@@ -29,7 +31,7 @@ FAST = 'timestep="0.0005"', 'timestep="0.005"'
 
 def coarse(plan):
     """The same plan with a simulator as coarse as its control steps: quick."""
-    return replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST))
+    return CompiledTwin(replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST)))
 
 
 @pytest.fixture(scope="module")
@@ -184,9 +186,11 @@ def test_a_case_in_detail_is_the_rollout(name, mode, request):
 def test_the_hopper_in_detail_is_the_rollout():
     """Contact, and a twin that is not the plan's own state."""
     plan = planner.solve(planner.cases.hopper(duration=0.25, horizon=50, height=5.0))
-    xs = run(plan, plan.twin, drawn([0, 1]))
+    assert plan.twin is not None
+    twin = CompiledTwin(plan.twin)
+    xs = run(plan, twin, drawn([0, 1]))
     for feedback in (False, True):
-        one = replay_case(plan, plan.twin, 1, seed=3, feedback=feedback)
+        one = replay_case(plan, twin, 1, seed=3, feedback=feedback)
         np.testing.assert_array_equal(one.xs[:: one.substeps], xs[MODES[feedback]][1])
         assert one.contact_force.max() > 100.0
 
@@ -195,8 +199,8 @@ def test_the_hopper_in_detail_is_the_rollout():
 def test_without_errors_it_is_the_replay(arm, mode):
     """Open loop at any step; with gains where every simulator step is a control step."""
     twin = coarse(arm)
-    result = perturbed(arm, twin, rollouts=2, perturbation=NONE)
-    own = replay(arm, twin=twin, substeps=CONTROL_STEPS, feedback=mode == "feedback")
+    result = perturbed(arm, twin, Trials(2, perturbation=NONE))
+    own = replay(arm, twin=twin.twin, substeps=CONTROL_STEPS, feedback=mode == "feedback")
     assert result.step == pytest.approx(own.timestep)
     np.testing.assert_allclose(result.end_error[mode], np.abs(own.error[-1]).max(), rtol=1e-6)
     assert result.rates[mode].value == 1.0
@@ -234,18 +238,18 @@ def test_a_delay_beyond_the_end_holds_the_first_control(arm):
 
 def test_rollouts_repeat_by_their_seed(arm):
     twin = coarse(arm)
-    first, again = (perturbed(arm, twin, rollouts=12, seed=4) for _ in range(2))
+    first, again = (perturbed(arm, twin, Trials(12, seed=4)) for _ in range(2))
     np.testing.assert_array_equal(ends(first), ends(again))
     assert first.to_dict() == again.to_dict()
-    more = perturbed(arm, twin, rollouts=14, seed=4)
+    more = perturbed(arm, twin, Trials(14, seed=4))
     np.testing.assert_array_equal(ends(more)[:, :12], ends(first))
-    assert not np.array_equal(ends(perturbed(arm, twin, rollouts=12, seed=5)), ends(first))
+    assert not np.array_equal(ends(perturbed(arm, twin, Trials(12, seed=5))), ends(first))
 
 
 def test_gains_of_the_wrong_sign_fail(arm):
     twin = coarse(arm)
-    good = perturbed(arm, twin, rollouts=16)
-    bad = perturbed(replace(arm, K=-arm.K), twin, rollouts=16)
+    good = perturbed(arm, twin, Trials(16))
+    bad = perturbed(replace(arm, K=-arm.K), twin, Trials(16))
     assert good.rates["feedback"].value == 1.0
     assert bad.rates["feedback"].value < 0.2
     assert good.margin["feedback"] >= 0.05 > bad.margin["feedback"]
@@ -253,7 +257,7 @@ def test_gains_of_the_wrong_sign_fail(arm):
 
 
 def test_the_acrobot_needs_its_gains(acrobot):
-    result = perturbed(acrobot, coarse(acrobot), rollouts=32, perturbation=SLIGHT)
+    result = perturbed(acrobot, coarse(acrobot), Trials(32, perturbation=SLIGHT))
     rates = result.rates
     assert rates["feedback"].value > 0.8
     assert rates["open-loop"].interval[1] < rates["feedback"].interval[0]
@@ -270,17 +274,18 @@ def test_a_requirement_may_say_what_success_is(arm):
     own = Requirements(success=lambda xs: np.arange(len(xs)) % 2 == 0)
     problem = planner.cases.two_link(horizon=100)
     object.__setattr__(problem, "requirements", own)
-    result = perturbed(replace(arm, problem=problem), coarse(arm), rollouts=10)
+    result = perturbed(replace(arm, problem=problem), coarse(arm), Trials(10))
     assert result.rates["feedback"].successes == 5
 
 
 def test_a_model_that_ignores_friction_is_noted(arm):
     twin = coarse(arm)
-    without = replace(twin, mjcf=twin.mjcf.replace('contact="disable"', 'contact="disable" frictionloss="disable"'))
-    assert without.mjcf != twin.mjcf
-    assert not perturbed(arm, twin, rollouts=1).notes
-    assert "friction does nothing" in perturbed(arm, without, rollouts=1).notes[0]
-    assert not perturbed(arm, without, rollouts=1, perturbation=NONE).notes
+    text = twin.twin.mjcf.replace('contact="disable"', 'contact="disable" frictionloss="disable"')
+    assert text != twin.twin.mjcf
+    without = CompiledTwin(replace(twin.twin, mjcf=text))
+    assert not perturbed(arm, twin, Trials(1)).notes
+    assert "friction does nothing" in perturbed(arm, without, Trials(1)).notes[0]
+    assert not perturbed(arm, without, Trials(1, perturbation=NONE)).notes
 
 
 EXPLOSIVE = LIMITED.replace('damping="0.1" range="-1 1"', 'damping="0.1"')
@@ -297,7 +302,7 @@ def explosive():
 
 
 def test_rollouts_that_explode_are_failures(explosive):
-    result = perturbed(explosive, explosive.twin, rollouts=8)
+    result = perturbed(explosive, CompiledTwin(explosive.twin), Trials(8))
     assert result.rates["feedback"].value == 0.0
     assert np.all(np.isinf(result.end_error["feedback"]))
     assert np.all(np.isfinite(result.end_error["open-loop"]))
@@ -306,7 +311,7 @@ def test_rollouts_that_explode_are_failures(explosive):
     assert np.all(np.isfinite(result.fans["feedback"][:, :50]))
     assert np.all(np.isnan(result.fans["feedback"][:, -1]))
     assert result.section.measured
-    one = replay_case(explosive, explosive.twin, 0, feedback=True)
+    one = replay_case(explosive, CompiledTwin(explosive.twin), 0, feedback=True)
     assert np.isnan(one.error[-1]).all()
     assert np.isfinite(one.error[10]).all()
 
@@ -316,7 +321,7 @@ def test_rollouts_that_explode_are_failures(explosive):
 
 def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
     twin, path = coarse(arm), tmp_path / "rollouts.npz"
-    whole = perturbed(arm, twin, rollouts=24)
+    whole = perturbed(arm, twin, Trials(24))
     monkeypatch.setattr(Rollouts, "batch_size", 10)
 
     def stop(done, total):
@@ -325,36 +330,36 @@ def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        perturbed(arm, twin, rollouts=24, partial=path, progress=stop)
+        perturbed(arm, twin, Trials(24), partial=path, progress=stop)
     ran = []
     monkeypatch.setattr(Rollouts, "run", lambda self, batch, *rest, run=Rollouts.run: (
         ran.append(len(batch.models)), run(self, batch, *rest))[1])  # fmt: skip
-    resumed = perturbed(arm, twin, rollouts=24, partial=path)
+    resumed = perturbed(arm, twin, Trials(24), partial=path)
     assert sum(ran) == 2 * (4 + 5 * len(step.LEVELS))
     assert resumed.to_dict() == whole.to_dict()
     for mode in MODES:
         np.testing.assert_array_equal(resumed.fans[mode], whole.fans[mode])
     ran.clear()
-    perturbed(arm, twin, rollouts=20, partial=path)
+    perturbed(arm, twin, Trials(20), partial=path)
     assert not ran
 
 
 def test_other_rollouts_are_not_taken_for_these(arm, tmp_path):
     twin, path = coarse(arm), tmp_path / "rollouts.npz"
-    perturbed(arm, twin, rollouts=2, seed=1, partial=path)
-    other = perturbed(arm, twin, rollouts=2, seed=2, partial=path)
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, rollouts=2, seed=2)))
+    perturbed(arm, twin, Trials(2, seed=1), partial=path)
+    other = perturbed(arm, twin, Trials(2, seed=2), partial=path)
+    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2))))
     path.write_bytes(b"no archive")
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, rollouts=2, seed=2, partial=path)))
+    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2), partial=path)))
     with pytest.raises(FileError):
         Partial(tmp_path, "mark")
 
 
 def test_a_budget_takes_fewer_rollouts_and_stops(arm):
-    few = perturbed(arm, arm.twin, rollouts=10_000, budget=2.0)
+    few = perturbed(arm, CompiledTwin(arm.twin), Trials(10_000), budget=2.0)
     assert few.done < 10_000
     assert "in place of 10000" in few.notes[0]
-    none = perturbed(arm, arm.twin, rollouts=16, budget=1e-6)
+    none = perturbed(arm, CompiledTwin(arm.twin), Trials(16), budget=1e-6)
     assert none.done == 0
     assert "Stopped after" in none.section.not_applicable
     assert not np.isfinite(none.margin["feedback"])
@@ -363,10 +368,12 @@ def test_a_budget_takes_fewer_rollouts_and_stops(arm):
 
 
 def test_arguments_are_checked(arm):
-    for wrong in ({"rollouts": 0}, {"seed": -1}, {"tolerance": 0.0}, {"budget": -1.0}):
+    for wrong in (lambda: Trials(0), lambda: Trials(seed=-1), lambda: Trials(tolerance=0.0)):
         with pytest.raises(PlannerError):
-            perturbed(arm, arm.twin, **wrong)
+            wrong()
+    with pytest.raises(PlannerError):
+        perturbed(arm, CompiledTwin(arm.twin), budget=-1.0)
     with pytest.raises(PlannerError, match="not finite"):
-        perturbed(replace(arm, us=np.full_like(arm.us, np.nan)), arm.twin)
+        perturbed(replace(arm, us=np.full_like(arm.us, np.nan)), CompiledTwin(arm.twin))
     with pytest.raises(PlannerError, match="without its problem"):
-        perturbed(replace(arm, problem=None), arm.twin)
+        perturbed(replace(arm, problem=None), CompiledTwin(arm.twin))

@@ -10,11 +10,12 @@ import planner
 from planner.cases.plan_file import load_plan
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.problem import Problem, Requirements
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
-from planner.proof.replaying import compile_model
 from planner.proof.same_step import munthe_kaas, rounding_amplification, same_step
 from planner.view.render.film import Film
 
@@ -135,19 +136,19 @@ def test_the_method_is_of_fourth_order_on_rotations():
 @pytest.mark.parametrize("integrator", ["euler", "semi-implicit-euler", "rk4"])
 def test_mujoco_repeats_a_tree_at_the_plans_own_step(integrator):
     plan = tree_plan(integrator)
-    section = same_step(plan, plan.problem, plan.twin)
+    section = same_step(plan, plan.problem, CompiledTwin(plan.twin))
     assert section.passed, section
     assert values(section)["state_error"] < 1e-9
     other = replace(plan.problem, dynamics=RigidBodyDynamics(plan.problem.dynamics.mechanism, 0.005, "euler"))
     if integrator != "euler":
-        assert not same_step(plan, other, plan.twin).passed
+        assert not same_step(plan, other, CompiledTwin(plan.twin)).passed
 
 
 def test_damping_of_euler_is_explicit_in_both():
     mechanism = Mechanism.from_mjcf(LIMITED.replace('range="-1 1"', "").replace('damping="0.1"', 'damping="3"'))
     x0 = np.array([0.3, 2.0])
     plan = rolled_out(problem_of(mechanism, 0.02, 50, integrator="semi-implicit-euler", x0=x0))
-    assert values(same_step(plan, plan.problem, plan.twin))["stage_error"] < 1e-13
+    assert values(same_step(plan, plan.problem, CompiledTwin(plan.twin)))["stage_error"] < 1e-13
 
 
 def test_amplified_rounding():
@@ -240,5 +241,4 @@ def test_meshes_travel_with_the_plan(tmp_path):
     with pytest.raises(planner.ModelError, match="MuJoCo refuses"):
         compile_model(again.twin.mjcf)
     film = Film.of(planner.replay(plan), np.array([0.0]))
-    film.save(tmp_path / "film.npz")
-    assert Film.load(tmp_path / "film.npz")[0].assets == plan.twin.assets
+    assert film.assets == plan.twin.assets

@@ -7,11 +7,9 @@ from legs import leg
 from planner.base.errors import FileError, PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import View
-from planner.problem.pictures import Band, Chart, Curve, Motion, Stick, Trace
-from planner.view.plots.charts import draw_charts, plot_charts
-from planner.view.plots.paths import draw_paths, plot_paths
+from planner.problem.pictures import Band, Chart, Charts, Curve, Motion, Paths, Stick, StickFigures, Trace
+from planner.view.plots import draw_charts, draw_paths, draw_stick_figures, save
 from planner.view.plots.projection import FRONT, SIDE, TOP, axes_of, frame_points, projected
-from planner.view.plots.stick_figures import draw_stick_figures, plot_stick_figures
 
 LEG = Stick((0, 1), "leg", hue=0)
 
@@ -22,6 +20,10 @@ def walk(label="planned", dashed=False, lift=0.0, samples=11):
     foot = np.stack([0.5 * s, 0.2 * (1.0 - s), np.full(samples, lift)], axis=1)
     hip = foot + np.array([0.0, 0.0, 1.0])
     return Motion(label, np.stack([hip, foot], axis=1), dashed)
+
+
+def poses(motions, sticks=(LEG,), count=2, ground=0.0):
+    return StickFigures("", motions, sticks, ("",) * count, ground)
 
 
 def lines(axes):
@@ -60,7 +62,7 @@ def test_points_of_frames_are_those_of_the_machine():
 
 
 def test_each_pose_has_its_own_place_and_keeps_what_the_dashed_one_is_off():
-    figure = draw_stick_figures([walk(), walk("normal", True, lift=0.1)], [LEG], poses=3, ground=0.0)
+    figure = draw_stick_figures(poses([walk(), walk("normal", True, lift=0.1)], count=3))
     side, front = figure.axes
     drawn = lines(side)
     assert len(drawn) == 3 + 3 + 1  # poses of both, the ground
@@ -82,38 +84,37 @@ def test_each_pose_has_its_own_place_and_keeps_what_the_dashed_one_is_off():
 
 
 def test_poses_are_at_equal_times_whatever_the_samples_are():
-    coarse, fine = (draw_stick_figures([walk(samples=n)], [LEG], poses=4, views=(FRONT,)).axes[0] for n in (2, 31))
+    coarse, fine = (draw_stick_figures(poses([walk(samples=n)], count=4), (FRONT,)).axes[0] for n in (2, 31))
     for a, b in zip(lines(coarse), lines(fine), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
 
 
 def test_no_ground_is_drawn_from_above():
-    figure = draw_stick_figures([walk()], [LEG], poses=2, views=(TOP,), ground=0.0)
+    figure = draw_stick_figures(poses([walk()]), (TOP,))
     assert len(lines(figure.axes[0])) == 2
 
 
 def test_a_stick_figure_that_stands_still_can_be_drawn(tmp_path):
     still = Motion("still", np.zeros((1, 2, 3)))
-    plot_stick_figures([still], [LEG], tmp_path / "still.png", poses=2, title="still", times=("0 %", "100 %"))
+    save(draw_stick_figures(StickFigures("", [still], [LEG], ("0 %", "100 %"), title="still")), tmp_path / "still.png")
     assert (tmp_path / "still.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
-    ("motions", "sticks", "options", "words"),
+    ("motions", "sticks", "count", "words"),
     [
-        ([walk()], [Stick((0, 2))], {}, "join points up to 2 of 'planned', expected 0 to 1"),
-        ([walk()], [Stick((-1, 0))], {}, "expected 0 to 1"),
-        ([walk()], [LEG], {"poses": 3, "times": ("a",)}, "times has 1 labels, expected one for each of 3 poses"),
-        ([walk()], [LEG], {"poses": 1}, "poses"),
-        ([], [LEG], {}, "nothing to draw"),
-        ([Motion("flat", np.zeros((5, 2)))], [LEG], {}, r"points of 'flat' has shape \(5, 2\)"),
-        ([Motion("none", np.zeros((0, 2, 3)))], [LEG], {}, "'none' has no samples"),
-        ([Motion("lost", np.full((2, 2, 3), np.nan))], [LEG], {}, "expected finite"),
+        ([walk()], [Stick((0, 2))], 2, "join points up to 2 of 'planned', expected 0 to 1"),
+        ([walk()], [Stick((-1, 0))], 2, "expected 0 to 1"),
+        ([walk()], [LEG], 1, "poses"),
+        ([], [LEG], 2, "nothing to draw"),
+        ([Motion("flat", np.zeros((5, 2)))], [LEG], 2, r"points of 'flat' has shape \(5, 2\)"),
+        ([Motion("none", np.zeros((0, 2, 3)))], [LEG], 2, "'none' has no samples"),
+        ([Motion("lost", np.full((2, 2, 3), np.nan))], [LEG], 2, "expected finite"),
     ],
 )
-def test_wrong_stick_figures_are_refused(motions, sticks, options, words):
+def test_wrong_stick_figures_are_refused(motions, sticks, count, words):
     with pytest.raises(PlannerError, match=words):
-        draw_stick_figures(motions, sticks, **options)
+        draw_stick_figures(poses(motions, sticks, count))
 
 
 # Paths
@@ -121,7 +122,7 @@ def test_wrong_stick_figures_are_refused(motions, sticks, options, words):
 
 def test_paths_are_to_one_scale_and_begin_with_a_dot():
     points = np.array([[0.0, 0.0, 0.9], [0.1, 0.02, 0.95]])
-    figure = draw_paths([Trace("planned", points), Trace("normal", 0.5 * points, True)])
+    figure = draw_paths(Paths("", [Trace("planned", points), Trace("normal", 0.5 * points, True)]))
     side, front, top = figure.axes
     np.testing.assert_allclose(lines(side)[0], [[0.0, 900.0], [100.0, 950.0]], atol=1e-9)
     np.testing.assert_allclose(lines(side)[1], [[0.0, 900.0]], atol=1e-9)
@@ -133,12 +134,13 @@ def test_paths_are_to_one_scale_and_begin_with_a_dot():
 
 
 def test_a_path_that_is_a_point_can_be_drawn(tmp_path):
-    plot_paths([Trace("point", np.zeros((2, 3)))], tmp_path / "point.svg")
+    figure = draw_paths(Paths("", [Trace("point", np.zeros((2, 3)))]))
+    save(figure, tmp_path / "point.svg")
     assert (tmp_path / "point.svg").exists()
     with pytest.raises(PlannerError, match="nothing to draw"):
-        plot_paths([], tmp_path / "none.png")
+        draw_paths(Paths("", []))
     with pytest.raises(FileError, match="no picture format"):
-        plot_paths([Trace("point", np.zeros((2, 3)))], tmp_path / "point.docx")
+        save(figure, tmp_path / "point.docx")
 
 
 # Charts
@@ -151,7 +153,7 @@ def test_charts_share_colours_and_one_legend():
         Band("normal", np.zeros(5), 5.0), [(0.0, 60.0)],
     )  # fmt: skip
     force = Chart("force", "N", [Curve("left", np.array([0.0, 1.0, np.nan, 1e80, 0.0]))])
-    figure = draw_charts(t, [knee, force], xlabel="% of cycle", span_label="stance")
+    figure = draw_charts(Charts("", t, [knee, force], "% of cycle", span_label="stance"))
     first, second = figure.axes
     colour = {line.get_label(): line.get_color() for line in first.get_lines()}
     assert colour["right"] == colour["right, planned"] != colour["left"]
@@ -166,9 +168,9 @@ def test_charts_share_colours_and_one_legend():
 
 def test_a_curve_may_have_times_of_its_own(tmp_path):
     t, own = np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 7)
-    figure = draw_charts(t, [Chart("a", "N", [Curve("replay", own, t=own)])])
+    figure = draw_charts(Charts("", t, [Chart("a", "N", [Curve("replay", own, t=own)])], title="a"))
     np.testing.assert_array_equal(figure.axes[0].get_lines()[0].get_xdata(), own)
-    plot_charts(t, [Chart("a", "N", [Curve("replay", own, t=own)])], tmp_path / "charts.png", title="a")
+    save(figure, tmp_path / "charts.png")
     assert (tmp_path / "charts.png").exists()
 
 
@@ -184,4 +186,4 @@ def test_a_curve_may_have_times_of_its_own(tmp_path):
 )
 def test_wrong_charts_are_refused(charts, words):
     with pytest.raises(PlannerError, match=words):
-        draw_charts(np.arange(3.0), charts)
+        draw_charts(Charts("", np.arange(3.0), charts))

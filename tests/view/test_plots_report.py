@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_up import MODES, STAGE, N, make_perturbed, make_plan, make_proof, make_replay
+from made_up import APPEARANCE, MODES, N, make_perturbed, make_plan, make_proof, make_replay
 from PIL import Image
 
 from planner.base.errors import FileError
-from planner.view.plots import draw_plan, draw_proof, plot_plan, plot_proof
+from planner.view.plots import draw_plan, draw_proof, save
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_the_panels_are_those_of_the_stage_then_force_then_convergence(plan, rep
     found = titles(figure)
     assert [found[0], *found[2:]] == ["Height", "Piston", "Contact force in the replay", "Convergence"]
     assert found[1].startswith("height, replay ")
-    assert figure.get_suptitle() == STAGE.title
+    assert figure.get_suptitle() == APPEARANCE.title
 
 
 def test_plan_and_replay_are_drawn_as_they_are(plan, replay):
@@ -117,7 +117,7 @@ def test_convergence_shows_the_costs_above_the_last(plan):
 
 @pytest.mark.parametrize("length", [0, 1])
 def test_a_solve_that_ended_at_once(plan, tmp_path, length):
-    plot_plan(replace(plan, history=plan.history[:length]), None, tmp_path / "plots.png")
+    save(draw_plan(replace(plan, history=plan.history[:length]), None), tmp_path / "plots.png")
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])
@@ -126,13 +126,13 @@ def test_numbers_that_are_not_finite_leave_a_gap(plan, replay, tmp_path, bad):
     xs[50:] = plan_xs[40:60] = ctrl[70:] = bad
     history = tuple(line._replace(cost=bad, gradient_norm=bad) for line in plan.history)
     broken = replace(plan, xs=np.full_like(plan.xs, bad), cost=bad, history=history)
-    plot_plan(broken, replace(replay, xs=xs, plan_xs=plan_xs, ctrl=ctrl), tmp_path / "plots.png")
-    plot_plan(broken, None, tmp_path / "alone.png")
+    save(draw_plan(broken, replace(replay, xs=xs, plan_xs=plan_xs, ctrl=ctrl)), tmp_path / "plots.png")
+    save(draw_plan(broken, None), tmp_path / "alone.png")
     assert (tmp_path / "plots.png").stat().st_size > 0
 
 
 def test_the_picture_is_a_png_with_ink_in_every_quarter(plan, replay, tmp_path):
-    plot_plan(plan, replay, tmp_path / "plots.png")
+    save(draw_plan(plan, replay), tmp_path / "plots.png")
     with Image.open(tmp_path / "plots.png") as image:
         assert image.format == "PNG"
         assert image.width >= 1280
@@ -145,14 +145,14 @@ def test_the_picture_is_a_png_with_ink_in_every_quarter(plan, replay, tmp_path):
 
 def test_plotting_leaves_the_callers_pyplot_alone(plan, tmp_path):
     loaded = "matplotlib.pyplot" in sys.modules
-    plot_plan(plan, None, tmp_path / "plots.svg")
+    save(draw_plan(plan, None), tmp_path / "plots.svg")
     assert ("matplotlib.pyplot" in sys.modules) == loaded
     assert (tmp_path / "plots.svg").read_text().startswith("<?xml")
 
 
 def test_an_unknown_picture_format_is_one_sentence(plan, tmp_path):
     with pytest.raises(FileError, match=r"no picture format 'xyz'; expected one of .*png"):
-        plot_plan(plan, None, tmp_path / "plots.xyz")
+        save(draw_plan(plan, None), tmp_path / "plots.xyz")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -272,7 +272,7 @@ def test_nothing_that_a_proof_measures_breaks_its_figure(plan, proof, tmp_path, 
         rollouts, end_error=dict.fromkeys(MODES, np.full(40, bad)),
         fans=dict.fromkeys(MODES, np.full((5, N + 1, 3), bad)),
     )  # fmt: skip
-    plot_proof(proof, tmp_path / "proof.png")
+    save(draw_proof(proof), tmp_path / "proof.png")
     with Image.open(tmp_path / "proof.png") as image:
         assert image.width >= 1280
 

@@ -22,7 +22,7 @@ from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.problem.recipe import Recipe
 from planner.proof.refinement import Refinement
-from planner.view.plots import plot_plan, plot_proof
+from planner.view.plots import draw_plan, draw_proof, save
 from planner.view.render.encode import Encoder
 from planner.view.report import write_report
 from planner.view.report.reproduce import command, problem_text
@@ -141,7 +141,7 @@ def test_a_plan_read_without_its_problem(plan, tmp_path):
 
 
 def test_a_name_that_is_no_unicode(plan, tmp_path):
-    assert page_of(replace(plan, parameters={"file": "a\udcffb"}), None, tmp_path)
+    assert page_of(replace(plan, recipe=Recipe("spring", {"file": "a\udcffb"})), None, tmp_path)
 
 
 def test_a_missing_folder_is_one_sentence(plan, tmp_path):
@@ -259,8 +259,8 @@ def browse(page, *flags):
 def page(plan, tmp_path):
     """A whole page, with a film of three grey frames."""
     proof = make_proof(plan)
-    plot_plan(plan, proof, tmp_path / "plots.png")
-    plot_proof(proof, tmp_path / "proof.png")
+    save(draw_plan(plan, proof), tmp_path / "plots.png")
+    save(draw_proof(proof), tmp_path / "proof.png")
     Image.new("RGB", (192, 54), "steelblue").save(tmp_path / "strip.png")
     with Encoder(tmp_path / "video.mp4", 64, 36, 10, "video.mp4") as encoder:
         for grey in (60, 120, 180):

@@ -96,7 +96,7 @@ def test_an_interruption_keeps_what_was_finished_and_resumes(plan, proof, tmp_pa
     from planner.view.render import video as render
 
     modules = {
-        "proof.png": (results, "plot_proof"),
+        "proof.png": (results, "draw_proof"),
         "strip.png": (render, "render_strip"),
         "video.mp4": (render, "render_video"),
     }

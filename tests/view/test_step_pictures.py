@@ -9,7 +9,7 @@ from planner.cases.human_step.measures import measures, robot_wrench, vertical_f
 from planner.cases.human_step.pictures import by_cycle
 from planner.cases.human_step.walker import LEG
 from planner.problem.pictures import Charts, Paths, StickFigures
-from planner.view.plots import CASE_PICTURES, case_pictures, plot_case_picture
+from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, save
 
 
 @pytest.fixture(scope="module", params=["swing", "cycle"])
@@ -53,7 +53,7 @@ def test_one_picture_of_each_kind(shown, tmp_path):
     _, _, pictures = shown
     assert {type(picture): name for name, picture in pictures.items()} == CASE_PICTURES
     for name, picture in pictures.items():
-        plot_case_picture(picture, tmp_path / name)
+        save(draw_case_picture(picture), tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 

@@ -1,5 +1,6 @@
 """Several cameras, a given ghost, scenery, and a force for each contact."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -7,16 +8,16 @@ import pytest
 from films import changed, decode, make_proof
 from legs import leg
 from PIL import Image
-from treadmills import BELT_SPEED, FRICTION, STAGE, TREADMILL, WEIGHT, standing
+from treadmills import APPEARANCE, BELT_SPEED, FRICTION, TREADMILL, WEIGHT, standing
 
 from planner.base import gl
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
 from planner.proof import contact_history
 from planner.proof.contact_history import ContactRecorder
-from planner.proof.replaying import compile_model
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
@@ -39,9 +40,9 @@ def lifted(replay, by):
 
 
 def staged(replay, **changes):
-    """The replay with another stage."""
+    """The replay with another appearance."""
     plan = replay.plan
-    problem = type(plan.problem)(**{**vars(plan.problem), "stage": replace(STAGE, **changes)})
+    problem = type(plan.problem)(**{**vars(plan.problem), "appearance": replace(APPEARANCE, **changes)})
     return replace(replay, plan=replace(plan, problem=problem))
 
 
@@ -103,26 +104,25 @@ def test_a_machine_that_cannot_touch_is_not_looked_at():
 # Data
 
 
-def test_a_stage_is_seen_from_each_of_its_views():
-    side, front = (STAGE.seen_from(view) for view in STAGE.views)
+def test_an_appearance_is_seen_from_each_of_its_views():
+    side, front = (APPEARANCE.seen_from(view) for view in APPEARANCE.views)
     assert (side.azimuth, front.azimuth, front.elevation) == (90.0, 180.0, -8.0)
-    assert (front.distance, front.look_at) == (STAGE.distance, STAGE.look_at)  # the stage's own
-    near = STAGE.seen_from(View(0.0, 0.0, distance=1.0, look_at=(0.0, 0.0, 9.0)))
+    assert (front.distance, front.look_at) == (APPEARANCE.distance, APPEARANCE.look_at)  # the appearance's own
+    near = APPEARANCE.seen_from(View(0.0, 0.0, distance=1.0, look_at=(0.0, 0.0, 9.0)))
     assert (near.distance, near.look_at) == (1.0, (0.0, 0.0, 9.0))
 
 
-def test_a_film_keeps_views_and_ghost_in_its_file(tmp_path, replay):
+def test_a_pickled_film_keeps_views_and_ghost(replay):
     film = Film.of(staged(replay, ghost=lifted(replay, 0.5)), AT)
-    film.save(tmp_path / "film.npz")
-    again, _ = Film.load(tmp_path / "film.npz")
-    assert again.appearance.views == STAGE.views
-    assert again.appearance.scenery == STAGE.scenery
+    again = pickle.loads(pickle.dumps(film))
+    assert again.appearance.views == APPEARANCE.views
+    assert again.appearance.scenery == APPEARANCE.scenery
     assert (again.appearance.ghost.label, again.appearance.ghost.opacity) == ("lifted", 0.8)
     assert tuple(again.appearance.ghost.colour) == (0.9, 0.1, 0.9)
     for name in ("forces", "points", "ghost_qpos", "path_ghost_qpos"):
         np.testing.assert_array_equal(getattr(again, name), getattr(film, name))
     assert [seen.appearance.azimuth for seen in again.views] == [90.0, 180.0]
-    assert Film.of(staged(replay, views=()), AT).views[0].stage.azimuth == STAGE.azimuth
+    assert Film.of(staged(replay, views=()), AT).views[0].appearance.azimuth == APPEARANCE.azimuth
 
 
 def test_a_given_ghost_is_spread_over_the_motion(replay):
@@ -146,7 +146,7 @@ def test_a_ghost_that_is_no_motion_of_the_machine(replay, states, words):
         Film.of(staged(replay, ghost=Ghost(states, "wrong")), AT)
 
 
-def test_a_stage_nobody_wrote_takes_a_belt_for_scenery():
+def test_an_appearance_nobody_wrote_takes_a_belt_for_scenery():
     assert default_appearance(Mechanism.from_mjcf(leg())).scenery == ()
     sliding = '<body name="belt"><joint name="run" type="slide"/>'
     text = leg().replace('<geom name="floor" type="plane" size="0 0 1" euler="0 -0.0 0"/>', "")
@@ -213,7 +213,7 @@ def test_a_strip_has_a_row_for_each_camera(tmp_path, replay):
     strip = np.asarray(Image.open(tmp_path / "strip.png"))
     assert strip.shape == (201, 300, 3)
     assert changed(strip[:80], strip[100:180]) > 500
-    render_strip(staged(replay, views=STAGE.views[:1]), tmp_path / "one.png", poses=3, width=300, height=100)
+    render_strip(staged(replay, views=APPEARANCE.views[:1]), tmp_path / "one.png", poses=3, width=300, height=100)
     one = np.asarray(Image.open(tmp_path / "one.png"))
     assert changed(strip[:100], one) == 0  # the first camera's row is what it would draw alone
 
@@ -236,7 +236,9 @@ def test_scenery_has_no_ghost(replay):
     """A ghost aside would bring its belt and strut; with them as scenery, nothing of it is seen below its feet."""
     lift = lifted(replay, 0.5)
     aside = {"ghost": lift, "ghost_offset": (0.0, -1.0, 0.6)}
-    bare, full = (Film.of(staged(replay, **aside, scenery=names), AT[1:]).views[0] for names in (STAGE.scenery, ()))
+    bare, full = (
+        Film.of(staged(replay, **aside, scenery=names), AT[1:]).views[0] for names in (APPEARANCE.scenery, ())
+    )
     none = Film.of(staged(replay, ghost=lifted(replay, 90.0)), AT[1:]).views[0]
     with Scene(bare, 320, 240) as one, Scene(full, 320, 240) as two, Scene(none, 320, 240) as three:
         without, ghostly, clean = one.draw(0), two.draw(0), three.draw(0)
@@ -307,5 +309,5 @@ def test_short_arrows_are_slim_and_none_is_a_speck():
     assert scene.geoms[0].size[0] < 0.05 * 0.1 < scene.geoms[1].size[0]
 
 
-def test_stages_without_views_have_one():
+def test_appearances_without_views_have_one():
     assert Appearance(title="").views == ()

@@ -15,15 +15,43 @@ gradient of the J that was computed: what the paper calls its numerical problem.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from planner.base.arguments import array, choice, number
-from planner.paper.methods.spline_basis import SplineBasis
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 METHODS = ("RK45", "DOP853")  # of solve_ivp; RK45 is the pair of Matlab's ode45
 TIGHTEST = 3e-14  # solve_ivp refuses relative tolerances below 100 units of rounding
+
+
+@dataclass(frozen=True)
+class Integration:
+    """Adaptive rule of the integrations of states and costates.
+
+    Attributes:
+        tolerance: Relative and absolute. Large ones spoil the gradient near convergence.
+        method: "RK45" (Matlab's ode45) or "DOP853".
+
+    Raises:
+        PlannerError: A value out of range.
+    """
+
+    tolerance: float = 1e-6
+    method: str = "RK45"
+
+    def __post_init__(self) -> None:
+        number("tolerance", self.tolerance, least=TIGHTEST, most=1.0)
+        choice("method", self.method, METHODS)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """For scipy's solve_ivp."""
+        return {"rtol": self.tolerance, "atol": self.tolerance, "method": self.method}
 
 
 class Partials(NamedTuple):
@@ -36,10 +64,11 @@ class Partials(NamedTuple):
 
 
 class System(Protocol):
-    """What is optimised: w is (b P, b' P, b'' P), as many of them as the basis has orders, each (inputs,)."""
+    """Dynamics and cost of states z and inputs w = (b P, b' P, b'' P), the first `orders` of these, (inputs,) each."""
 
     nz: int
     inputs: int
+    orders: int
 
     def rates(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, float]:
         """dz/dt (nz,) and L."""
@@ -61,42 +90,35 @@ class AdjointCost:
         system: f, L and phi.
         basis: Of the splines.
         z0: (nz,) the state at t = 0.
-        tolerance: Relative and absolute, of both integrations.
-        method: "RK45" or "DOP853".
-
-    Attributes:
-        evaluations: How often J and its gradient were computed.
+        integration: Of both; by default RK45 to 1e-6.
 
     Raises:
         PlannerError: An argument of a wrong shape or out of range.
     """
 
-    def __init__(
-        self, system: System, basis: SplineBasis, z0: np.ndarray, tolerance: float = 1e-6, method: str = "RK45"
-    ) -> None:
-        self._system, self._basis = system, basis
+    def __init__(self, system: System, basis: BSpline, z0: np.ndarray, integration: Integration | None = None) -> None:
+        self._system, self._end, self._options = system, float(basis.t[-1]), (integration or Integration()).options
         self._z0 = array("z0", z0, (system.nz,))
-        tolerance = number("tolerance", tolerance, least=TIGHTEST, most=1.0)
-        self._options: dict[str, Any] = {
-            "rtol": tolerance, "atol": tolerance, "method": choice("method", method, METHODS)
-        }  # fmt: skip
-        self.evaluations = 0
+        self._derivatives = [basis.derivative(order) for order in range(system.orders)]
 
-    def _w(self, t: float, P: np.ndarray) -> np.ndarray:
-        return (self._basis.at(t) @ P).ravel()
+    def _D(self, t: float) -> np.ndarray:
+        """D(t), (orders, n)."""
+        return np.array([b(t) for b in self._derivatives])
+
+    def inputs(self, t: float, P: np.ndarray) -> np.ndarray:
+        """W (orders inputs,) at one time, s."""
+        return (self._D(t) @ P).ravel()
 
     def forward(self, P: np.ndarray, times: np.ndarray | None = None) -> Any:
         """solve_ivp's answer for (z, integral of L), with interpolation; at times (M,) where given."""
         from scipy.integrate import solve_ivp
 
         def rates(t: float, y: np.ndarray) -> np.ndarray:
-            zd, L = self._system.rates(y[:-1], self._w(t, P))
+            zd, L = self._system.rates(y[:-1], self.inputs(t, P))
             return np.append(zd, L)
 
-        end = self._basis.duration
-        return solve_ivp(
-            rates, (0.0, end), np.append(self._z0, 0.0), dense_output=True, t_eval=times, **self._options
-        )  # fmt: skip
+        y0 = np.append(self._z0, 0.0)
+        return solve_ivp(rates, (0.0, self._end), y0, dense_output=True, t_eval=times, **self._options)
 
     def value(self, P: np.ndarray) -> float:
         """J of amplitudes (n, inputs); infinite where the states run away."""
@@ -104,31 +126,30 @@ class AdjointCost:
 
     def _ends(self, P: np.ndarray, states: Any) -> tuple[float, np.ndarray, np.ndarray]:
         if not states.success or not np.all(np.isfinite(states.y)):
-            return np.inf, np.zeros(self._system.nz), np.zeros(self._basis.orders * self._system.inputs)
+            return np.inf, np.zeros(0), np.zeros(0)
         end = states.y[:, -1]
-        phi, phi_z, phi_w = self._system.final(end[:-1], self._w(self._basis.duration, P))
+        phi, phi_z, phi_w = self._system.final(end[:-1], self.inputs(self._end, P))
         return float(phi + end[-1]), phi_z, phi_w
 
     def __call__(self, P: np.ndarray) -> tuple[float, np.ndarray]:
         """J and its gradient (n, inputs)."""
         from scipy.integrate import solve_ivp
 
-        self.evaluations += 1
-        basis, system = self._basis, self._system
-        nz, shape = system.nz, (basis.orders, system.inputs)
+        system = self._system
+        nz, shape = system.nz, (system.orders, system.inputs)
         states = self.forward(P)
         J, phi_z, phi_w = self._ends(P, states)
         if not np.isfinite(J):
             return J, np.zeros_like(P)
-        direct = basis.at(basis.duration).T @ phi_w.reshape(shape)
+        direct = self._D(self._end).T @ phi_w.reshape(shape)
 
         def backward(t: float, y: np.ndarray) -> np.ndarray:
-            D, costate = basis.at(t), y[:nz]
+            D, costate = self._D(t), y[:nz]
             p = system.partials(states.sol(t)[:-1], (D @ P).ravel())
             H_z = p.L_z + costate @ p.f_z  # Eq. 3
             H_w = p.L_w + costate @ p.f_w
             return np.concatenate([-H_z, -(D.T @ H_w.reshape(shape)).ravel()])  # Eq. 4, 7
 
         end = np.concatenate([phi_z, direct.ravel()])
-        found = solve_ivp(backward, (basis.duration, 0.0), end, **self._options)
+        found = solve_ivp(backward, (self._end, 0.0), end, **self._options)
         return J, found.y[nz:, -1].reshape(P.shape)

@@ -22,6 +22,7 @@ class ContinuousProblem:
     Attributes:
         nz: Size of the state.
         inputs: Size of the control.
+        orders: 1: the control alone is the input, without derivatives.
         x0: (nx,) start.
         duration: t_f, s.
         f: Its rates.
@@ -32,6 +33,8 @@ class ContinuousProblem:
         PlannerError: A cost that is not a TrackingCost, one whose weights or references change on the way, or
             dynamics without rates.
     """
+
+    orders = 1
 
     def __init__(self, problem: Problem) -> None:
         cost = problem.cost

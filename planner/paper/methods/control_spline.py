@@ -7,52 +7,38 @@ with the gradient of Eq. 7, as the paper did; so J and gradient agree only up to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number, shown
+from planner.base.arguments import choice, count, shown
 from planner.base.errors import PlannerError
-from planner.paper.methods.adjoint import AdjointCost
+from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
-from planner.paper.methods.spline_basis import SplineBasis
-from planner.paper.methods.splines import DEGREE
+from planner.paper.methods.splines import DEGREE, SplineDescent, SplineSpace, bfgs, curve
 from planner.problem.problem import Problem
 from planner.solvers.engine import borrow, give_back
 from planner.solvers.lq import gradient as discrete_gradient
 
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
 GRADIENTS = ("discrete", "continuous")
 
 
-@dataclass(frozen=True, eq=False)
-class SplineControls:
-    """What solve_by_splines() found.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SplineControls(SplineDescent):
+    """Result of solve_by_splines(): the spline is of the controls, (n, nu), and J as the method computes it.
 
     Attributes:
-        amplitudes: (n, nu) P.
-        knots: (n + degree + 1,) s.
         us: (N, nu) the controls in the middle of each stage.
-        cost: J as the method computed it.
         discrete_cost: J of the Problem with `us`.
-        gradient_norm: Of J by P, as computed.
-        costs: (iterations + 1,) J after every iteration.
-        iterations: Of BFGS.
-        evaluations: Of J and its gradient.
-        success: Whether BFGS met its tolerance.
-        message: Its own words.
     """
 
-    amplitudes: np.ndarray
-    knots: np.ndarray
     us: np.ndarray
-    cost: float
     discrete_cost: float
-    gradient_norm: float
-    costs: np.ndarray
-    iterations: int
-    evaluations: int
-    success: bool
-    message: str
 
 
 class SplineCost:
@@ -60,17 +46,14 @@ class SplineCost:
 
     Attributes:
         b: (N, n) basis functions in the middle of each stage.
-        evaluations: How often it was called.
     """
 
-    def __init__(self, problem: Problem, basis: SplineBasis) -> None:
+    def __init__(self, problem: Problem, basis: BSpline) -> None:
         self._problem, self._engine = problem, borrow(problem)
-        self.b = basis.matrix(problem.dynamics.dt * (np.arange(problem.N) + 0.5))
-        self.evaluations = 0
+        self.b = basis(problem.dynamics.dt * (np.arange(problem.N) + 0.5))
 
     def __call__(self, free: np.ndarray) -> tuple[float, np.ndarray]:
         """J and its gradient."""
-        self.evaluations += 1
         us = self.b @ free.reshape(self.b.shape[1], -1)
         J = self._engine.start(self._problem.x0, us)
         if not np.isfinite(J):
@@ -91,12 +74,12 @@ def solve_by_splines(
     """Controls of least cost among splines.
 
     Args:
-        problem: What to solve; its first guess is brought to the nearest spline.
+        problem: To solve; the nearest spline to its first guess is the first one.
         coefficients: n, of each control, more than the degree; 17 are the quintics on 12 intervals of section 2.1.
         degree: Of the splines.
         gradient: "discrete" (that of the Problem's own J) or "continuous" (Eq. 7, as the paper).
         tolerance: Of the integrations of "continuous".
-        gradient_tolerance: Where BFGS ends: the largest component of the gradient relative to max(1, J of the guess).
+        gradient_tolerance: BFGS ends when no component of the gradient is larger, relative to max(1, J of the guess).
         max_iterations: Limit.
 
     Returns:
@@ -106,53 +89,26 @@ def solve_by_splines(
         PlannerError: An argument out of range; with "continuous" a cost that changes on the way (see
             ContinuousProblem).
     """
-    from scipy.optimize import minimize
-
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
     degree = count("degree", degree, most=9)
     coefficients = count("coefficients", coefficients, least=degree + 1, most=1000 + degree)
-    basis = SplineBasis(problem.duration, coefficients - degree, degree)
+    basis = SplineSpace(coefficients - degree, degree).basis(problem.duration)
     exact = SplineCost(problem, basis)
     first = np.linalg.lstsq(exact.b, problem.first_guess, rcond=None)[0].ravel()
-    shape = (basis.size, problem.dynamics.nu)
-    cost = exact
+    shape = (coefficients, problem.dynamics.nu)
+    cost: Callable[[np.ndarray], tuple[float, np.ndarray]] = exact
     if choice("gradient", gradient, GRADIENTS) == "continuous":
-        cost = _Continuous(AdjointCost(ContinuousProblem(problem), basis, problem.x0, tolerance), shape)
-    scale = max(1.0, abs(cost(first)[0]))
-    seen: list[float] = []
+        integral = AdjointCost(ContinuousProblem(problem), basis, problem.x0, Integration(tolerance))
 
-    def scaled(free: np.ndarray) -> tuple[float, np.ndarray]:
-        J, by_P = cost(free)
-        return J / scale, by_P / scale
+        def continuous(free: np.ndarray) -> tuple[float, np.ndarray]:
+            J, by_P = integral(free.reshape(shape))
+            return J, by_P.ravel()
 
-    with np.errstate(invalid="ignore", over="ignore"):  # a line search may step to where J is infinite
-        found = minimize(
-            scaled, first, jac=True, method="BFGS",
-            callback=lambda intermediate_result: seen.append(scale * float(intermediate_result.fun)),
-            options={"gtol": number("gradient_tolerance", gradient_tolerance, above=0.0),
-                     "maxiter": count("max_iterations", max_iterations)},
-        )  # fmt: skip
-    evaluations, discrete_cost = cost.evaluations, exact(found.x)[0]
+        cost = continuous
+
+    free, facts = bfgs(cost, first, gradient_tolerance, max_iterations, scale=max(1.0, abs(cost(first)[0])))
+    discrete_cost = exact(free)[0]
     exact.close()
-    P = found.x.reshape(shape)
-    return SplineControls(
-        amplitudes=P, knots=basis.knots, us=exact.b @ P, cost=scale * float(found.fun), discrete_cost=discrete_cost,
-        gradient_norm=scale * float(np.linalg.norm(found.jac)), costs=np.array([cost(first)[0], *seen]),
-        iterations=int(found.nit), evaluations=evaluations, success=bool(found.success), message=str(found.message),
-    )  # fmt: skip
-
-
-class _Continuous:
-    """AdjointCost as BFGS sees it."""
-
-    def __init__(self, cost: AdjointCost, shape: tuple[int, int]) -> None:
-        self._cost, self._shape = cost, shape
-
-    @property
-    def evaluations(self) -> int:
-        return self._cost.evaluations
-
-    def __call__(self, free: np.ndarray) -> tuple[float, np.ndarray]:
-        J, by_P = self._cost(free.reshape(self._shape))
-        return J, by_P.ravel()
+    P = free.reshape(shape)
+    return SplineControls(spline=curve(basis, P), us=exact.b @ P, discrete_cost=discrete_cost, **facts)

@@ -1,8 +1,8 @@
 """Gradient methods on the discrete problem, beside SLQ: steepest descent and L-BFGS with the costate gradient (3.1).
 
 J is a function of the controls U alone, the states being what they roll out to (Eq. 9, 10). One rollout gives J, one
-costate sweep backward its gradient (Eq. 16-19), at the price of an iteration of SLQ or less. What these methods do not
-see is the LQ problem, so they need many more iterations; that is what the paper's section 3.3 is about.
+costate sweep backward its gradient (Eq. 16-19), at the price of an iteration of SLQ or less. These methods do
+not see the LQ problem, so they need many more iterations (section 3.3 of the paper).
 
     steepest-descent    U - t grad, t halved from twice the last one until Armijo's rule holds
     l-bfgs              quasi-Newton from the last ten gradients (scipy.optimize)
@@ -62,7 +62,7 @@ class Descent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Descended:
-    """What minimize_by_gradient() found.
+    """Result of minimize_by_gradient().
 
     Attributes:
         method: One of METHODS.
@@ -124,7 +124,7 @@ def minimize_by_gradient(
     """Optimize a motion by its gradient alone, from the problem's first guess.
 
     Args:
-        problem: What to solve.
+        problem: To solve.
         method: "l-bfgs" or "steepest-descent".
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).

@@ -33,7 +33,7 @@ class _Away(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Extremal:
-    """What shoot() found.
+    """Result of shoot().
 
     Attributes:
         costate0: (nx,) lambda(0).
@@ -190,7 +190,7 @@ def shoot(
         message = str(find_root(residual, guess, method=method).message)
     except StopIteration:
         message = "found" if best[0] < FOUND else f"not found with {most} flows"
-    except (ValueError, np.linalg.LinAlgError) as error:  # what a root finder says of a wall it began at
+    except (ValueError, np.linalg.LinAlgError) as error:  # a root finder that began where flows run away
         message = str(error)
     evaluations = flow.evaluations
     t = problem.dynamics.dt * np.arange(problem.N + 1)

@@ -5,14 +5,14 @@
     J(P)    = 1/2 integral of |u|^2 dt       the effort of Eq. 5, by Gauss-Legendre quadrature in every interval
     dJ/dP   = integral of u' (du/dq b + du/dqd b' + M b'') dt     exact, by the recursive sensitivities
 
-The motion starts and ends where it is asked to: the first and the last amplitudes follow from positions and velocities
-there, and the others are free.
+Positions and velocities at both ends decide the two first and the two last amplitudes; BFGS moves the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,167 +21,248 @@ from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import rnea, rnea_derivatives
 from planner.model.mechanism import SCREW, Mechanism
 
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
 DEGREE, INTERVALS = 5, 12  # the paper's: quintic, 12 uniform knot intervals
-NODES = 16  # of the quadrature in each interval: what an adaptive rule finds to 1e-8
+NODES = 16  # of the quadrature in each interval; agrees with an adaptive rule to 1e-8
+
+Guess = Callable[[np.ndarray], np.ndarray]
+"""Times (M,) -> positions (M, joints) of a first motion."""
 
 
-@dataclass(frozen=True, eq=False)
-class SplineMotion:
-    """What minimize_effort() found.
+@dataclass(frozen=True)
+class Boundary:
+    """Both ends of a motion.
 
     Attributes:
-        amplitudes: (n, nv) P, one row per basis function.
-        knots: (n + degree + 1,) s.
-        degree: Of the splines.
-        effort: J of the motion.
-        first_effort: J of the first guess.
-        gradient_norm: Of J by the free amplitudes.
-        iterations: Of BFGS.
-        evaluations: Of J and its gradient.
-        success: Whether BFGS met its tolerance.
-        message: Its own words.
+        start: (nv,) positions at t = 0, rad or m.
+        goal: (nv,) positions at the end.
+        duration: s.
+        start_velocity: (nv,) or a number for all joints.
+        goal_velocity: Likewise.
     """
 
-    amplitudes: np.ndarray
-    knots: np.ndarray
-    degree: int
-    effort: float
-    first_effort: float
+    start: Any
+    goal: Any
+    duration: float
+    start_velocity: Any = 0.0
+    goal_velocity: Any = 0.0
+
+    def ends(self, mechanism: Mechanism) -> np.ndarray:
+        """(2, 2, nv): positions and velocities at the start, positions and velocities at the goal.
+
+        Raises:
+            PlannerError: A wrong shape, a duration out of range, or a joint that is neither hinge nor slide.
+        """
+        if not isinstance(mechanism, Mechanism):
+            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+        if np.any(mechanism.kind != SCREW):
+            raise PlannerError("the mechanism has a ball or free joint, expected hinges and slides alone.")
+        number("duration", self.duration, above=0.0)
+        values = {name: getattr(self, name) for name in ("start", "start_velocity", "goal", "goal_velocity")}
+        nv = mechanism.nv
+        for name, value in values.items():
+            scalar = name.endswith("velocity") and np.isscalar(value)
+            values[name] = np.full(nv, number(name, value)) if scalar else array(name, value, (nv,))
+        return np.reshape(list(values.values()), (2, 2, nv))
+
+
+@dataclass(frozen=True)
+class SplineSpace:
+    """Clamped splines over uniform knot intervals.
+
+    Attributes:
+        intervals: Uniform knot intervals.
+        degree: Of the polynomials.
+    """
+
+    intervals: int = INTERVALS
+    degree: int = DEGREE
+
+    def basis(self, duration: float, *, least_degree: int = 1) -> BSpline:
+        """The n = intervals + degree basis functions from 0 to the duration, s: a curve with values (..., n).
+
+        Raises:
+            PlannerError: An argument out of range.
+        """
+        from scipy.interpolate import BSpline
+
+        duration = number("duration", duration, above=0.0)
+        intervals = count("intervals", self.intervals, most=1000)
+        degree = count("degree", self.degree, least=least_degree, most=9)
+        breaks = np.linspace(0.0, duration, intervals + 1)
+        knots = np.concatenate([np.zeros(degree), breaks, np.full(degree, duration)])
+        return BSpline(knots, np.eye(intervals + degree), degree)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SplineDescent:
+    """Result of BFGS on the amplitudes of splines.
+
+    Attributes:
+        spline: The curve: amplitudes `c` (n, columns), knots `t` (n + degree + 1,) s and degree `k`; spline(t, nu)
+            is its value, or its derivative of order nu, at times t.
+        costs: (iterations + 1,) J of the first guess and after every iteration.
+        gradient_norm: Norm of the gradient of J by the free amplitudes.
+        evaluations: Number of evaluations of J and its gradient.
+        success: Whether BFGS met its tolerance.
+        message: SciPy's message.
+    """
+
+    spline: BSpline
+    costs: np.ndarray
     gradient_norm: float
-    iterations: int
     evaluations: int
     success: bool
     message: str
 
-    def at(self, t: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """Positions (..., nv) at times t (...), or a derivative of them."""
-        from scipy.interpolate import BSpline
+    @property
+    def cost(self) -> float:
+        """J at the end."""
+        return float(self.costs[-1])
 
-        return BSpline(self.knots, self.amplitudes, self.degree)(t, nu=derivative)
+    @property
+    def first_cost(self) -> float:
+        """J of the first guess."""
+        return float(self.costs[0])
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of BFGS."""
+        return len(self.costs) - 1
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SplineMotion(SplineDescent):
+    """Result of minimize_effort(): the spline is of all joints, (n, nv), and J is the effort."""
 
 
 def minimize_effort(
-    mechanism: Mechanism,
-    start: np.ndarray,
-    goal: np.ndarray,
-    duration: float,
-    *,
-    start_velocity: np.ndarray | float = 0.0,
-    goal_velocity: np.ndarray | float = 0.0,
-    intervals: int = INTERVALS,
-    degree: int = DEGREE,
-    nodes: int = NODES,
-    guess: Callable[[np.ndarray], np.ndarray] | None = None,
-    gradient_tolerance: float = 1e-5,
-    max_iterations: int = 1000,
-) -> SplineMotion:
+    mechanism: Mechanism, boundary: Boundary, *, space: SplineSpace | None = None, nodes: int = NODES,
+    guess: Guess | None = None, gradient_tolerance: float = 1e-5, max_iterations: int = 1000,
+) -> SplineMotion:  # fmt: skip
     """The motion of least effort between two poses, among splines.
 
     Args:
         mechanism: Of hinges and slides; every joint is driven by a force of its own.
-        start: (nv,) positions at t = 0, rad or m.
-        goal: (nv,) positions at the end.
-        duration: s.
-        start_velocity: (nv,) or a number for all.
-        goal_velocity: Likewise.
-        intervals: Uniform knot intervals.
-        degree: Of the splines, at least 3: accelerations are continuous.
+        boundary: Positions and velocities at both ends, and the duration.
+        space: The splines, of degree 3 at least (accelerations are continuous); quintics on 12 intervals by default.
         nodes: Of the quadrature in each interval.
-        guess: t (M,) -> positions (M, nv) of a first motion; by default the straight one with rest at both ends.
-        gradient_tolerance: Where BFGS ends, on the largest component of the gradient.
+        guess: t (M,) -> positions (M, nv) of a first motion; by default straight, at rest at both ends.
+        gradient_tolerance: BFGS ends when no component of the gradient is larger.
         max_iterations: Limit.
 
     Raises:
         PlannerError: An argument of a wrong shape or out of range, or a joint that is neither hinge nor slide.
     """
-    if not isinstance(mechanism, Mechanism):
-        raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
-    if np.any(mechanism.kind != SCREW):
-        raise PlannerError("the mechanism has a ball or free joint, expected hinges and slides alone.")
-    nv, duration = mechanism.nv, number("duration", duration, above=0.0)
-    degree, intervals = count("degree", degree, least=3, most=9), count("intervals", intervals, least=4, most=1000)
-    ends = [array("start", start, (nv,)), array("goal", goal, (nv,))]
-    rates = [
-        np.full(nv, number(name, value)) if np.isscalar(value) else array(name, value, (nv,))
-        for name, value in (("start_velocity", start_velocity), ("goal_velocity", goal_velocity))
-    ]
-    basis = _Basis(duration, intervals, degree, count("nodes", nodes, most=64))
-    fixed = basis.boundary(ends, rates)
-    first = basis.nearest(_first(guess, ends, basis.t, duration), fixed)
+    ends, space = boundary.ends(mechanism), space or SplineSpace()
+    count("intervals", space.intervals, least=4, most=1000)
+    quadrature = Quadrature(space.basis(boundary.duration, least_degree=3), nodes)
+    basis, t = quadrature.basis, quadrature.t
+    fixed = end_amplitudes(basis, *ends)
+    s = (t / boundary.duration)[:, None]
+    (start, _), (goal, _) = ends
+    straight = start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (goal - start)
+    motion = straight if guess is None else array("guess(t)", guess(t), straight.shape)
+    first = nearest_amplitudes(basis(t), motion, fixed, slice(2, -2))
 
-    def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
+    def whole(free: np.ndarray) -> np.ndarray:
         amplitudes = fixed.copy()
-        amplitudes[2:-2] = free.reshape(-1, nv)
-        effort, gradient = _effort(mechanism, basis, amplitudes)
-        return effort, gradient[2:-2].ravel()
-
-    from scipy.optimize import minimize
-
-    found = minimize(
-        cost, first[2:-2].ravel(), jac=True, method="BFGS",
-        options={"gtol": number("gradient_tolerance", gradient_tolerance, above=0.0),
-                 "maxiter": count("max_iterations", max_iterations)},
-    )  # fmt: skip
-    amplitudes = fixed.copy()
-    amplitudes[2:-2] = found.x.reshape(-1, nv)
-    return SplineMotion(
-        amplitudes=amplitudes, knots=basis.knots, degree=degree, effort=float(found.fun),
-        first_effort=_effort(mechanism, basis, first)[0], gradient_norm=float(np.linalg.norm(found.jac)),
-        iterations=int(found.nit), evaluations=int(found.nfev), success=bool(found.success), message=str(found.message),
-    )  # fmt: skip
-
-
-class _Basis:
-    """B-spline basis functions and their derivatives at the nodes of the quadrature."""
-
-    def __init__(self, duration: float, intervals: int, degree: int, nodes: int) -> None:
-        from scipy.interpolate import BSpline
-
-        inside = np.linspace(0.0, duration, intervals + 1)
-        self.knots = np.concatenate([np.zeros(degree), inside, np.full(degree, duration)])
-        self.degree, self.size = degree, intervals + degree
-        points, weights = np.polynomial.legendre.leggauss(nodes)
-        half = 0.5 * duration / intervals
-        self.t = (inside[:-1, None] + half * (1.0 + points)).ravel()  # (M,)
-        self.weights = np.tile(half * weights, intervals)
-        unit = BSpline(self.knots, np.eye(self.size), degree)
-        self.b = [unit(self.t, nu=k) for k in range(3)]  # (M, n) each
-        self._slopes = [unit(t, nu=1) for t in (0.0, duration)]
-
-    def boundary(self, positions: list[np.ndarray], velocities: list[np.ndarray]) -> np.ndarray:
-        """Amplitudes (n, nv), zero but for the four that positions and velocities at both ends decide."""
-        amplitudes = np.zeros((self.size, len(positions[0])))
-        amplitudes[0], amplitudes[-1] = positions
-        for slopes, rate, outer, inner in (
-            (self._slopes[0], velocities[0], 0, 1), (self._slopes[1], velocities[1], -1, -2),
-        ):  # fmt: skip
-            amplitudes[inner] = (rate - slopes[outer] * amplitudes[outer]) / slopes[inner]
+        amplitudes[2:-2] = free.reshape(-1, fixed.shape[1])
         return amplitudes
 
-    def nearest(self, motion: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-        """Amplitudes (n, nv) of the spline nearest to a motion (M, nv) at the nodes, with the boundary as `fixed`."""
-        result = fixed.copy()
-        result[2:-2] = np.linalg.lstsq(self.b[0][:, 2:-2], motion - self.b[0] @ fixed, rcond=None)[0]
-        return result
+    def cost(free: np.ndarray) -> tuple[float, np.ndarray]:
+        effort, gradient = effort_of(mechanism, quadrature, whole(free))
+        return effort, gradient[2:-2].ravel()
+
+    free, facts = bfgs(cost, first, gradient_tolerance, max_iterations)
+    return SplineMotion(spline=curve(basis, whole(free)), **facts)
 
 
-def _first(
-    guess: Callable[[np.ndarray], np.ndarray] | None, ends: list[np.ndarray], t: np.ndarray, duration: float
-) -> np.ndarray:
-    """Positions (M, nv) of a first motion."""
-    if guess is not None:
-        return array("guess(t)", guess(t), (len(t), len(ends[0])))
-    s = (t / duration)[:, None]
-    return ends[0] + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (ends[1] - ends[0])
+class Quadrature:
+    """Gauss-Legendre nodes in every knot interval, and the basis functions there.
+
+    Attributes:
+        basis: Of the splines.
+        t: (M,) s.
+        weights: (M,) s.
+        b: Basis functions, first and second derivatives at the nodes, (M, n) each.
+    """
+
+    def __init__(self, basis: BSpline, nodes: int) -> None:
+        points, weights = np.polynomial.legendre.leggauss(count("nodes", nodes, most=64))
+        breaks = basis.t[basis.k : -basis.k]
+        half = 0.5 * (breaks[-1] - breaks[0]) / (len(breaks) - 1)
+        self.basis = basis
+        self.t = (breaks[:-1, None] + half * (1.0 + points)).ravel()
+        self.weights = np.tile(half * weights, len(breaks) - 1)
+        self.b = [basis(self.t, nu=order) for order in range(3)]
 
 
-def _effort(mechanism: Mechanism, basis: _Basis, amplitudes: np.ndarray) -> tuple[float, np.ndarray]:
-    """J and its gradient (n, nv) by all amplitudes."""
-    q, qd, qdd = (b @ amplitudes for b in basis.b)
+def effort_of(mechanism: Mechanism, quadrature: Quadrature, amplitudes: np.ndarray) -> tuple[float, np.ndarray]:
+    """J and its gradient (n, nv) by all amplitudes (n, nv)."""
+    q, qd, qdd = (b @ amplitudes for b in quadrature.b)
     u = rnea(mechanism, q, qd, qdd)
     by = rnea_derivatives(mechanism, q, qd, qdd)
-    weighted = basis.weights[:, None] * u
+    weighted = quadrature.weights[:, None] * u
     gradient = np.zeros_like(amplitudes)
-    for b, part in zip(basis.b, by, strict=True):  # du/dq, du/dqd, and du/dqdd, which is M
+    for b, part in zip(quadrature.b, by, strict=True):  # du/dq, du/dqd, and du/dqdd, which is M
         gradient += b.T @ np.einsum("mi,mij->mj", weighted, part)
     return float(0.5 * np.sum(weighted * u)), gradient
+
+
+def curve(basis: BSpline, amplitudes: np.ndarray) -> BSpline:
+    """The spline with amplitudes (n, columns)."""
+    from scipy.interpolate import BSpline
+
+    return BSpline(basis.t, amplitudes, basis.k)
+
+
+def end_amplitudes(basis: BSpline, start: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray:
+    """Amplitudes (n, columns), zero but for those that positions and velocities (2, columns) at the ends decide."""
+    amplitudes = np.zeros((len(basis.c), start.shape[1]))
+    for end, t, outer, inner in ((start, basis.t[0], 0, 1), (goal, basis.t[-1], -1, -2)):
+        if end is not None:
+            slopes, amplitudes[outer] = basis(t, nu=1), end[0]
+            amplitudes[inner] = (end[1] - slopes[outer] * end[0]) / slopes[inner]
+    return amplitudes
+
+
+def nearest_amplitudes(b: np.ndarray, motion: np.ndarray, fixed: np.ndarray, free: slice) -> np.ndarray:
+    """The free amplitudes, in a row, of the spline nearest to a motion (M, columns) where the basis is b (M, n)."""
+    return np.linalg.lstsq(b[:, free], motion - b @ fixed, rcond=None)[0].ravel()
+
+
+def bfgs(
+    cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray, gradient_tolerance: float,
+    max_iterations: int, scale: float = 1.0,
+) -> tuple[np.ndarray, dict[str, Any]]:  # fmt: skip
+    """Minimise J/scale by BFGS; returns the minimiser and the fields of a SplineDescent but its spline.
+
+    Args:
+        cost: Free amplitudes -> J and its gradient.
+        first: Where it begins.
+        gradient_tolerance: It ends when no component of the gradient of J/scale is larger.
+        max_iterations: Limit.
+        scale: Of J.
+    """
+    from scipy.optimize import minimize
+
+    costs = [cost(first)[0]]
+
+    def scaled(free: np.ndarray) -> tuple[float, np.ndarray]:
+        J, gradient = cost(free)
+        return J / scale, gradient / scale
+
+    with np.errstate(invalid="ignore", over="ignore"):  # a line search may step to where J is infinite
+        found = minimize(
+            scaled, first, jac=True, method="BFGS",
+            callback=lambda intermediate_result: costs.append(scale * float(intermediate_result.fun)),
+            options={"gtol": number("gradient_tolerance", gradient_tolerance, above=0.0),
+                     "maxiter": count("max_iterations", max_iterations)},
+        )  # fmt: skip
+    return found.x, {
+        "costs": np.array(costs), "gradient_norm": scale * float(np.linalg.norm(found.jac)),
+        "evaluations": int(found.nfev), "success": bool(found.success), "message": str(found.message),
+    }  # fmt: skip

@@ -11,52 +11,81 @@ by BFGS on the amplitudes, with the gradient of Eq. 7 (see adjoint.py).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.arguments import array, count, number, shown
+from planner.base.arguments import array, number, shown
 from planner.base.errors import PlannerError
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.memory import EULER, TreeMemory
 from planner.kernels.tree.model import Model
-from planner.model.mechanism import SCREW, Mechanism
-from planner.paper.methods.adjoint import AdjointCost, Partials
-from planner.paper.methods.spline_basis import SplineBasis
-from planner.paper.methods.splines import DEGREE, INTERVALS
+from planner.model.mechanism import Mechanism
+from planner.paper.methods.adjoint import AdjointCost, Integration, Partials
+from planner.paper.methods.splines import (
+    Boundary,
+    Guess,
+    SplineDescent,
+    SplineSpace,
+    bfgs,
+    curve,
+    end_amplitudes,
+    nearest_amplitudes,
+)
 
-SAMPLES = 301  # of the motion that is handed back
+SAMPLES = 301  # of the motion in the result
+GRADIENT = 1e-4  # BFGS ends when no component of the gradient is larger
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the cost (Eq. 5), each on half a sum of squares.
+
+    Attributes:
+        position: On the final distance of the joints from the goal; twice the paper's c1.
+        velocity: On the final velocities; twice the paper's c2.
+        effort: On the forces of the driven joints.
+
+    Raises:
+        PlannerError: A weight out of range.
+    """
+
+    position: float = 200.0
+    velocity: float = 200.0
+    effort: float = 1.0
+
+    def __post_init__(self) -> None:
+        number("position weight", self.position, least=0.0)
+        number("velocity weight", self.velocity, least=0.0)
+        number("effort weight", self.effort, above=0.0)
 
 
 class DrivenSystem:
-    """Driven joints move as told, the others follow: f, L and phi of Eq. 1, 2 and 5 with exact derivatives.
+    """The driven joints follow inputs, the others move freely: f, L and phi of Eq. 1, 2 and 5 with exact derivatives.
 
     Args:
         mechanism: Of hinges and slides.
+        boundary: Start, goal and duration; the goal counts by the weights.
         driven: Names of the joints whose motion is given.
-        goal: (nv,) positions to end at.
-        position_weight: On the final |q - goal|^2 / 2.
-        velocity_weight: On the final |qd|^2 / 2.
-        effort_weight: On |u|^2 / 2, u the forces of the driven joints.
+        weights: Of the cost.
 
     Attributes:
         nz: Two for each free joint.
         inputs: Number of driven joints.
+        orders: 3: positions, velocities and accelerations of the driven joints.
 
     Raises:
         PlannerError: An unknown joint, none or all of them driven, or an argument out of range.
     """
 
+    orders = 3
+
     def __init__(
-        self, mechanism: Mechanism, driven: Collection[str], goal: np.ndarray, position_weight: float = 200.0,
-        velocity_weight: float = 200.0, effort_weight: float = 1.0,
-    ) -> None:  # fmt: skip
-        if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
-        if np.any(mechanism.kind != SCREW):
-            raise PlannerError("the mechanism has a ball or free joint, expected hinges and slides alone.")
+        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], weights: Weights | None = None
+    ) -> None:
+        self.start, self.goal = boundary.ends(mechanism)
         if not isinstance(driven, (str, Collection)):
             raise PlannerError(f"driven is {shown(driven)}, expected names of joints.")
         mask = np.zeros(mechanism.nv, dtype=bool)
@@ -66,12 +95,8 @@ class DrivenSystem:
             what = "no joint" if not mask.any() else "every joint (see minimize_effort)"
             names = ", ".join(mechanism.joint_names)
             raise PlannerError(f"driven names {what}, expected some of {names} and not all.")
-        self.mechanism, self.goal = mechanism, array("goal", goal, (mechanism.nv,))
-        self._weights = [
-            number("position_weight", position_weight, least=0.0),
-            number("velocity_weight", velocity_weight, least=0.0),
-        ]
-        self._effort = number("effort_weight", effort_weight, above=0.0)
+        self.mechanism, weights = mechanism, weights or Weights()
+        self._weights, self._effort = (weights.position, weights.velocity), weights.effort
         self.driven, self.free = np.flatnonzero(mask), np.flatnonzero(~mask)
         self.nz, self.inputs = 2 * len(self.free), len(self.driven)
         f, d, nv = self.free, self.driven, mechanism.nv
@@ -123,44 +148,24 @@ class DrivenSystem:
     def final(self, z: np.ndarray, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Phi, and its derivatives by z (nz,) and w (3 inputs,)."""
         q, qd, _ = self.whole(z, w)
-        misses = (q[0] - self.goal, qd[0])
+        misses = (q[0] - self.goal[0], qd[0] - self.goal[1])
         phi = sum(0.5 * c * float(miss @ miss) for c, miss in zip(self._weights, misses, strict=True))
         by = [c * miss for c, miss in zip(self._weights, misses, strict=True)]
         phi_z = np.concatenate([by[0][self.free], by[1][self.free]])
         return phi, phi_z, np.concatenate([by[0][self.driven], by[1][self.driven], np.zeros(self.inputs)])
 
 
-@dataclass(frozen=True, eq=False)
-class DrivenMotion:
-    """What minimize_effort_underactuated() found.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DrivenMotion(SplineDescent):
+    """Result of minimize_effort_underactuated(): the spline is of the driven joints, (n, driven).
 
     Attributes:
-        amplitudes: (n, driven) P, one row per basis function.
-        knots: (n + degree + 1,) s.
-        degree: Of the splines.
-        cost: J of the motion.
-        first_cost: J of the first guess.
-        gradient_norm: Of J by the free amplitudes, as it was computed.
-        iterations: Of BFGS.
-        evaluations: Of J and its gradient.
-        success: Whether BFGS met its tolerance.
-        message: Its own words.
-        t: (M,) s, samples of the motion.
-        q: (M, nv) positions of all joints there.
-        qd: (M, nv) velocities.
-        tau: (M, nv) forces, zero on the free joints.
+        t: (301,) s.
+        q: (301, nv) positions of all joints.
+        qd: (301, nv) velocities.
+        tau: (301, nv) forces, zero on the free joints.
     """
 
-    amplitudes: np.ndarray
-    knots: np.ndarray
-    degree: int
-    cost: float
-    first_cost: float
-    gradient_norm: float
-    iterations: int
-    evaluations: int
-    success: bool
-    message: str
     t: np.ndarray
     q: np.ndarray
     qd: np.ndarray
@@ -168,37 +173,25 @@ class DrivenMotion:
 
 
 class DrivenProblem:
-    """J and its gradient as BFGS sees them: by the amplitudes that are free.
+    """J and its gradient by the free amplitudes, as BFGS needs them.
 
-    The first two amplitudes of a driven joint are its position and velocity at the start. The arguments are those of
+    Position and velocity at the start decide the first two amplitudes of a driven joint. The arguments are those of
     minimize_effort_underactuated().
     """
 
     def __init__(
-        self, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, duration: float, *, driven: Collection[str],
-        start_velocity: np.ndarray | float = 0.0, position_weight: float = 200.0, velocity_weight: float = 200.0,
-        effort_weight: float = 1.0, intervals: int = INTERVALS, degree: int = DEGREE,
-        guess: Callable[[np.ndarray], np.ndarray] | None = None, tolerance: float = 1e-6, method: str = "RK45",
+        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *, weights: Weights | None = None,
+        space: SplineSpace | None = None, guess: Guess | None = None, integration: Integration | None = None,
     ) -> None:  # fmt: skip
-        self.system = DrivenSystem(mechanism, driven, goal, position_weight, velocity_weight, effort_weight)
-        self.basis = SplineBasis(duration, intervals, count("degree", degree, least=3, most=9), orders=3)
-        nv, d, f = mechanism.nv, self.system.driven, self.system.free
-        start = array("start", start, (nv,))
-        rate = np.full(nv, start_velocity) if np.isscalar(start_velocity) else start_velocity
-        rate = array("start_velocity", rate, (nv,))
-        slopes = self.basis.at(0.0)[1]
-        self._fixed = np.zeros((self.basis.size, len(d)))
-        self._fixed[0] = start[d]
-        self._fixed[1] = (rate[d] - slopes[0] * start[d]) / slopes[1]
-        self.cost = AdjointCost(self.system, self.basis, np.concatenate([start[f], rate[f]]), tolerance, method)
-        self.first = self._nearest(guess, start[d])
-
-    def _nearest(self, guess: Callable[[np.ndarray], np.ndarray] | None, start: np.ndarray) -> np.ndarray:
-        """The free amplitudes of the spline nearest to a first motion; by default the joints are held."""
-        t = np.linspace(0.0, self.basis.duration, 8 * self.basis.size)
-        wanted = np.tile(start, (len(t), 1)) if guess is None else array("guess(t)", guess(t), (len(t), len(start)))
-        b = self.basis.matrix(t)
-        return np.linalg.lstsq(b[:, 2:], wanted - b @ self._fixed, rcond=None)[0].ravel()
+        self.system = DrivenSystem(mechanism, boundary, driven, weights)
+        self.basis = (space or SplineSpace()).basis(boundary.duration, least_degree=3)
+        start, d = self.system.start, self.system.driven
+        self._fixed = end_amplitudes(self.basis, start[:, d])
+        self.cost = AdjointCost(self.system, self.basis, start[:, self.system.free].ravel(), integration)
+        t = np.linspace(0.0, boundary.duration, 8 * len(self._fixed))
+        held = np.tile(start[0, d], (len(t), 1))
+        motion = held if guess is None else array("guess(t)", guess(t), held.shape)
+        self.first = nearest_amplitudes(self.basis(t), motion, self._fixed, slice(2, None))
 
     def amplitudes(self, free: np.ndarray) -> np.ndarray:
         """All of P (n, driven)."""
@@ -213,43 +206,21 @@ class DrivenProblem:
 
 
 def minimize_effort_underactuated(
-    mechanism: Mechanism,
-    start: np.ndarray,
-    goal: np.ndarray,
-    duration: float,
-    *,
-    driven: Collection[str],
-    start_velocity: np.ndarray | float = 0.0,
-    position_weight: float = 200.0,
-    velocity_weight: float = 200.0,
-    effort_weight: float = 1.0,
-    intervals: int = INTERVALS,
-    degree: int = DEGREE,
-    guess: Callable[[np.ndarray], np.ndarray] | None = None,
-    tolerance: float = 1e-6,
-    method: str = "RK45",
-    gradient_tolerance: float = 1e-4,
+    mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *, weights: Weights | None = None,
+    space: SplineSpace | None = None, guess: Guess | None = None, integration: Integration | None = None,
     max_iterations: int = 500,
-) -> DrivenMotion:
+) -> DrivenMotion:  # fmt: skip
     """The motion of some joints, among splines, with which all of them reach a goal with least effort.
 
     Args:
         mechanism: Of hinges and slides.
-        start: (nv,) positions at t = 0, rad or m.
-        goal: (nv,) positions to end at, at rest.
-        duration: s.
+        boundary: Start, goal and duration; the goal counts by the weights.
         driven: Names of the joints that have motors; the others move freely.
-        start_velocity: (nv,) or a number for all.
-        position_weight: On the final |q - goal|^2 / 2; twice the paper's c1.
-        velocity_weight: On the final |qd|^2 / 2; twice the paper's c2.
-        effort_weight: On |u|^2 / 2.
-        intervals: Uniform knot intervals.
-        degree: Of the splines, at least 3: accelerations are continuous.
-        guess: t (M,) -> positions (M, driven) of a first motion; by default the driven joints are held where they are.
-        tolerance: Of the integrations, relative and absolute. Large ones spoil the gradient near convergence.
-        method: "RK45" (Matlab's ode45) or "DOP853".
-        gradient_tolerance: Where BFGS ends, on the largest component of the gradient.
-        max_iterations: Limit.
+        weights: Of goal and effort; by default 200, 200 and 1.
+        space: The splines, of degree 3 at least (accelerations are continuous); quintics on 12 intervals by default.
+        guess: t (M,) -> positions (M, driven) of a first motion; by default the driven joints stay where they are.
+        integration: Of states and costates; by default RK45 to 1e-6.
+        max_iterations: Limit; BFGS ends earlier when no component of the gradient is larger than 1e-4.
 
     Returns:
         A DrivenMotion. Not converging is its `success`, never an exception.
@@ -258,27 +229,12 @@ def minimize_effort_underactuated(
         PlannerError: An argument of a wrong shape or out of range, a joint that is neither hinge nor slide, or none
             or all of the joints driven.
     """
-    from scipy.optimize import minimize
-
     problem = DrivenProblem(
-        mechanism, start, goal, duration, driven=driven, start_velocity=start_velocity,
-        position_weight=position_weight, velocity_weight=velocity_weight, effort_weight=effort_weight,
-        intervals=intervals, degree=degree, guess=guess, tolerance=tolerance, method=method,
-    )  # fmt: skip
-    first_cost = problem.cost.value(problem.amplitudes(problem.first))
-    found = minimize(
-        problem, problem.first, jac=True, method="BFGS",
-        options={"gtol": number("gradient_tolerance", gradient_tolerance, above=0.0),
-                 "maxiter": count("max_iterations", max_iterations)},
-    )  # fmt: skip
-    P = problem.amplitudes(found.x)
-    t = np.linspace(0.0, problem.basis.duration, SAMPLES)
+        mechanism, boundary, driven, weights=weights, space=space, guess=guess, integration=integration
+    )
+    free, facts = bfgs(problem, problem.first, GRADIENT, max_iterations)
+    P, t = problem.amplitudes(free), np.linspace(0.0, boundary.duration, SAMPLES)
     states = problem.cost.forward(P, t).y[:-1].T
-    samples = [problem.system.motion(z, (problem.basis.at(s) @ P).ravel()) for s, z in zip(t, states, strict=True)]
+    samples = [problem.system.motion(z, problem.cost.inputs(s, P)) for s, z in zip(t, states, strict=True)]
     q, qd, _, tau = (np.concatenate(rows) for rows in zip(*samples, strict=True))
-    return DrivenMotion(
-        amplitudes=P, knots=problem.basis.knots, degree=degree, cost=float(found.fun), first_cost=first_cost,
-        gradient_norm=float(np.linalg.norm(found.jac)), iterations=int(found.nit),
-        evaluations=problem.cost.evaluations, success=bool(found.success), message=str(found.message),
-        t=t, q=q, qd=qd, tau=tau,
-    )  # fmt: skip
+    return DrivenMotion(spline=curve(problem.basis, P), t=t, q=q, qd=qd, tau=tau, **facts)

@@ -8,7 +8,7 @@ up. SLQ's gradient is that of the sum it computes, at any step: set against diff
 
 from __future__ import annotations
 
-import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,20 @@ import numpy as np
 from planner.cases.acrobot import acrobot
 from planner.cases.planar_arm import UPRIGHT
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mechanism import Mechanism
+from planner.paper.methods.adjoint import Integration
+from planner.paper.methods.splines import Boundary, curve
 from planner.paper.methods.underactuated import DrivenProblem, minimize_effort_underactuated
+from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
+from planner.paper.studies.records import descent_record, plan_record, table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.problem import Problem
 from planner.solvers.engine import borrow, give_back
 from planner.solvers.lq import gradient
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, figure_of, save
+from planner.view.plots.style import dress, panels_of, save
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
-REFERENCE = {"tolerance": 1e-11, "method": "DOP853"}
+REFERENCE = Integration(1e-11, "DOP853")
 DESCENTS = ((1e-3, 40), (1e-4, 50))  # tolerance and iterations of BFGS from the first guess
 POLISH = (1e-5, 25)  # and from where the last of these gave up
 STAGES = (150, 300)  # of SLQ's discretisation
@@ -36,50 +40,32 @@ DURATION = 3.0  # s, that of our acrobot
 _WIDEST, _HALVINGS = 0.02, 16  # N m, the first of the differences, and how often it is halved
 
 
-def _arm() -> tuple[Mechanism, np.ndarray]:
-    """Our acrobot, and the pose (2,) it starts from."""
+def _arm() -> dict[str, Any]:
+    """Our acrobot, its boundary and its motor, as arguments of the method."""
     problem = acrobot(duration=DURATION)
     assert isinstance(problem.dynamics, RigidBodyDynamics)  # it is one of ours
-    return problem.dynamics.mechanism, problem.x0[:2]
+    boundary = Boundary(problem.x0[:2], UPRIGHT, DURATION)
+    return {"mechanism": problem.dynamics.mechanism, "boundary": boundary, "driven": ("elbow",)}
 
 
-def _problem(tolerance: float, method: str = "RK45") -> DrivenProblem:
-    mechanism, start = _arm()
-    return DrivenProblem(mechanism, start, UPRIGHT, DURATION, driven=("elbow",), tolerance=tolerance, method=method)
-
-
-def _gradients(free: np.ndarray, name: str, tried: dict[float, DrivenProblem], exact: DrivenProblem) -> dict[str, Any]:
-    """How wrong J and its gradient are at one point, against tolerance."""
-    J, by_P = exact(free)
-    values = [tried[tolerance](free) for tolerance in TOLERANCES]
-    size = float(np.linalg.norm(by_P))
-    return {
-        "point": name, "cost": J, "gradient_norm": size,
-        "cost_errors": [abs(value - J) / abs(J) for value, _ in values],
-        "relative_errors": [float(np.linalg.norm(g - by_P)) / size for _, g in values],
-        "cosines": [float(g @ by_P) / (size * float(np.linalg.norm(g))) for _, g in values],
-    }  # fmt: skip
+def problem_at(integration: Integration) -> DrivenProblem:
+    """The acrobot by splines of the elbow, integrated to a tolerance."""
+    return DrivenProblem(**_arm(), integration=integration)
 
 
 def _descent(tolerance: float, iterations: int, first: np.ndarray | None = None) -> tuple[dict[str, Any], np.ndarray]:
-    mechanism, start = _arm()
-    guess = None
+    integration, guess = Integration(tolerance), None
     if first is not None:
-        problem = _problem(tolerance)
-        P = problem.amplitudes(first)
-        guess = lambda t: problem.basis.matrix(t) @ P  # noqa: E731
-    began = time.perf_counter()
-    motion = minimize_effort_underactuated(
-        mechanism, start, UPRIGHT, DURATION, driven=("elbow",), tolerance=tolerance, max_iterations=iterations,
-        guess=guess,
-    )  # fmt: skip
+        problem = problem_at(integration)
+        guess = curve(problem.basis, problem.amplitudes(first))
+    motion, seconds = timed(lambda: minimize_effort_underactuated(
+        **_arm(), integration=integration, max_iterations=iterations, guess=guess
+    ))  # fmt: skip
     return {
-        "tolerance": tolerance, "first_cost": motion.first_cost, "cost": motion.cost, "iterations": motion.iterations,
-        "evaluations": motion.evaluations, "success": motion.success, "message": motion.message,
-        "gradient_norm": motion.gradient_norm, "seconds": time.perf_counter() - began,
+        "tolerance": tolerance, **descent_record(motion), "seconds": seconds,
         "angle_miss": float(np.abs(motion.q[-1] - UPRIGHT).max()),
         "t": motion.t[::5].tolist(), "shoulder": motion.q[::5, 0].tolist(), "elbow": motion.q[::5, 1].tolist(),
-    }, motion.amplitudes[2:].ravel()  # fmt: skip
+    }, motion.spline.c[2:].ravel()  # fmt: skip
 
 
 def discrete_error(problem: Problem, us: np.ndarray) -> dict[str, float]:
@@ -110,41 +96,38 @@ def discrete_error(problem: Problem, us: np.ndarray) -> dict[str, float]:
 def _slq(stages: int) -> dict[str, Any]:
     problem = acrobot(duration=DURATION, horizon=stages)
     solve(problem, max_iterations=1)  # compiled
-    began = time.perf_counter()
-    plan = solve(problem)
-    seconds = time.perf_counter() - began
+    plan, seconds = timed(lambda: solve(problem))
     norms = np.array([line.gradient_norm for line in plan.history])
     near = int(np.argmax(norms < NEAR * norms[0]))
     return {
-        "stages": stages, "dt": problem.dynamics.dt, "cost": plan.cost, "iterations": plan.nit, "seconds": seconds,
-        "status": plan.status.name, "first": discrete_error(problem, problem.first_guess),
+        "stages": stages, "dt": problem.dynamics.dt, "seconds": seconds, **plan_record(plan),
+        "first": discrete_error(problem, problem.first_guess),
         "near": discrete_error(problem, solve(problem, max_iterations=max(1, near)).us),
     }  # fmt: skip
 
 
-def elbow_results() -> dict[str, Any]:
-    """Descents at several tolerances, errors of the gradient, and SLQ, as JSON values."""
-    began = time.perf_counter()
-    descents = []
-    last = _problem(TOLERANCES[0]).first
+def _run() -> dict[str, Any]:
+    tried = {tolerance: problem_at(Integration(tolerance)) for tolerance in TOLERANCES}
+    descents, last = [], tried[TOLERANCES[0]].first
     for tolerance, iterations in DESCENTS:
         found, last = _descent(tolerance, iterations)
         descents.append(found)
     polished, best = _descent(*POLISH, first=last)
-    exact, tried = _problem(**REFERENCE), {tolerance: _problem(tolerance) for tolerance in TOLERANCES}
+    exact = problem_at(REFERENCE)
     points = [
-        _gradients(exact.first, "first guess", tried, exact),
-        _gradients(last, f"where BFGS ended at {DESCENTS[-1][0]:g}", tried, exact),
-        _gradients(best, f"gone on from there at {POLISH[0]:g}", tried, exact),
-    ]
+        errors_at(name, exact(free), [problem(free) for problem in tried.values()])
+        for name, free in (
+            ("first guess", exact.first), (f"where BFGS ended at {DESCENTS[-1][0]:g}", last),
+            (f"gone on from there at {POLISH[0]:g}", best),
+        )
+    ]  # fmt: skip
     return {
-        "tolerances": list(TOLERANCES), "reference": REFERENCE, "points": points, "descents": [*descents, polished],
-        "slq": [_slq(stages) for stages in STAGES], "seconds": time.perf_counter() - began,
+        "tolerances": list(TOLERANCES), "reference": asdict(REFERENCE), "points": points,
+        "descents": [*descents, polished], "slq": [_slq(stages) for stages in STAGES],
     }  # fmt: skip
 
 
-def elbow_markdown(results: dict[str, Any]) -> str:
-    """The results as a section of Markdown."""
+def _page(results: dict[str, Any]) -> str:
     first = results["descents"][0]
     lines = [
         "## The acrobot by splines of the elbow and Eq. 7 (section 2.2)", "",
@@ -152,39 +135,25 @@ def elbow_markdown(results: dict[str, Any]) -> str:
         "costate and gradient by an adaptive rule (RK45, that of Matlab's ode45). First guess: the elbow held, the arm",
         f"falls like a rigid pendulum from q1 = -1.0; its J is {first['first_cost']:.0f}.", "",
         "![error of the gradient](elbow_gradient.png)", "",
-        "| tolerance | J from | J to | iterations | BFGS says | largest miss of an angle, rad | s |",
-        "|---:|---:|---:|---:|---|---:|---:|",
-        *(
-            f"| {d['tolerance']:g} | {d['first_cost']:.4g} | {d['cost']:.4g} | {d['iterations']} | {d['message']} "
-            f"| {d['angle_miss']:.3f} | {d['seconds']:.1f} |"
-            for d in results["descents"]
-        ), "",
+        *table({
+            "tolerance": "{tolerance:g}", "J from": "{first_cost:.4g}", "J to": "{cost:.4g}",
+            "iterations": "{iterations}", "BFGS says": "{message}",
+            "largest miss of an angle, rad": "{angle_miss:.3f}", "s": "{seconds:.1f}",
+        }, results["descents"]), "",
         "The last row goes on from where the row before ended; limits of iterations are ours.", "",
-        "Relative error of the gradient against one at",
-        f"{results['reference']['tolerance']:g}:", "",
-        "| at | gradient | " + " | ".join(f"{t:g}" for t in results["tolerances"]) + " |",
-        "|---|---:|" + "---:|" * len(results["tolerances"]),
-        *(
-            f"| {p['point']} | {p['gradient_norm']:.3g} "
-            + "".join(f"| {e:.1e} " for e in p["relative_errors"]) + "|"
-            for p in results["points"]
-        ), "",
+        f"Relative error of the gradient against one at {results['reference']['tolerance']:g}:", "",
+        *errors_table(results["points"], results["tolerances"]), "",
         "SLQ on the same problem, the elbow's torque its control: the gradient (Eq. 16-19) against differences of J:",
-        "",
-        "| dt, s | J | iterations | s | gradient early | relative error | gradient near the end | relative error |",
-        "|---:|---:|---:|---:|---:|---:|---:|---:|",
-        *(
-            f"| {s['dt']:g} | {s['cost']:.3f} | {s['iterations']} | {s['seconds']:.3f} "
-            + "".join(f"| {s[at]['gradient_norm']:.3g} | {s[at]['relative_error']:.1e} " for at in ("first", "near"))
-            + "|"
-            for s in results["slq"]
-        ), "", _said(results), "",
+        "", *table({
+            "dt, s": "{dt:g}", "J": "{cost:.3f}", "iterations": "{iterations}", "s": "{seconds:.3f}",
+            "gradient early": "{first[gradient_norm]:.3g}", "its relative error": "{first[relative_error]:.1e}",
+            "near the end": "{near[gradient_norm]:.3g}", "relative error there": "{near[relative_error]:.1e}",
+        }, results["slq"]), "", _said(results), "",
     ]  # fmt: skip
     return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
-    """What the numbers say."""
     first, *_, last = results["points"]
     ratios = [b / a for a, b in zip(first["relative_errors"], last["relative_errors"], strict=True)]
     spoiled = [t for t, e in zip(results["tolerances"], last["relative_errors"], strict=True) if e > 0.1]
@@ -200,43 +169,48 @@ def _said(results: dict[str, Any]) -> str:
     )
 
 
-def elbow_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     last, plan = results["descents"][-1], results["slq"][-1]
     errors = dict(zip(results["tolerances"], results["points"][-1]["relative_errors"], strict=True))
     seconds = sum(d["seconds"] for d in results["descents"][1:])
     return [
-        {"where": "2.2", "paper": "Round-off leads to large relative errors of the gradient near convergence",
-         "ours": ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), "why": _said(results)},
-        {"where": "2.2, Eq. 7", "paper": "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
-         "ours": f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
-                 f"SLQ: J {plan['cost']:.3g}",
-         "why": "masses and t_f are ours; another parametrisation, another local minimum"},
-        {"where": "2.2", "paper": "The acrobot takes about 5 minutes on a PIII-800 at best",
-         "ours": f"{seconds:.1f} s by splines, {plan['seconds']:.3f} s by SLQ",
-         "why": "the splines integrate adaptively in Python around compiled dynamics; SLQ is compiled"},
+        Row(
+            "2.2", "Round-off leads to large relative errors of the gradient near convergence",
+            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _said(results),
+        ),
+        Row(
+            "2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
+            f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
+            f"SLQ: J {plan['cost']:.3g}",
+            "masses and t_f are ours; another parametrisation, another local minimum",
+        ),
+        Row(
+            "2.2", "The acrobot takes about 5 minutes on a PIII-800 at best",
+            f"{seconds:.1f} s by splines, {plan['seconds']:.3f} s by SLQ",
+            "the splines integrate adaptively in Python around compiled dynamics; SLQ is compiled",
+        ),
     ]  # fmt: skip
 
 
-def draw_elbow(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Error of the gradient against tolerance and against SLQ's step, and the motion found."""
-    figure, cells = figure_of(2)
-    errors, motion = (figure.add_subplot(cell) for cell in cells)
-    dress(errors, "Gradient of Eq. 7: the same error, a smaller gradient", "relative error of the gradient")
-    for index, point in enumerate(results["points"]):
-        label = f"{point['point']}: gradient {point['gradient_norm']:.2g}"
-        errors.loglog(results["tolerances"], point["relative_errors"], marker="o", ms=4, color=f"C{index}", label=label)
+    figure, (errors, motion) = panels_of(2)
+    title = "Gradient of Eq. 7: the same error, a smaller gradient"
+    draw_errors(errors, title, results["points"], results["tolerances"])
     worst = max(s["near"]["relative_error"] for s in results["slq"])
     errors.axhline(worst, color="k", lw=1.0, ls="--", label="SLQ near convergence, worst step length")
     errors.axhline(1.0, color="0.6", lw=0.8, ls=":")
-    errors.set_xlabel("tolerance of the integration")
-    errors.invert_xaxis()
     errors.legend(frameon=False, fontsize=7.5)
     found = results["descents"][-1]
-    dress(motion, f"The swing found, J = {found['cost']:.3g}", "angle, rad")
+    dress(motion, f"The swing found, J = {found['cost']:.3g}", "angle, rad", "time, s")
     motion.plot(found["t"], found["shoulder"], label="shoulder")
     motion.plot(found["t"], found["elbow"], label="elbow")
     motion.axhline(UPRIGHT[0], color="0.6", lw=0.8, ls=":")
-    motion.set_xlabel("time, s")
     motion.legend(frameon=False, fontsize=8)
     save(figure, path)
+
+
+STUDY = Study(
+    "elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
+    _run, _page, _rows, {"elbow_gradient.png": _draw}, seconds=25,
+)  # fmt: skip

@@ -15,11 +15,13 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
-from planner.paper.methods.gradient_methods import cost_and_gradient, minimize_by_gradient
-from planner.problem.plan import Iteration
+from planner.paper.methods.gradient_methods import Descended, cost_and_gradient, minimize_by_gradient
+from planner.paper.studies.records import table
+from planner.paper.studies.study import Row, Study
+from planner.problem.plan import Iteration, Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, save
+from planner.view.plots.style import dress, grid_of, save
 
 LIMIT = 1000  # iterations
 SHOWN = 160  # points of a curve
@@ -56,9 +58,7 @@ def gradient_results(problems: Mapping[str, Callable[[], Problem]] = PROBLEMS, l
         for method, word in GRADIENT.items():
             minimize_by_gradient(problem, word, max_iterations=1)
             methods[method] = _by_gradient(problem, limit, word)
-        found.append(
-            {"case": name, "N": problem.N, "gradient_error": gradient_error(problem), "methods": methods}
-        )  # fmt: skip
+        found.append({"case": name, "N": problem.N, "gradient_error": gradient_error(problem), "methods": methods})
     return {"limit": limit, "cases": found}
 
 
@@ -93,34 +93,27 @@ def _by_slq(problem: Problem, limit: int, options: dict[str, Any]) -> dict[str, 
     seconds = time.perf_counter() - began
     # A line of the history is what was known when the one before it ended.
     points = [(line.iteration, line.cost, at) for line, at in zip(plan.history, times, strict=False)]
-    return _entry(plan.success, plan.status.name, plan.nit, plan.cost, plan.gradient_norm, seconds, points)
+    return _entry(plan, seconds, points)
 
 
 def _by_gradient(problem: Problem, limit: int, word: str) -> dict[str, Any]:
     found = minimize_by_gradient(problem, word, max_iterations=limit)
     points = [(line.iteration, line.cost, line.seconds) for line in found.history]
-    seconds = found.history[-1].seconds
-    return _entry(found.success, found.status.name, found.nit, found.cost, found.gradient_norm, seconds, points)
+    return _entry(found, found.history[-1].seconds, points)
 
 
-def _entry(
-    converged: bool, status: str, iterations: int, cost: float, norm: float, seconds: float,
-    points: list[tuple[int, float, float]],
-) -> dict[str, Any]:  # fmt: skip
+def _entry(found: Plan | Descended, seconds: float, points: list[tuple[int, float, float]]) -> dict[str, Any]:
     # As many as can be told apart on a logarithmic axis.
     kept = np.unique(np.r_[0, np.geomspace(1, len(points), SHOWN).astype(int) - 1, len(points) - 1])
+    iterations, costs, times = zip(*(points[i] for i in kept), strict=True)
     return {
-        "converged": converged, "status": status, "iterations": iterations, "cost": cost, "gradient_norm": norm,
-        "seconds": seconds,
-        "curve": {
-            "iteration": [points[i][0] for i in kept], "cost": [points[i][1] for i in kept],
-            "seconds": [points[i][2] for i in kept],
-        },
+        "converged": found.success, "status": found.status.name, "iterations": found.nit, "cost": found.cost,
+        "gradient_norm": found.gradient_norm, "seconds": seconds,
+        "curve": {"iteration": iterations, "cost": costs, "seconds": times},
     }  # fmt: skip
 
 
-def gradient_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
+def _page(results: dict[str, Any]) -> str:
     lines = [
         "# Gradient methods beside SLQ (section 3)", "",
         "The same discrete problems, first guesses, rollouts and exact derivatives for all: steepest descent with",
@@ -130,18 +123,18 @@ def gradient_markdown(results: dict[str, Any]) -> str:
         "![cost against iterations and against time](gradients.png)", "",
     ]  # fmt: skip
     for case in results["cases"]:
+        entries = [
+            {"method": name, "each": 1e3 * entry["seconds"] / max(entry["iterations"], 1), **entry}
+            for name, entry in case["methods"].items()
+        ]
         lines += [
             f"## {case['case']}, N = {case['N']}", "",
-            "| method | ended | iterations | cost | norm of the gradient | s | ms an iteration |",
-            "|---|---|---:|---:|---:|---:|---:|",
+            *table({
+                "method": "{method}", "ended": "{status}", "iterations": "{iterations}", "cost": "{cost:.6g}",
+                "norm of the gradient": "{gradient_norm:.1e}", "s": "{seconds:.3g}", "ms an iteration": "{each:.2g}",
+            }, entries), "",
+            f"Costate gradient against differences: relative error {case['gradient_error']:.1e}.", "",
         ]  # fmt: skip
-        for name, entry in case["methods"].items():
-            each = 1e3 * entry["seconds"] / max(entry["iterations"], 1)
-            lines.append(
-                f"| {name} | {entry['status']} | {entry['iterations']} | {entry['cost']:.6g} "
-                f"| {entry['gradient_norm']:.1e} | {entry['seconds']:.3g} | {each:.2g} |"
-            )
-        lines += ["", f"Costate gradient against differences: relative error {case['gradient_error']:.1e}.", ""]
     lines += [
         "NO_DESCENT of L-BFGS at a small gradient is rounding: its line search finds no lower cost any more. Different",
         "final costs of runs that converged are different local minima.",
@@ -149,9 +142,7 @@ def gradient_markdown(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def gradient_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
-
+def _rows(results: dict[str, Any]) -> list[Row]:
     def count(method: str, case: dict[str, Any]) -> str:
         entry = case["methods"][method]
         done = "" if entry["converged"] else f" ({entry['status']})"
@@ -164,62 +155,60 @@ def gradient_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     error = max(case["gradient_error"] for case in results["cases"])
     slq, open_loop, exact = SLQ
     return [
-        {
-            "where": "3.1, Eq. 16-19", "paper": "The gradient of J comes from the costate recursion",
-            "ours": f"relative error against differences at most {error:.1e}",
-            "why": "it does not differ; what is left is rounding",
-        },
-        {
-            "where": "3.3", "paper": "The direction of the LQ problem is not the steepest descent direction",
-            "ours": ". ".join(map(all_cases, GRADIENT)),
-            "why": "the paper shows no such comparison",
-        },
-        {
-            "where": "3.3, Eq. 36", "paper": "U + alpha dU, rolled out without feedback",
-            "ours": all_cases(open_loop),
-            "why": "right for the hopper; on arms that fall over small changes of early controls grow along the "
-            "motion, and only tiny steps lower the cost",
-        },
-        {
-            "where": "3.3, Eq. 37", "paper": "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
-            "ours": f"with the dynamics' second derivatives too, {all_cases(exact)}",
-            "why": "away from a minimum the exact Hessian is indefinite and needs regularisation: it pays where "
+        Row(
+            "3.1, Eq. 16-19", "The gradient of J comes from the costate recursion",
+            f"relative error against differences at most {error:.1e}",
+            "it does not differ; what is left is rounding",
+        ),
+        Row(
+            "3.3", "The direction of the LQ problem is not the steepest descent direction",
+            ". ".join(map(all_cases, GRADIENT)), "the paper shows no such comparison",
+        ),
+        Row(
+            "3.3, Eq. 36", "U + alpha dU, rolled out without feedback", all_cases(open_loop),
+            "right for the hopper; on arms that fall over small changes of early controls grow along the motion, and "
+            "only tiny steps lower the cost",
+        ),
+        Row(
+            "3.3, Eq. 37", "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
+            f"with the dynamics' second derivatives too, {all_cases(exact)}",
+            "away from a minimum the exact Hessian is indefinite and needs regularisation: it pays where "
             "Gauss-Newton is slow, not here (docs/measured.md)",
-        },
-        {
-            "where": "5", "paper": '"The algorithm converges quickly to the optimal solution"',
-            "ours": all_cases(slq),
-            "why": "with the feedback update, to a local minimum; the paper gives neither counts nor times here",
-        },
+        ),
+        Row(
+            "5", '"The algorithm converges quickly to the optimal solution"', all_cases(slq),
+            "with the feedback update, to a local minimum; the paper gives neither counts nor times here",
+        ),
     ]  # fmt: skip
 
 
-def draw_gradients(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Cost against iterations (above) and against time (below), one column per problem."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
     columns = len(results["cases"])
-    figure = Figure(figsize=(4.4 * columns, 6.4), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, columns, squeeze=False)
+    figure, grid = grid_of(2, columns, 4.4 * columns, 6.4)
     for column, case in enumerate(results["cases"]):
         for row, (key, label) in enumerate((("iteration", "iterations + 1"), ("seconds", "time, s"))):
             axes = grid[row, column]
             title = f"{case['case']}, N = {case['N']}" if row == 0 else ""
-            dress(axes, title, "cost J" if column == 0 else "")
-            for colour, (name, entry) in zip(COLOURS, case["methods"].items(), strict=False):
+            dress(axes, title, "cost J" if column == 0 else "", label)
+            for colour, (method, entry) in zip(COLOURS, case["methods"].items(), strict=False):
                 curve = entry["curve"]
                 # The first guess has no place on a logarithmic axis: one more iteration, or the time of the first.
                 x = np.array(curve[key], dtype=float)
                 x = x + 1.0 if key == "iteration" else np.maximum(x, x[x > 0.0].min() / 2.0 if np.any(x > 0.0) else 1.0)
-                axes.loglog(x, curve["cost"], color=colour, lw=1.4, label=name)
+                axes.loglog(x, curve["cost"], color=colour, lw=1.4, label=method)
                 mark = "o" if entry["converged"] else "x"
                 axes.loglog(x[-1:], curve["cost"][-1:], color=colour, marker=mark, ms=5.5, ls="")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_minor_formatter(NullFormatter())
-            axes.set_xlabel(label)
     grid[0, 0].legend(frameon=False, fontsize=8, title="o converged, x not", title_fontsize=8)
     save(figure, path)
+
+
+STUDY = Study(
+    "gradients", "gradient methods beside SLQ",
+    gradient_results, _page, _rows, {"gradients.png": _draw}, seconds=35,
+)  # fmt: skip

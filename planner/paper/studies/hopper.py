@@ -1,4 +1,4 @@
-"""The paper's own numbers beside ours: so far section 4, the hopper.
+"""The hopper, the paper's numerical example (section 4).
 
 The paper's own method: explicit Euler, N = 50, zero first guess, open-loop update (Eq. 36), Armijo rule. It gives
 neither q_fin nor its stopping rule; both are varied here, since the iteration counts depend on them.
@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.files import write_atomically
 from planner.cases.hopper import PAPER, crossings
+from planner.paper.studies.records import row_of, table
+from planner.paper.studies.study import Row, Study
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
+from planner.view.plots.style import grid_of, save
 
 HEIGHTS = (1.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}  # section 4
@@ -35,9 +37,7 @@ def paper_plan(height: float, *, update: str = "open-loop", tolerance: float = 1
     return solve(problem, update=update, max_iterations=LIMIT, decrease_tolerance=tolerance)
 
 
-def hopper_results() -> dict[str, Any]:
-    """Every number of section 4 beside ours, as JSON values."""
-
+def _run() -> dict[str, Any]:
     def counts(**options: Any) -> list[int | None]:
         plans = [paper_plan(height, **options) for height in HEIGHTS]
         return [plan.nit if plan.success else None for plan in plans]
@@ -89,14 +89,11 @@ def _replayed(final_weight: float) -> dict[str, Any]:
     }
 
 
-def _row(head: str, cells: Sequence[Any]) -> str:
-    return f"| {head} | " + " | ".join("" if cell is None else str(cell) for cell in cells) + " |"
-
-
-def _table(corner: str, results: dict[str, Any], rows: dict[str, Sequence[Any]]) -> list[str]:
-    heads = [f"{height:g}" for height in results["heights"]]
-    lines = [_row(corner, heads), _row("---", ["---:"] * len(heads))]
-    return [*lines, *(_row(name, cells) for name, cells in rows.items()), ""]
+def _table(results: dict[str, Any], rows: dict[str, Sequence[Any]]) -> list[str]:
+    """Iterations by height; "" where there is no number."""
+    heads = ["", *(f"{height:g}" for height in results["heights"])]
+    marks = f"| --- |{' ---: |' * (len(heads) - 1)}"
+    return [row_of(heads), marks, *(row_of([name, *map(str, cells)]) for name, cells in rows.items()), ""]
 
 
 def _heights(results: dict[str, Any], chosen: Sequence[bool]) -> str:
@@ -104,7 +101,6 @@ def _heights(results: dict[str, Any], chosen: Sequence[bool]) -> str:
 
 
 def _on_flow_weight(results: dict[str, Any]) -> str:
-    """What our counts say of the paper's remark on r."""
     one, ten = (results["iterations_by_flow_weight"][r] for r in ("1", "10"))
     pairs = [(a or LIMIT, b or LIMIT) for a, b in zip(one, ten, strict=True)]
     return (
@@ -114,7 +110,6 @@ def _on_flow_weight(results: dict[str, Any]) -> str:
 
 
 def _on_smoothing(results: dict[str, Any]) -> str:
-    """What our counts say of the paper's remark on alpha."""
     sweep = results["iterations_by_smoothing"]
     sound = [float(alpha) for alpha, cells in sweep.items() if None not in cells]
     last = sweep[min(sweep, key=float)]
@@ -129,9 +124,7 @@ def _on_smoothing(results: dict[str, Any]) -> str:
     )
 
 
-def hopper_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
-
+def _page(results: dict[str, Any]) -> str:
     def failed(cells: Sequence[Any]) -> list[Any]:
         return ["failed" if cell is None else cell for cell in cells]
 
@@ -147,20 +140,20 @@ def hopper_markdown(results: dict[str, Any]) -> str:
         f"the LQ model promises less than 1e-10 of the cost; failed means not within {LIMIT} iterations.", "",
         "![heights, pistons and flows with stance shaded](hopper.png)", "",
         "## Iterations by goal height (in)", "",
-        *_table("", results, {
+        *_table(results, {
             "paper": known,
             "ours, open-loop (the paper's update)": failed(results["iterations"]["open-loop"]),
             "ours, feedback (our default)": failed(results["iterations"]["feedback"]),
         }),
         "The counts depend on what the paper does not say. On q_fin:", "",
-        *_table("", results, sweep("iterations_by_final_weight", "q_fin")),
+        *_table(results, sweep("iterations_by_final_weight", "q_fin")),
         "and on the stopping rule (decrease promised by the LQ model, relative to the cost):", "",
-        *_table("", results, sweep("iterations_by_tolerance", "tolerance")),
+        *_table(results, sweep("iterations_by_tolerance", "tolerance")),
         '## "Converged much faster when the weighting on the control r is increased"', "",
-        *_table("", results, sweep("iterations_by_flow_weight", "r")),
+        *_table(results, sweep("iterations_by_flow_weight", "r")),
         _on_flow_weight(results), "",
         '## "Failed to converge for alpha < 1e-5"', "",
-        *_table("", results, sweep("iterations_by_smoothing", "alpha")),
+        *_table(results, sweep("iterations_by_smoothing", "alpha")),
         _on_smoothing(results), "",
         '## "Naturally identified the times to switch"', "",
     ]  # fmt: skip
@@ -174,19 +167,16 @@ def hopper_markdown(results: dict[str, Any]) -> str:
         "", "## What MuJoCo says of the paper's own plan (height 20)", "",
         "The plan's explicit Euler steps are what fails, not the method: refined, the same controls reach less than",
         "half of the height.", "",
-        "| q_fin | planned height, in | planned final rate, in/s | reached in MuJoCo, in | verdict |",
-        "|---:|---:|---:|---:|---|",
+        *table({
+            "q_fin": "{final_weight:g}", "planned height, in": "{planned_height:.2f}",
+            "planned final rate, in/s": "{planned_rate:.2f}", "reached in MuJoCo, in": "{reached_height:.2f}",
+            "verdict": "{verdict}",
+        }, results["replayed"]),
     ]  # fmt: skip
-    for row in results["replayed"]:
-        lines.append(
-            f"| {row['final_weight']:g} | {row['planned_height']:.2f} | {row['planned_rate']:.2f} "
-            f"| {row['reached_height']:.2f} | {row['verdict']} |"
-        )
     return "\n".join(lines) + "\n"
 
 
-def hopper_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     low, high = results["heights"][0], results["heights"][-1]
 
     def ends(cells: Sequence[Any]) -> str:
@@ -203,53 +193,46 @@ def hopper_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     stances = f"{len(first['touchdowns_s'])} touchdowns within 1 s at height {first['height']:g}, "
     stances += f"{len(longest['touchdowns_s'])} within {longest['duration']:g} s at height {longest['height']:g}"
     return [
-        {
-            "where": "2.4, Eq. 8", "paper": "A weight q_fin on the final height, of which no value is given",
-            "ours": "1000 taken; 10 to 1e5 tried: " + "; ".join(
+        Row(
+            "2.4, Eq. 8", "A weight q_fin on the final height, of which no value is given",
+            "1000 taken; 10 to 1e5 tried: " + "; ".join(
                 f"q_fin = {q}: {ends(cells)}" for q, cells in results["iterations_by_final_weight"].items()
             ),
-            "why": "the paper does not say; the counts of section 4 depend on it",
-        },
-        {
-            "where": "4", "paper": "3 iterations for y_N = 1 to 166 for y_N = 50",
-            "ours": f"open-loop update: {ends(results['iterations']['open-loop'])}; feedback update: "
+            "the paper does not say; the counts of section 4 depend on it",
+        ),
+        Row(
+            "4", "3 iterations for y_N = 1 to 166 for y_N = 50",
+            f"open-loop update: {ends(results['iterations']['open-loop'])}; feedback update: "
             f"{ends(results['iterations']['feedback'])}",
-            "why": f"q_fin and the stopping rule are not given: at {high:g} in they alone move the count "
+            f"q_fin and the stopping rule are not given: at {high:g} in they alone move the count "
             f"({spread('iterations_by_final_weight')} and {spread('iterations_by_tolerance')})",
-        },
-        {
-            "where": "4", "paper": "Converged much faster when the weighting r is increased",
-            "ours": _on_flow_weight(results).removeprefix("Ours, "),
-            "why": "agrees where convergence is slow; where it takes a few iterations there is nothing to gain",
-        },
-        {
-            "where": "4", "paper": "Failed to converge for alpha < 1e-5",
-            "ours": _on_smoothing(results).removeprefix("Ours "),
-            "why": f"each solve here may take {LIMIT} iterations and counts as failed only then; the paper's limit is "
-            "unknown",
-        },
-        {
-            "where": "4, figure of the hop", "paper": "An alternating sequence of stance and flight, with its switches "
-            "found by the algorithm",
-            "ours": stances, "why": "agrees in kind; the figure has no numbers to compare",
-        },
-        {
-            "where": "4", "paper": "A simple Euler approximation with N = 50",
-            "ours": f"in MuJoCo its plans for 20 in reach {min(reached):.1f} to {max(reached):.1f} in "
+        ),
+        Row(
+            "4", "Converged much faster when the weighting r is increased",
+            _on_flow_weight(results).removeprefix("Ours, "),
+            "agrees where convergence is slow; where it takes a few iterations there is nothing to gain",
+        ),
+        Row(
+            "4", "Failed to converge for alpha < 1e-5", _on_smoothing(results).removeprefix("Ours "),
+            f"each solve here may take {LIMIT} iterations and counts as failed only then; the paper's limit is unknown",
+        ),
+        Row(
+            "4, figure of the hop",
+            "An alternating sequence of stance and flight, with its switches found by the algorithm",
+            stances, "agrees in kind; the figure has no numbers to compare",
+        ),
+        Row(
+            "4", "A simple Euler approximation with N = 50",
+            f"in MuJoCo its plans for 20 in reach {min(reached):.1f} to {max(reached):.1f} in "
             f"({len(sound)} of {len(reached)} pass the proof)",
-            "why": "the step is too coarse: the plan is right for Euler's recursion, not for the machine",
-        },
+            "the step is too coarse: the plan is right for Euler's recursion, not for the machine",
+        ),
     ]  # fmt: skip
 
 
-def draw_hopper(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Heights, pistons and controls of the paper's problem with stance shaded, and the iteration counts."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14.0, 6.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, 4)
+    figure, grid = grid_of(2, 4, 14.0, 6.2)
     for column, phase in enumerate(results["phases"]):
         top, bottom = grid[0, column], grid[1, column]
         t, y, piston = (np.array(phase[name]) for name in ("t_s", "height_in", "piston_in"))
@@ -280,8 +263,7 @@ def draw_hopper(results: dict[str, Any], path: Path) -> None:
     smoothing.set_xlabel("smoothing alpha, in")
     smoothing.set_ylabel("iterations")
     smoothing.legend(frameon=False)
-    with write_atomically(path) as unfinished:
-        figure.savefig(unfinished)
+    save(figure, path)
 
 
 def _draw_counts(axes: Any, results: dict[str, Any]) -> None:
@@ -293,3 +275,9 @@ def _draw_counts(axes: Any, results: dict[str, Any]) -> None:
     axes.set_title("iterations (q_fin = 1000)")
     axes.set_xlabel("goal height, in")
     axes.legend(frameon=False)
+
+
+STUDY = Study(
+    "hopper", "the numerical example (section 4)",
+    _run, _page, _rows, {"hopper.png": _draw}, seconds=25,
+)  # fmt: skip

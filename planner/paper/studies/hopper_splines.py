@@ -7,21 +7,22 @@ adaptively and its gradient by Eq. 7. Both from controls of zero; SLQ beside the
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planner.cases.hopper import PAPER, hopper
-from planner.paper.methods.adjoint import AdjointCost
+from planner.paper.methods.adjoint import AdjointCost, Integration
 from planner.paper.methods.continuous import ContinuousProblem
 from planner.paper.methods.control_spline import SplineControls, SplineCost, solve_by_splines
-from planner.paper.methods.spline_basis import SplineBasis
-from planner.paper.methods.splines import DEGREE
+from planner.paper.methods.splines import DEGREE, SplineSpace
+from planner.paper.studies.gradient_errors import draw_errors, errors_at, errors_table
+from planner.paper.studies.records import descent_record, plan_record, table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, figure_of, save
+from planner.view.plots.style import dress, panels_of, save
 
 HEIGHTS = (1.0, 10.0, 20.0, 50.0)  # in
 COEFFICIENTS = (8, 17, 32)  # of the quintic splines; 17 are those of section 2.1
@@ -37,86 +38,70 @@ def _problem(height: float) -> Problem:
     return hopper(height=height, **PAPER)  # type: ignore[arg-type]
 
 
-def _basis(problem: Problem, coefficients: int) -> SplineBasis:
-    return SplineBasis(problem.duration, coefficients - DEGREE, DEGREE)
+def _space(coefficients: int) -> SplineSpace:
+    return SplineSpace(coefficients - DEGREE)
 
 
 def hessian(problem: Problem, coefficients: int, amplitudes: np.ndarray) -> np.ndarray:
     """Second derivatives (n, n) of J by the amplitudes (n, 1), by central differences of the exact gradient."""
-    cost, P = SplineCost(problem, _basis(problem, coefficients)), amplitudes.ravel()
+    cost, P = SplineCost(problem, _space(coefficients).basis(problem.duration)), amplitudes.ravel()
     h = 1e-5 * max(1.0, float(np.abs(P).max()))
     rows = [(cost(P + h * e)[1] - cost(P - h * e)[1]) / (2.0 * h) for e in np.eye(len(P))]
     cost.close()
     return 0.5 * (np.array(rows) + np.array(rows).T)
 
 
-def _told(found: SplineControls, seconds: float) -> dict[str, Any]:
-    return {
-        "cost": found.cost, "discrete_cost": found.discrete_cost, "iterations": found.iterations,
-        "evaluations": found.evaluations, "success": found.success, "message": found.message,
-        "gradient_norm": found.gradient_norm, "seconds": seconds,
-    }  # fmt: skip
-
-
 def _exact(height: float, coefficients: int) -> tuple[dict[str, Any], SplineControls]:
     problem = _problem(height)
-    began = time.perf_counter()
-    found = solve_by_splines(problem, coefficients=coefficients)
-    seconds = time.perf_counter() - began
-    eigenvalues = np.linalg.eigvalsh(hessian(problem, coefficients, found.amplitudes))
+    found, seconds = timed(lambda: solve_by_splines(problem, coefficients=coefficients))
+    eigenvalues = np.linalg.eigvalsh(hessian(problem, coefficients, found.spline.c))
     return {
-        "height": height, "coefficients": coefficients, **_told(found, seconds),
+        "height": height, "coefficients": coefficients, **_record(found, seconds),
         "largest_eigenvalue": float(eigenvalues[-1]), "smallest_eigenvalue": float(eigenvalues[0]),
         "condition": float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else None,
     }, found  # fmt: skip
 
 
+def _record(found: SplineControls, seconds: float) -> dict[str, Any]:
+    return {**descent_record(found), "discrete_cost": found.discrete_cost, "seconds": seconds}
+
+
 def _adjoint(height: float, tolerance: float) -> dict[str, Any]:
-    began = time.perf_counter()
-    found = solve_by_splines(
+    found, seconds = timed(lambda: solve_by_splines(
         _problem(height), coefficients=DRAWN[1], gradient="continuous", tolerance=tolerance,
         max_iterations=ADJOINT_ITERATIONS,
-    )  # fmt: skip
-    return {"height": height, "tolerance": tolerance, "costs": found.costs.tolist(),
-            **_told(found, time.perf_counter() - began)}  # fmt: skip
+    ))  # fmt: skip
+    return {"height": height, "tolerance": tolerance, "costs": found.costs.tolist(), **_record(found, seconds)}
 
 
 def _gradient_errors(amplitudes: np.ndarray) -> list[dict[str, Any]]:
-    """Of Eq. 7 against tolerance, without a control and along the hop that the exact gradient found."""
+    """Of Eq. 7 by tolerance, without a control and along the hop that the exact gradient found."""
     problem = _problem(DRAWN[0])
-    basis, system = _basis(problem, DRAWN[1]), ContinuousProblem(problem)
+    basis, system = _space(DRAWN[1]).basis(problem.duration), ContinuousProblem(problem)
 
     def at(P: np.ndarray, tolerance: float) -> tuple[float, np.ndarray]:
-        return AdjointCost(system, basis, problem.x0, tolerance)(P)
+        return AdjointCost(system, basis, problem.x0, Integration(tolerance))(P)
 
-    found = []
-    for name, P in (("no control", 0.0 * amplitudes), ("the hop found", amplitudes)):
-        J, by_P = at(P, REFERENCE)
-        values = [at(P, tolerance) for tolerance in TOLERANCES]
-        size = float(np.linalg.norm(by_P))
-        found.append({"point": name, "cost": J, "gradient_norm": size,
-                      "relative_errors": [float(np.linalg.norm(g - by_P)) / size for _, g in values],
-                      "cost_errors": [abs(value - J) / J for value, _ in values]})  # fmt: skip
-    return found
+    return [
+        errors_at(name, at(P, REFERENCE), [at(P, tolerance) for tolerance in TOLERANCES])
+        for name, P in (("no control", 0.0 * amplitudes), ("the hop found", amplitudes))
+    ]
 
 
-def hopper_splines_results() -> dict[str, Any]:
-    """Both gradients, conditioning and SLQ, as JSON values."""
-    began = time.perf_counter()
+def _run() -> dict[str, Any]:
     plans, exact, curve, drawn = [], [], [], np.zeros((DRAWN[1], 1))
     for height in HEIGHTS:
         plan = solve(_problem(height), update="open-loop", max_iterations=2000)
-        plans.append({"height": height, "cost": plan.cost, "iterations": plan.nit, "status": plan.status.name,
-                      "costs": [line.cost for line in plan.history]})  # fmt: skip
+        plans.append({"height": height, **plan_record(plan), "costs": [line.cost for line in plan.history]})
         for coefficients in COEFFICIENTS:
             row, found = _exact(height, coefficients)
             exact.append(row)
             if (height, coefficients) == DRAWN:
-                curve, drawn = found.costs.tolist(), found.amplitudes
+                curve, drawn = found.costs.tolist(), found.spline.c
     return {
         "slq": plans, "exact": exact, "adjoint": [_adjoint(*case) for case in ADJOINT], "curve": curve,
         "drawn": list(DRAWN), "tolerances": list(TOLERANCES), "gradient_errors": _gradient_errors(drawn),
-        "reference": REFERENCE, "seconds": time.perf_counter() - began,
+        "reference": REFERENCE,
     }  # fmt: skip
 
 
@@ -124,43 +109,38 @@ def _slq_cost(results: dict[str, Any], height: float) -> float:
     return next(p["cost"] for p in results["slq"] if p["height"] == height)
 
 
-def hopper_splines_markdown(results: dict[str, Any]) -> str:
-    """The results as a section of Markdown."""
+def _page(results: dict[str, Any]) -> str:
+    exact = [
+        {
+            **r, "slq": _slq_cost(results, r["height"]), "ended": "yes" if r["success"] else r["message"],
+            "conditioned": "indefinite" if r["condition"] is None else f"{r['condition']:.0e}",
+        }
+        for r in results["exact"]
+    ]  # fmt: skip
     lines = [
         "## The hopper by B-splines (section 2.4)", "",
         "The paper's problem (explicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero, by BFGS.", "",
         "![cost by iteration, error of the gradient](hopper_splines.png)", "",
         "With the exact gradient of the discretised J (Eq. 16-19 times the basis functions):", "",
-        "| height, in | coefficients | J | J of SLQ | iterations | converged | condition of the Hessian | s |",
-        "|---:|---:|---:|---:|---:|---|---:|---:|",
-        *(
-            f"| {r['height']:g} | {r['coefficients']} | {r['cost']:.1f} | {_slq_cost(results, r['height']):.1f} "
-            f"| {r['iterations']} | {'yes' if r['success'] else r['message']} "
-            f"| {'indefinite' if r['condition'] is None else format(r['condition'], '.0e')} | {r['seconds']:.2f} |"
-            for r in results["exact"]
-        ), "",
+        *table({
+            "height, in": "{height:g}", "coefficients": "{coefficients}", "J": "{cost:.1f}", "J of SLQ": "{slq:.1f}",
+            "iterations": "{iterations}", "converged": "{ended}", "condition of the Hessian": "{conditioned}",
+            "s": "{seconds:.2f}",
+        }, exact), "",
         f"As in 2.2 and 2.3: J by an adaptive rule, its gradient by Eq. 7, {results['drawn'][1]} coefficients, at most",
         f"{ADJOINT_ITERATIONS} iterations. J is then an integral, not SLQ's sum; the last column is that sum.", "",
-        "| height, in | tolerance | J from | J to | iterations | evaluations | BFGS says | s | the sum |",
-        "|---:|---:|---:|---:|---:|---:|---|---:|---:|",
-        *(
-            f"| {r['height']:g} | {r['tolerance']:g} | {r['costs'][0]:.4g} | {r['cost']:.4g} | {r['iterations']} "
-            f"| {r['evaluations']} | {r['message']} | {r['seconds']:.1f} | {r['discrete_cost']:.4g} |"
-            for r in results["adjoint"]
-        ), "",
+        *table({
+            "height, in": "{height:g}", "tolerance": "{tolerance:g}", "J from": "{costs[0]:.4g}", "J to": "{cost:.4g}",
+            "iterations": "{iterations}", "evaluations": "{evaluations}", "BFGS says": "{message}",
+            "s": "{seconds:.1f}", "the sum": "{discrete_cost:.4g}",
+        }, results["adjoint"]), "",
         f"Relative error of Eq. 7 at height {results['drawn'][0]:g} against one at {results['reference']:g}:", "",
-        "| at | gradient | " + " | ".join(f"{t:g}" for t in results["tolerances"]) + " |",
-        "|---|---:|" + "---:|" * len(results["tolerances"]),
-        *(
-            f"| {p['point']} | {p['gradient_norm']:.3g} " + "".join(f"| {e:.1e} " for e in p["relative_errors"]) + "|"
-            for p in results["gradient_errors"]
-        ), "", _said(results), "",
+        *errors_table(results["gradient_errors"], results["tolerances"]), "", _said(results), "",
     ]  # fmt: skip
     return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
-    """What the numbers say."""
     exact, adjoint = results["exact"], results["adjoint"]
     converged, stuck = [r for r in exact if r["success"]], [r for r in adjoint if not r["success"]]
     conditions = [r["condition"] for r in exact if r["condition"] is not None]
@@ -181,29 +161,31 @@ def _said(results: dict[str, Any]) -> str:
     )
 
 
-def hopper_splines_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     exact, adjoint = results["exact"], results["adjoint"]
     return [
-        {"where": "2.4", "paper": "The hopper by B-splines and Eq. 7 would not converge, with much tweaking",
-         "ours": "; ".join(f"height {r['height']:g} at {r['tolerance']:g}: J {r['costs'][0]:.3g} to {r['cost']:.3g}, "
-                           f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
-                 + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
-         "why": _said(results)},
-        {"where": "2.4", "paper": "The same splines with the exact gradient of the discretised cost: not tried",
-         "ours": f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
-                 f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "
-                 f"({sum(r['seconds'] for r in exact):.0f} s)",
-         "why": "J and gradient agree to rounding; the basis alone was not what failed"},
+        Row(
+            "2.4", "The hopper by B-splines and Eq. 7 would not converge, with much tweaking",
+            "; ".join(f"height {r['height']:g} at {r['tolerance']:g}: J {r['costs'][0]:.3g} to {r['cost']:.3g}, "
+                      f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
+            + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
+            _said(results),
+        ),
+        Row(
+            "2.4", "The same splines with the exact gradient of the discretised cost: not tried",
+            f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
+            f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "
+            f"({sum(r['seconds'] for r in exact):.0f} s)",
+            "J and gradient agree to rounding; the basis alone was not what failed",
+        ),
     ]  # fmt: skip
 
 
-def draw_hopper_splines(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Cost by iteration for both gradients and SLQ, and the error of Eq. 7 against tolerance."""
-    figure, cells = figure_of(2)
-    costs, errors = (figure.add_subplot(cell) for cell in cells)
+    figure, (costs, errors) = panels_of(2)
     height, coefficients = results["drawn"]
-    dress(costs, f"Hop to {height:g} in, {coefficients} coefficients", "J")
+    dress(costs, f"Hop to {height:g} in, {coefficients} coefficients", "J", "iteration, counted from 1")
     plan = next(p for p in results["slq"] if p["height"] == height)
     costs.loglog(1 + np.arange(len(plan["costs"])), plan["costs"], color="k", label="SLQ")
     costs.loglog(1 + np.arange(len(results["curve"])), results["curve"], label="splines, exact gradient of the sum")
@@ -211,13 +193,14 @@ def draw_hopper_splines(results: dict[str, Any], path: Path) -> None:
         if r["height"] == height:
             label = f"splines, Eq. 7 at {r['tolerance']:g} (not converged)" if not r["success"] else "splines, Eq. 7"
             costs.loglog(1 + np.arange(len(r["costs"])), r["costs"], marker=".", ms=4, label=label)
-    costs.set_xlabel("iteration, counted from 1")
     costs.legend(frameon=False, fontsize=8)
-    dress(errors, "Gradient of Eq. 7 with touchdowns on the way", "relative error of the gradient")
-    for point in results["gradient_errors"]:
-        label = f"{point['point']}: gradient {point['gradient_norm']:.2g}"
-        errors.loglog(results["tolerances"], point["relative_errors"], marker="o", ms=4, label=label)
-    errors.set_xlabel("tolerance of the integration")
-    errors.invert_xaxis()
+    title = "Gradient of Eq. 7 with touchdowns on the way"
+    draw_errors(errors, title, results["gradient_errors"], results["tolerances"])
     errors.legend(frameon=False, fontsize=8)
     save(figure, path)
+
+
+STUDY = Study(
+    "hopper-splines", "the hopper by B-splines (2.4)",
+    _run, _page, _rows, {"hopper_splines.png": _draw}, seconds=30,
+)  # fmt: skip

@@ -8,7 +8,6 @@ family of arms below has one parameter, and each of its arms has the 73.6. The o
 from __future__ import annotations
 
 import math
-import time
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,11 +19,13 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, written
-from planner.paper.methods.splines import SplineMotion, minimize_effort
+from planner.paper.methods.splines import Boundary, SplineMotion, minimize_effort
+from planner.paper.studies.records import plan_record, row_of, table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.guess import follow, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, figure_of, save
+from planner.view.plots.style import dress, panels_of, save
 
 FIRST, LAST = 73.6, 9.9  # section 2.1
 DURATION, GRAVITY = 2.0, 9.81  # s, from the paper; m/s^2, ours
@@ -76,7 +77,7 @@ def rise(name: str, s: np.ndarray) -> np.ndarray:
 def by_splines(mechanism: Mechanism, smooth: str = SMOOTH[0]) -> SplineMotion:
     """The paper's direct method from the paper's first guess."""
     return minimize_effort(
-        mechanism, np.zeros(2), UPRIGHT, DURATION, gradient_tolerance=1e-4,
+        mechanism, Boundary(np.zeros(2), UPRIGHT, DURATION), gradient_tolerance=1e-4,
         guess=lambda t: rise(smooth, t / DURATION)[:, None] * UPRIGHT,
     )  # fmt: skip
 
@@ -99,7 +100,7 @@ def _arm(family: str, kind: str, parameter: float) -> Arm:
 
 
 def _last(family: str, kind: str, parameter: float) -> float:
-    return by_splines(mechanism_of(_arm(family, kind, parameter))).effort
+    return by_splines(mechanism_of(_arm(family, kind, parameter))).cost
 
 
 def _crossing(family: str, kind: str, low: float, high: float) -> float | None:
@@ -118,36 +119,29 @@ def _crossing(family: str, kind: str, low: float, high: float) -> float | None:
 
 
 def slq_effort(arm: Arm, starts: int) -> dict[str, Any]:
-    """Where SLQ lands with the cost of Eq. 5 on the same arm from the same first guess."""
+    """SLQ with the cost of Eq. 5 on the same arm from the same first guess."""
     N = round(100 * DURATION)
     dynamics = RigidBodyDynamics(mechanism_of(arm), DURATION / N)
     us = follow(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, DURATION, N))
     plan = solve(Problem(dynamics, arm_cost(dynamics, N, 200.0, 200.0, 1.0), np.zeros(4), us), starts=starts)
-    return {
-        "effort": 0.5 * dynamics.dt * float(np.sum(plan.us**2)), "cost": plan.cost, "iterations": plan.nit,
-        "status": plan.status.name,
-    }  # fmt: skip
+    return {"effort": 0.5 * dynamics.dt * float(np.sum(plan.us**2)), **plan_record(plan)}
 
 
 def _described(arm: Arm) -> dict[str, Any]:
-    """One arm with everything that lands on it."""
+    """One arm, and the efforts that every method finds for it."""
     mechanism = mechanism_of(arm)
-    began = time.perf_counter()
-    motion = by_splines(mechanism)
-    seconds = time.perf_counter() - began
-    q = motion.at(np.linspace(0.0, DURATION, 201))
+    motion, seconds = timed(lambda: by_splines(mechanism))
+    q = motion.spline(np.linspace(0.0, DURATION, 201))
     return {
-        **arm._asdict(), "first": motion.first_effort, "last": motion.effort, "seconds": seconds,
+        **arm._asdict(), "first": motion.first_cost, "last": motion.cost, "seconds": seconds,
         "iterations": motion.iterations, "shoulder_lowest": float(q[:, 0].min()),
         "elbow_range": [float(q[:, 1].min()), float(q[:, 1].max())],
-        "by_guess": {name: [m.first_effort, m.effort] for name in SMOOTH for m in [by_splines(mechanism, name)]},
+        "by_guess": {name: [m.first_cost, m.cost] for name in SMOOTH for m in [by_splines(mechanism, name)]},
         "slq": slq_effort(arm, 1), "slq_starts": slq_effort(arm, STARTS),
     }  # fmt: skip
 
 
-def masses_results() -> dict[str, Any]:
-    """Families, candidates, and our own arm beside them, as JSON values."""
-    began = time.perf_counter()
+def _run() -> dict[str, Any]:
     families, candidates = [], []
     for family, parameters in (("length", LENGTHS), ("ratio", RATIOS)):
         for kind in KINDS:
@@ -163,7 +157,6 @@ def masses_results() -> dict[str, Any]:
     return {
         "paper": {"first": FIRST, "last": LAST}, "families": families, "candidates": candidates,
         "ours": _described(Arm("rods", 0.5, 0.5, 1.0, 1.0)), "starts": STARTS,
-        "seconds": time.perf_counter() - began,
     }  # fmt: skip
 
 
@@ -173,8 +166,7 @@ def _name(arm: dict[str, Any]) -> str:
     )
 
 
-def masses_markdown(results: dict[str, Any]) -> str:
-    """The results as a section of Markdown."""
+def _page(results: dict[str, Any]) -> str:
     lines = [
         "## Which arm has the efforts 73.6 and 9.9 (section 2.1)", "",
         "Every arm below has 73.6 along the first guess (a quintic in time, q2 = 0), which sets the scale of its",
@@ -185,26 +177,23 @@ def masses_markdown(results: dict[str, Any]) -> str:
     for family, head in (("length", "length of both links, m (equal masses)"), ("ratio", "mass ratio (links of 1 m)")):
         chosen = [f for f in results["families"] if f["family"] == family]
         lines += [
-            f"| {head} | " + " | ".join(f"{p:g}" for p in chosen[0]["parameters"]) + " |",
+            row_of([head, *(f"{p:g}" for p in chosen[0]["parameters"])]),
             "|---|" + "---:|" * len(chosen[0]["parameters"]),
-            *(f"| {f['kind']} | " + " | ".join(f"{last:.1f}" for last in f["last"]) + " |" for f in chosen), "",
+            *(row_of([f["kind"], *(f"{last:.1f}" for last in f["last"])]) for f in chosen), "",
         ]  # fmt: skip
     lines += [
         "Arms with both numbers, and ours. SLQ starts from the same guess and has soft ends (c1 = c2 = 100), alone and",
         f"the best of {results['starts']} starts.", "",
-        "| arm | first | BFGS | from a cubic | from a cosine | SLQ | SLQ, several starts |",
-        "|---|---:|---:|---:|---:|---:|---:|",
+        *table({
+            "arm": "{name}", "first": "{first:.1f}", "BFGS": "{last:.2f}", "from a cubic": "{by_guess[cubic][1]:.1f}",
+            "from a cosine": "{by_guess[cosine][1]:.1f}", "SLQ": "{slq[effort]:.1f}",
+            "SLQ, several starts": "{slq_starts[effort]:.1f}",
+        }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    for arm in [*results["candidates"], results["ours"]]:
-        lines.append(
-            f"| {_name(arm)} | {arm['first']:.1f} | {arm['last']:.2f} | {arm['by_guess']['cubic'][1]:.1f} "
-            f"| {arm['by_guess']['cosine'][1]:.1f} | {arm['slq']['effort']:.1f} | {arm['slq_starts']['effort']:.1f} |"
-        )
     return "\n".join([*lines, "", _said(results), ""])
 
 
 def _said(results: dict[str, Any]) -> str:
-    """What was found, in a sentence or two."""
     kinds = sorted({c["kind"] for c in results["candidates"]})
     if not kinds:
         return "No arm of these families has both numbers."
@@ -218,32 +207,36 @@ def _said(results: dict[str, Any]) -> str:
     )
 
 
-def masses_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     ours, found = results["ours"], results["candidates"]
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
-    why = "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)
     return [
-        {"where": "2.1", "paper": f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given",
-         "ours": best, "why": why},
-        {"where": "2.1", "paper": f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
-         "ours": f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
-                 f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
-         "why": "another arm, and the nearest of many local minima"},
-        {"where": "2.1", "paper": "The direct method takes about 2 minutes on a PIII-800",
-         "ours": f"{ours['seconds']:.2f} s, {ours['iterations']} iterations",
-         "why": "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes"},
+        Row(
+            "2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
+            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results),
+        ),
+        Row(
+            "2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
+            f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
+            f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
+            "another arm, and the nearest of many local minima",
+        ),
+        Row(
+            "2.1", "The direct method takes about 2 minutes on a PIII-800",
+            f"{ours['seconds']:.2f} s, {ours['iterations']} iterations",
+            "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes",
+        ),
     ]  # fmt: skip
 
 
-def draw_masses(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Effort of the minimum against the parameter of each family."""
-    figure, cells = figure_of(2)
+    figure, panels = panels_of(2)
     heads = {"length": "Equal links", "ratio": "Links of 1 m"}
     labels = {"length": "length of both links, m", "ratio": "mass of the forearm over that of the upper arm"}
-    for cell, family in zip(cells, heads, strict=True):
-        axes = figure.add_subplot(cell)
-        dress(axes, f"{heads[family]}, masses such that the first guess has {FIRST}", "effort of BFGS's minimum")
+    for axes, family in zip(panels, heads, strict=True):
+        title = f"{heads[family]}, masses such that the first guess has {FIRST}"
+        dress(axes, title, "effort of BFGS's minimum", labels[family])
         for index, kind in enumerate(KINDS):
             for f in results["families"]:
                 if (f["family"], f["kind"]) == (family, kind):
@@ -253,7 +246,12 @@ def draw_masses(results: dict[str, Any], path: Path) -> None:
                     x = c["length1"] if family == "length" else c["mass2"] / c["mass1"]
                     axes.plot(x, c["last"], marker="*", ms=13, color="k", ls="")
         axes.axhline(LAST, color="0.5", lw=0.8, ls=":", label=f"the paper's {LAST}")
-        axes.set_xlabel(labels[family])
         axes.set_ylim(0.0, None)
         axes.legend(frameon=False, fontsize=8)
     save(figure, path)
+
+
+STUDY = Study(
+    "masses", "the direct method, and which arm has the paper's efforts (2.1)",
+    _run, _page, _rows, {"masses.png": _draw}, seconds=20,
+)  # fmt: skip

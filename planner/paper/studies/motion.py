@@ -5,7 +5,6 @@ The paper draws its arms as frames at equal intervals of time (Fig. 3, Fig. 4); 
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,11 @@ import numpy as np
 from planner import cases
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics import poe
+from planner.paper.studies.records import plan_record, table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan
 from planner.solvers.slq import solve
-from planner.view.plots.style import INK, SOFT, save
+from planner.view.plots.style import INK, SOFT, grid_of, save
 
 FRAMES = 14  # as many as Fig. 3 has
 STATES = 50  # random ones per arm, for Fig. 2
@@ -24,8 +25,7 @@ STARTS = 8  # first guesses of the better local minimum
 LIMIT = 300  # iterations of each; those that need more end higher
 
 
-def motion_results() -> dict[str, Any]:
-    """Figures 1 to 4 as JSON values."""
+def _run() -> dict[str, Any]:
     for case in ("two-link", "acrobot"):
         solve(cases.build(case), max_iterations=1)  # so that nothing is compiled on the clock
     return {
@@ -56,14 +56,12 @@ def inverse_dynamics_error(case: str, states: int = STATES) -> float:
 def _motion(title: str, case: str, starts: int) -> dict[str, Any]:
     problem = cases.build(case)
     first = problem.dynamics.dt * 0.5 * float(np.sum(problem.first_guess**2))
-    began = time.perf_counter()
-    plan = solve(problem, starts=starts, max_iterations=LIMIT)
-    seconds = time.perf_counter() - began
+    plan, seconds = timed(lambda: solve(problem, starts=starts, max_iterations=LIMIT))
     q, qd = plan.xs[:, :2], plan.xs[:, 2:]
     chosen = np.linspace(0, plan.N, FRAMES).round().astype(int)
     return {
-        "title": title, "case": case, "status": plan.status.name, "iterations": plan.nit, "cost": plan.cost,
-        "first_effort": first, "effort": problem.dynamics.dt * 0.5 * float(np.sum(plan.us**2)),
+        "title": title, "case": case, **plan_record(plan), "first_effort": first,
+        "effort": problem.dynamics.dt * 0.5 * float(np.sum(plan.us**2)),
         "seconds": seconds, "miss": float(np.abs(plan.xs[-1] - [0.5 * np.pi, 0.0, 0.0, 0.0]).max()),
         "lowest_q1": float(q[:, 0].min()), "at": float(plan.t[q[:, 0].argmin()]),
         "folds": [float(q[:, 1].min()), float(q[:, 1].max())], "swings": _swings(qd[:, 0]),
@@ -86,31 +84,27 @@ def _path(plan: Plan) -> list[list[float]]:
     return np.stack([a * np.cos(elbow) + b * np.cos(hand), a * np.sin(elbow) + b * np.sin(hand)], axis=1).tolist()
 
 
-def motion_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
+def _page(results: dict[str, Any]) -> str:
     lines = [
         "# The machines and their motions (Fig. 1 to 4)", "",
-        "| machine of Fig. 1 | states | controls | t_f, s |", "|---|---:|---:|---:|",
-        *(f"| {m['case']} | {m['states']} | {m['controls']} | {m['t_f']:g} |" for m in results["machines"]),
-        "",
+        *table(
+            {"machine of Fig. 1": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
+            results["machines"],
+        ), "",
         f"Fig. 2, inverse dynamics line by line, against the compiled code at random states of the arms: relative "
         f"difference {results['inverse_dynamics_error']:.1e}.", "",
         "![frames of the arms at equal intervals](motions.png)", "",
-        "| motion | status | iterations | s | effort of the guess | effort | cost | lowest q1 | q2 between | turns of "
-        "q1 | miss |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---:|",
+        *table({
+            "motion": "{title}", "status": "{status}", "iterations": "{iterations}", "s": "{seconds:.3g}",
+            "effort of the guess": "{first_effort:.1f}", "effort": "{effort:.2f}", "cost": "{cost:.2f}",
+            "lowest q1": "{lowest_q1:.2f} rad at {at:.2f} s", "q2 between": "{folds[0]:.2f} and {folds[1]:.2f} rad",
+            "turns of q1": "{swings}", "miss": "{miss:.3f}",
+        }, results["motions"]),
     ]  # fmt: skip
-    for m in results["motions"]:
-        lines.append(
-            f"| {m['title']} | {m['status']} | {m['iterations']} | {m['seconds']:.3g} | {m['first_effort']:.1f} "
-            f"| {m['effort']:.2f} | {m['cost']:.2f} | {m['lowest_q1']:.2f} rad at {m['at']:.2f} s "
-            f"| {m['folds'][0]:.2f} and {m['folds'][1]:.2f} rad | {m['swings']} | {m['miss']:.3f} |"
-        )
     return "\n".join(lines) + "\n"
 
 
-def motion_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     paper, best, acrobot = results["motions"]
     machines = ", ".join(m["case"] for m in results["machines"])
 
@@ -121,40 +115,35 @@ def motion_rows(results: dict[str, Any]) -> list[dict[str, str]]:
         )
 
     return [
-        {
-            "where": "1, Fig. 1", "paper": "Four systems: 2R arm, the same without the base motor, human step, hopper",
-            "ours": machines, "why": "it does not differ",
-        },
-        {
-            "where": "1.2, Fig. 2", "paper": "Recursive inverse dynamics by matrix exponentials",
-            "ours": f"as printed in poe.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
-            "why": "it does not differ; gravity enters as acceleration of the base, which the figure leaves out",
-        },
-        {
-            "where": "2.1, Fig. 3",
-            "paper": "The arm swings down while folding the second link, then swings up and pumps the second link "
-            "upright",
-            "ours": f"from the paper's guess: {described(paper)}; best of {STARTS} guesses: {described(best)}",
-            "why": "another method, other masses (the paper has none) and many local minima; the paper calls its own "
-            "locally optimal",
-        },
-        {
-            "where": "2.2, Fig. 4", "paper": "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
-            "ours": f"{described(acrobot)}; q1 turns back {acrobot['swings']} times",
-            "why": "the paper gives neither masses nor t_f, so only the kind of motion can be compared",
-        },
+        Row(
+            "1, Fig. 1", "Four systems: 2R arm, the same without the base motor, human step, hopper", machines,
+            "it does not differ",
+        ),
+        Row(
+            "1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
+            f"as printed in poe.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
+            "it does not differ; gravity enters as acceleration of the base, which the figure leaves out",
+        ),
+        Row(
+            "2.1, Fig. 3",
+            "The arm swings down while folding the second link, then swings up and pumps the second link upright",
+            f"from the paper's guess: {described(paper)}; best of {STARTS} guesses: {described(best)}",
+            "another method, other masses (the paper has none) and many local minima; the paper calls its own locally "
+            "optimal",
+        ),
+        Row(
+            "2.2, Fig. 4", "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
+            f"{described(acrobot)}; q1 turns back {acrobot['swings']} times",
+            "the paper gives neither masses nor t_f, so only the kind of motion can be compared",
+        ),
     ]  # fmt: skip
 
 
-def draw_motions(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Frames at equal intervals, one row per motion."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    rows = results["motions"]
-    figure = Figure(figsize=(14.0, 1.75 * len(rows)), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    for axes, motion in zip(figure.subplots(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+    motions = results["motions"]
+    figure, grid = grid_of(len(motions), 1, 14.0, 1.75 * len(motions))
+    for axes, motion in zip(grid[:, 0], motions, strict=True):
         a, b = motion["lengths"]
         reach = 1.05 * (a + b)
         for frame, ((q1, q2), t) in enumerate(zip(motion["frames"], motion["t_s"], strict=True)):
@@ -171,3 +160,9 @@ def draw_motions(results: dict[str, Any], path: Path) -> None:
         axes.set_axis_off()
         axes.set_title(f"{motion['title']}: effort {motion['effort']:.2f}", fontsize=9.5, loc="left", color=INK)
     save(figure, path)
+
+
+STUDY = Study(
+    "motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
+    _run, _page, _rows, {"motions.png": _draw},
+)  # fmt: skip

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.files import write_atomically
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
+from planner.paper.studies.records import plan_record, table
+from planner.paper.studies.study import Row, Study
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost
 from planner.problem.costs.tracking import TrackingCost
@@ -25,6 +26,7 @@ from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.free_time import solve_for
+from planner.view.plots.style import grid_of, save
 
 BOUND = 15.0
 """N m of both motors: the arm stretched out needs 9.8 to be held, its motion of least jerk 12.7."""
@@ -66,10 +68,14 @@ def _measured(plan: Plan) -> dict[str, float]:
 
 def _motion(plan: Plan, bound: float) -> dict[str, Any]:
     return {
-        "status": plan.status.name, "iterations": plan.nit, "values": _measured(plan), "t_s": plan.t.tolist(),
-        "q_rad": plan.xs[:, :2].tolist(), "u_Nm": plan.us.tolist(),
-        "stages_on_a_bound": float((np.abs(plan.us) > (1.0 - AT_BOUND) * bound).any(axis=1).mean()),
+        **plan_record(plan), "values": _measured(plan), "t_s": plan.t.tolist(), "q_rad": plan.xs[:, :2].tolist(),
+        "u_Nm": plan.us.tolist(), "stages_on_a_bound": _on_a_bound(plan, bound),
     }  # fmt: skip
+
+
+def _on_a_bound(plan: Plan, bound: float) -> float:
+    """The share of stages with a torque on its bound."""
+    return float((np.abs(plan.us) > (1.0 - AT_BOUND) * bound).any(axis=1).mean())
 
 
 def _least_time(problem: Problem, bound: float, longest: float) -> Plan:
@@ -132,8 +138,7 @@ def cart_problem(N: int = 50) -> Problem:
     return Problem(dynamics, cost, np.zeros(2))
 
 
-def objective_results() -> dict[str, Any]:
-    """Every criterion on the arm, and least times, as JSON values."""
+def _run() -> dict[str, Any]:
     arm = cases.two_link(horizon=100)
     limited = replace(arm, limits=Limits(control=BOUND, final="exact"))
     motions = {}
@@ -166,88 +171,74 @@ def _last(times: np.ndarray | None) -> str:
 
 
 def _time_facts(plan: Plan, bound: float) -> dict[str, Any]:
-    on = np.abs(plan.us) > (1.0 - AT_BOUND) * bound
     return {
-        "found_s": float(plan.t[-1]), "status": plan.status.name, "stages_on_a_bound": float(on.any(axis=1).mean()),
+        "found_s": float(plan.t[-1]), "status": plan.status.name, "stages_on_a_bound": _on_a_bound(plan, bound),
         "durations_tried": len(plan.options["tried"]),
     }  # fmt: skip
 
 
-def objective_markdown(results: dict[str, Any]) -> str:
-    """The results as a part of a page."""
-    heads = [f"{name}, {unit}" for name, unit in results["units"].items()]
+def _page(results: dict[str, Any]) -> str:
+    values = {f"{name}, {unit}": f"{{{name}}}" for name, unit in results["units"].items()}
+    motions = []
+    for name, motion in results["motions"].items():
+        cells = {}
+        for measure, value in motion["values"].items():
+            mark = "**" if results["best"][measure] == name else ""
+            cells[measure] = f"{mark}{value:.4g}{mark}"
+        motions.append({"objective": name, "share": 100 * motion["stages_on_a_bound"], **cells})
+    times = [
+        {"seconds": "" if row["known_s"] is None else f"{row['known_s']:.4f}", "share": 100 * row["stages_on_a_bound"]}
+        | row for row in results["least_times"]
+    ]  # fmt: skip
     lines = [
         "## The criteria the paper names: effort, energy, jerk, time", "",
         f"The two-link arm from horizontal to upright, torques within {results['bound_Nm']:g} N m, its goal met to",
         "1e-4. Effort is half the integral of the squared torques, energy the work of both motors whatever its sign,",
         "jerk half the integral of the squared jerk of both joints. The least of each column is bold.", "",
-        "| objective | " + " | ".join(heads) + " | on a bound |", "|---|" + "---:|" * (len(heads) + 1),
-    ]  # fmt: skip
-    for name, motion in results["motions"].items():
-        cells = [
-            f"**{value:.4g}**" if results["best"][measure] == name else f"{value:.4g}"
-            for measure, value in motion["values"].items()
-        ]
-        lines.append(f"| {name} | " + " | ".join(cells) + f" | {100 * motion['stages_on_a_bound']:.0f} % |")
-    lines += [
+        *table({"objective": "{objective}", **values, "on a bound": "{share:.0f} %"}, motions),
         "", "![motions and torques by each criterion](objectives.png)", "",
         "The new height costs the motors at least 9.81 J, whatever the motion: what the motion of least energy",
         "spends above that is mostly the smoothing's. Least times, by bisection over the length of a stage:", "",
-        "| machine | found, s | known, s | | stages on a bound |", "|---|---:|---:|---|---:|",
-    ]  # fmt: skip
-    for row in results["least_times"]:
-        known = "" if row["known_s"] is None else f"{row['known_s']:.4f}"
-        lines.append(
-            f"| {row['machine']} | {row['found_s']:.4f} | {known} | {row['known']} "
-            f"| {100 * row['stages_on_a_bound']:.0f} % |"
-        )
-    lines += [
-        "",
+        *table({
+            "machine": "{machine}", "found, s": "{found_s:.4f}", "known, s": "{seconds}", "": "{known}",
+            "stages on a bound": "{share:.0f} %",
+        }, times), "",
         "SLQ finds local minima, so a least time found is an upper bound of the true one. The acrobot's is not",
         "bang-bang throughout: below it SLQ found no motion, which does not prove that there is none.",
-    ]
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
-def objective_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table of what the paper says, what we get, and why."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     best, cart, arm, acrobot = results["best"], *results["least_times"]
     values = {name: results["motions"][name]["values"] for name in results["motions"]}
     own = all(best[name] == name for name in MEASURES)
     return [
-        {
-            "where": "1",
-            "paper": "Criteria: effort, energy, jerk, time",
-            "ours": ", ".join(f"{name} {values[name][name]:.4g} {unit}" for name, unit in MEASURES.items()),
-            "why": "the paper plans by effort only; two-link arm, "
+        Row(
+            "1", "Criteria: effort, energy, jerk, time",
+            ", ".join(f"{name} {values[name][name]:.4g} {unit}" for name, unit in MEASURES.items()),
+            "the paper plans by effort only; two-link arm, "
             + ("each the least of its own criterion" if own else "not each the least of its own: local minima"),
-        },
-        {
-            "where": "1",
-            "paper": "Minimum time",
-            "ours": f"cart {cart['found_s']:.4f} s (exact: 2 s); arm {arm['found_s']:.4f} s, "
+        ),
+        Row(
+            "1", "Minimum time",
+            f"cart {cart['found_s']:.4f} s (exact: 2 s); arm {arm['found_s']:.4f} s, "
             f"{100 * arm['stages_on_a_bound']:.0f} % of stages on a bound",
-            "why": "the paper shows none; bounds met exactly, stage length by bisection",
-        },
-        {
-            "where": "2.2",
-            "paper": "Acrobot swing-up, by effort",
-            "ours": f"in least time {acrobot['found_s']:.3f} s with {ELBOW:g} N m",
-            "why": "the least found: a local minimum, and an upper bound",
-        },
-    ]
+            "the paper shows none; bounds met exactly, stage length by bisection",
+        ),
+        Row(
+            "2.2", "Acrobot swing-up, by effort",
+            f"in least time {acrobot['found_s']:.3f} s with {ELBOW:g} N m",
+            "the least found: a local minimum, and an upper bound",
+        ),
+    ]  # fmt: skip
 
 
-def draw_objectives(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Joint angles and torques by each criterion, and the acrobot's, with bounds where they are active."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     motions = {name: (motion, results["bound_Nm"]) for name, motion in results["motions"].items()}
     motions["acrobot, time"] = results["acrobot"], results["acrobot_bound_Nm"]
-    figure = Figure(figsize=(3.0 * len(motions), 6.0), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, len(motions), squeeze=False)
+    figure, grid = grid_of(2, len(motions), 3.0 * len(motions), 6.0)
     for (name, (motion, bound)), (top, bottom) in zip(motions.items(), grid.T, strict=True):
         t, q, u = (np.array(motion[key]) for key in ("t_s", "q_rad", "u_Nm"))
         for i, joint in enumerate(("shoulder", "elbow")):
@@ -271,5 +262,10 @@ def draw_objectives(results: dict[str, Any], path: Path) -> None:
     grid[1, 0].set_ylabel("torque, N m")
     grid[0, 2].legend(frameon=False, loc="center left")
     figure.suptitle("dashed: bounds of the torques; grey: one of them is on its bound", fontsize="medium")
-    with write_atomically(path) as unfinished:
-        figure.savefig(unfinished)
+    save(figure, path)
+
+
+STUDY = Study(
+    "objectives", "effort, energy, jerk and time (section 1)",
+    _run, _page, _rows, {"objectives.png": _draw}, seconds=60,
+)  # fmt: skip

@@ -1,7 +1,6 @@
 """The page: studies run in turn, and one table of what the paper says, what we get and why it differs.
 
-A study is four functions: results() computes JSON values, markdown(results) is a page about them, rows(results) are its
-rows of the table, and each picture is drawn from them. Where a study raises PlannerError its row says so.
+Where a study raises PlannerError its row says so.
 """
 
 from __future__ import annotations
@@ -9,43 +8,17 @@ from __future__ import annotations
 import multiprocessing
 import re
 import signal
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from planner.base.errors import PlannerError
+from planner.paper.studies.records import row_of
+from planner.paper.studies.study import Row, Study, timed
 
-COLUMNS = {"where": "where", "paper": "the paper says", "ours": "we get", "why": "why it differs"}
-NOT_BUILT = "not built yet"
-
-Row = dict[str, str]
-"""Keys as in COLUMNS."""
-
-
-@dataclass(frozen=True)
-class Study:
-    """One part of the paper beside ours.
-
-    Attributes:
-        name: In the command and in file names.
-        about: What it shows, in some words.
-        results: Computes everything, as JSON values.
-        markdown: A page of Markdown from the results.
-        rows: The rows of the table from the results.
-        pictures: What draws each picture, by file name, given the results and a path.
-        seconds: About what it takes, for beginning with the longest.
-    """
-
-    name: str
-    about: str
-    results: Callable[[], dict[str, Any]]
-    markdown: Callable[[dict[str, Any]], str]
-    rows: Callable[[dict[str, Any]], list[Row]]
-    pictures: Mapping[str, Callable[[dict[str, Any], Path], None]] = field(default_factory=dict)
-    seconds: float = 10.0
+HEADS = ("where", "the paper says", "we get", "why it differs")
 
 
 @dataclass(frozen=True)
@@ -53,9 +26,9 @@ class Finished:
     """A study that was run.
 
     Attributes:
-        study: Which.
+        study: The study.
         seconds: It took, pictures included.
-        results: What it computed; None where it failed.
+        results: Of the study; None where it failed.
         problem: Why it failed, "" where it did not.
     """
 
@@ -68,8 +41,8 @@ class Finished:
     def rows(self) -> list[Row]:
         """Its rows of the table."""
         if self.results is None:
-            return [{"where": self.study.name, "paper": self.study.about, "ours": "failed", "why": self.problem}]
-        return [{key: str(row.get(key, "")) for key in COLUMNS} for row in self.study.rows(self.results)]
+            return [Row(self.study.name, self.study.title, "failed", self.problem)]
+        return self.study.rows(self.results)
 
 
 def run_studies(
@@ -87,7 +60,7 @@ def run_studies(
         return _run_together(studies, pictures, note, min(processes, len(studies)))
     done = []
     for number, study in enumerate(studies, 1):
-        note(f"{number}/{len(studies)} {study.name}: {study.about}")
+        note(f"{number}/{len(studies)} {study.name}: {study.title}")
         done.append(run_study(study, pictures))
         note(f"    {_told(done[-1])}")
     return done
@@ -95,14 +68,18 @@ def run_studies(
 
 def run_study(study: Study, pictures: Path) -> Finished:
     """Run one study and draw its pictures."""
-    began = time.perf_counter()
-    try:
-        results = study.results()
-        for name, draw in study.pictures.items():
-            draw(results, pictures / name)
-        return Finished(study, time.perf_counter() - began, results)
-    except PlannerError as error:
-        return Finished(study, time.perf_counter() - began, problem=str(error))
+
+    def work() -> tuple[dict[str, Any] | None, str]:
+        try:
+            results = study.run()
+            for name, draw in study.pictures.items():
+                draw(results, pictures / name)
+        except PlannerError as error:
+            return None, str(error)
+        return results, ""
+
+    (results, problem), seconds = timed(work)
+    return Finished(study, seconds, results, problem)
 
 
 def _run_together(
@@ -115,7 +92,7 @@ def _run_together(
         longest_first = sorted(studies, key=lambda study: -study.seconds)
         for one in pool.imap_unordered(partial(run_study, pictures=pictures), longest_first):
             done[one.study.name] = one
-            note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.about}: {_told(one)}")
+            note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.title}: {_told(one)}")
     return [done[study.name] for study in studies]
 
 
@@ -127,22 +104,14 @@ def _told(one: Finished) -> str:
     return f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
 
 
-def table_rows(done: Sequence[Finished], pending: Mapping[str, Sequence[Row]]) -> list[Row]:
-    """All rows by section of the paper.
-
-    Args:
-        done: Studies that ran.
-        pending: Rows of studies to come, by the study's name; they go where it ran.
-    """
-    ran = {one.study.name for one in done}
-    rows = [row for one in done for row in one.rows]
-    rows += [{"ours": NOT_BUILT, **row} for name, more in pending.items() if name not in ran for row in more]
-    return sorted(rows, key=_section)
+def table_rows(done: Sequence[Finished]) -> list[Row]:
+    """All rows by section of the paper."""
+    return sorted((row for one in done for row in one.rows), key=_section)
 
 
 def complete(done: Sequence[Finished], rows: Sequence[Row]) -> bool:
     """Whether every study ran and no cell of the table is empty."""
-    return not any(one.problem for one in done) and all(row.get(key, "").strip() for row in rows for key in COLUMNS)
+    return not any(one.problem for one in done) and all(cell.strip() for row in rows for cell in row)
 
 
 def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, seconds: float) -> str:
@@ -159,19 +128,13 @@ def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, seconds: 
         'Bobrow, Park, Sideris, "Recent Advances on the Algorithmic Optimization of Robot Motion". Made by',
         f"`planner paper` in {seconds:.0f} s; the paper's times are those of a Pentium III at 800 MHz. Failures that",
         "the paper reports are results here too.", "",
-        *_table(rows), "",
+        row_of(HEADS), "|---|---|---|---|", *(row_of(map(_cell, row)) for row in rows), "",
     ]  # fmt: skip
     for one in done:
         lines += [_section_of(one, pictures), ""]
     lines += ["## Seconds", "", "| study | s |", "|---|---:|"]
     lines += [f"| {one.study.name} | {one.seconds:.1f} |" for one in done]
     return "\n".join(lines) + "\n"
-
-
-def _table(rows: Sequence[Row]) -> list[str]:
-    """Rows as Markdown."""
-    heads = f"| {' | '.join(COLUMNS.values())} |"
-    return [heads, "|---|---|---|---|", *(f"| {' | '.join(_cell(row[key]) for key in COLUMNS)} |" for row in rows)]
 
 
 def _cell(text: str) -> str:
@@ -181,7 +144,7 @@ def _cell(text: str) -> str:
 
 def _section(row: Row) -> tuple[int, int]:
     """The section of the paper that a row begins with; others come last."""
-    match = re.match(r"(\d+)(?:\.(\d+))?", row["where"])
+    match = re.match(r"(\d+)(?:\.(\d+))?", row.where)
     return (int(match[1]), int(match[2] or 0)) if match else (99, 0)
 
 
@@ -189,14 +152,14 @@ def _section_of(one: Finished, pictures: str) -> str:
     """A study's page as a section of the whole one: headings from the second level on, pictures where they are."""
     if one.results is None:
         return f"## {one.study.name}\n\nFailed: {one.problem}"
-    text = one.study.markdown(one.results).strip()
+    text = one.study.page(one.results).strip()
     levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.M)]
     if levels:
         text = re.sub(r"^(#+) ", lambda marks: "#" * (len(marks[1]) - min(levels) + 2) + " ", text, flags=re.M)
     else:
-        text = f"## {one.study.about}\n\n{text}"
+        text = f"## {one.study.title}\n\n{text}"
     for name in one.study.pictures:
         if f"]({name})" not in text:
-            text += f"\n\n![{one.study.about}]({name})"
+            text += f"\n\n![{one.study.title}]({name})"
         text = text.replace(f"]({name})", f"]({pictures}{name})")
     return text

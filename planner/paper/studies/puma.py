@@ -6,9 +6,7 @@ tripled the payload above the manufacturers specifications".
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,14 @@ import numpy as np
 from planner.base.jsonable import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias, frame_pose
-from planner.paper.payload import Attempt, LargestPayload, largest_payload, static_limit
+from planner.paper.payload import LargestPayload, largest_payload, static_limit
+from planner.paper.studies.records import plan_record, table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
-from planner.view.plots.style import HUES, INK, RED, SOFT, dress, save
+from planner.view.plots.style import HUES, INK, RED, SOFT, dress, grid_of, save
 
 DURATIONS = (1.5, 2.0, 2.5)  # s
 SHOWN = 2.0  # s, of the lift that is proved and drawn
@@ -31,83 +31,46 @@ TRIPLED = 3.0  # the paper's
 SLOW = 2.5  # rad/s: every joint, in a search that only asks whether the rated payload can be tripled
 
 
-def puma_results(callback: Callable[[Attempt], object] | None = None) -> dict[str, Any]:
-    """The largest payloads by duration, and the proof of one of them, as JSON values.
-
-    Args:
-        callback: Called with each Attempt.
-    """
+def _run() -> dict[str, Any]:
     limits, static = torque_limits(), static_limit()
     found: dict[float, LargestPayload] = {}
     searches = []
     for duration in DURATIONS:
-        begun = time.perf_counter()
-        found[duration] = largest_payload(duration=duration, resolution=RESOLUTION, callback=callback)
-        searches.append(_search(found[duration], duration, None, time.perf_counter() - begun))
-    begun = time.perf_counter()
-    slow = largest_payload(
-        duration=DURATIONS[-1],
-        speed_limit=SLOW,
-        most=TRIPLED * static.payload,
-        resolution=RESOLUTION,
-        callback=callback,
-    )
-    searches.append(_search(slow, DURATIONS[-1], SLOW, time.perf_counter() - begun))
+        found[duration], seconds = timed(lambda: largest_payload(duration=duration, resolution=RESOLUTION))  # noqa: B023
+        searches.append(_search(found[duration], duration, None, seconds))
+    slow, seconds = timed(lambda: largest_payload(
+        duration=DURATIONS[-1], speed_limit=SLOW, most=TRIPLED * static.payload, resolution=RESOLUTION
+    ))  # fmt: skip
+    searches.append(_search(slow, DURATIONS[-1], SLOW, seconds))
     return {
-        "case": "puma",
-        "rated": RATED,
-        "joints": list(JOINTS),
-        "torque_limits": limits.tolist(),
+        "case": "puma", "rated": RATED, "joints": list(JOINTS), "torque_limits": limits.tolist(),
         "static": {"payload": static.payload, "joint": static.joint, "pose": static.pose.tolist()},
-        "searches": searches,
-        "shown": _proved(found[SHOWN], limits),
-    }
+        "searches": searches, "shown": _proved(found[SHOWN], limits),
+    }  # fmt: skip
 
 
 def _search(found: LargestPayload, duration: float, speed_limit: float | None, seconds: float) -> dict[str, Any]:
     rates = np.abs(found.plan.xs[:, 6:]).max(axis=0)
     return {
-        "duration": duration,
-        "speed_limit": speed_limit,
-        "payload": found.payload,
-        "failed": finite(found.failed),
-        "ratio": found.ratio,
-        "held": found.held.payload,
-        "held_joint": found.held.joint,
-        "fastest": float(rates.max()),
-        "fastest_joint": JOINTS[int(rates.argmax())],
-        "seconds": seconds,
-        "attempts": [
-            {
-                "payload": a.payload, "guess": a.guess, "status": a.status.name, "iterations": a.iterations,
-                "torque_share": a.torque_share, "miss": a.miss, "lifted": a.lifted,
-            }
-            for a in found.attempts
-        ],
+        "duration": duration, "speed_limit": speed_limit, "payload": found.payload, "failed": finite(found.failed),
+        "ratio": found.ratio, "held": found.held.payload, "held_joint": found.held.joint,
+        "fastest": float(rates.max()), "fastest_joint": JOINTS[int(rates.argmax())], "seconds": seconds,
+        "attempts": [asdict(attempt) | {"status": attempt.status.name} for attempt in found.attempts],
     }  # fmt: skip
 
 
 def _proved(found: LargestPayload, limits: np.ndarray) -> dict[str, Any]:
-    """The largest payload of one duration at the case's own step, what MuJoCo says of it, and what is drawn."""
+    """The largest payload of one duration, planned at the case's own step and proved in MuJoCo."""
     problem = puma(found.payload, SHOWN)
     plan = solve(replace(problem, us=warm_start(found.plan, problem)))
     proof = prove(plan, rollouts=0)
     mechanism = puma_mechanism(found.payload)
     return {
-        "payload": found.payload,
-        "duration": SHOWN,
-        "status": plan.status.name,
-        "iterations": plan.nit,
-        "cost": plan.cost,
+        "payload": found.payload, "duration": SHOWN, **plan_record(plan),
         "torque_share": float(np.max(np.abs(plan.us) / limits)),
-        "verdict": proof.verdict,
-        "mode": proof.mode,
-        "reason": proof.reason,
-        "end_error": {
-            name: float(np.abs(replay.error[-1]).max()) for name, replay in proof.replays.items()
-        },
-        "t_s": plan.t.tolist(),
-        "torque_shares": (plan.us / limits).tolist(),
+        "verdict": proof.verdict, "mode": proof.mode, "reason": proof.reason,
+        "end_error": {name: float(np.abs(replay.error[-1]).max()) for name, replay in proof.replays.items()},
+        "t_s": plan.t.tolist(), "torque_shares": (plan.us / limits).tolist(),
         "held_shares": _held(plan, limits).tolist(),
         "way": _ways(frame_pose(mechanism, plan.xs[:, :6], "tip")),
         "straight": _ways(frame_pose(mechanism, straight_lift(91), "tip")),
@@ -126,8 +89,7 @@ def _ways(poses: np.ndarray) -> list[list[float]]:
     return poses[:, [0, 2], 3].tolist()
 
 
-def puma_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """The rows of the table "the paper says, we get, why it differs"."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     shown, static = results["shown"], results["static"]
     free = [search for search in results["searches"] if search["speed_limit"] is None]
     slow = next(search for search in results["searches"] if search["speed_limit"] is not None)
@@ -135,25 +97,32 @@ def puma_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     ratios = ", ".join(f"{search['ratio']:.1f} in {search['duration']:g} s" for search in free)
     least = "at least " if slow["failed"] is None else ""
     return [
-        {
-            "where": "2.1, reference [20]",
-            "paper": "payload of a Puma 762 tripled above the manufacturer's figure",
-            "ours": f"times the static limit of {static['payload']:.0f} kg, within the torque limits: {ratios}; "
+        Row(
+            "2.1, reference [20]", "payload of a Puma 762 tripled above the manufacturer's figure",
+            f"times the static limit of {static['payload']:.0f} kg, within the torque limits: {ratios}; "
             f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below "
             f"{slow['speed_limit']:g} rad/s; "
             f"{shown['payload']:.0f} kg in {shown['duration']:g} s replayed in MuJoCo: "
             f"{shown['verdict']} ({shown['mode']})",
-            "why": "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
+            "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
             f"the static limit is the rated {results['rated']:g} kg. [20] has speed limits; without them ours needs up "
             f"to {fastest:.0f} rad/s, which is why it lifts more",
-        }
-    ]
+        )
+    ]  # fmt: skip
 
 
-def puma_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
+def _page(results: dict[str, Any]) -> str:
     static, shown = results["static"], results["shown"]
     limits = zip(results["joints"], results["torque_limits"], strict=True)
+    searches = [
+        search | {
+            "speed": "none" if search["speed_limit"] is None else f"{search['speed_limit']:g}",
+            "missed": "not searched" if search["failed"] is None else f"{search['failed']:.1f}",
+            "tried": len(search["attempts"]),
+        }
+        for search in results["searches"]
+    ]  # fmt: skip
+    ends = ", ".join(f"{name} {value:.1e}" for name, value in shown["end_error"].items())
     lines = [
         "# Weightlifting with a Puma-like arm (reference [20]) beside ours", "",
         'The paper: a weightlifting problem for a Puma 762, "where we tripled the payload above the manufacturers',
@@ -166,20 +135,13 @@ def puma_markdown(results: dict[str, Any]) -> str:
         "A payload counts as lifted by a swing when a plan converged, ended at the goal and kept every torque within",
         "its limit. Bisection; an attempt follows the motion of the last payload lifted, else starts from four swings.",
         "", "![torques over limits, way of the payload, bisection](puma.png)", "",
-        "| duration, s | speed limit, rad/s | largest payload, kg | not lifted, kg | over static limit "
-        "| held still on the same way, kg | fastest joint, rad/s | attempts | seconds |",
-        "|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]  # fmt: skip
-    for search in results["searches"]:
-        speed = "none" if search["speed_limit"] is None else f"{search['speed_limit']:g}"
-        failed = "not searched" if search["failed"] is None else f"{search['failed']:.1f}"
-        lines.append(
-            f"| {search['duration']:g} | {speed} | {search['payload']:.1f} | {failed} | {search['ratio']:.2f} "
-            f"| {search['held']:.1f} ({search['held_joint']}) | {search['fastest']:.1f} ({search['fastest_joint']}) "
-            f"| {len(search['attempts'])} | {search['seconds']:.1f} |"
-        )
-    ends = ", ".join(f"{name} {value:.1e}" for name, value in shown["end_error"].items())
-    lines += [
+        *table({
+            "duration, s": "{duration:g}", "speed limit, rad/s": "{speed}", "largest payload, kg": "{payload:.1f}",
+            "not lifted, kg": "{missed}", "over static limit": "{ratio:.2f}",
+            "held still on the same way, kg": "{held:.1f} ({held_joint})",
+            "fastest joint, rad/s": "{fastest:.1f} ({fastest_joint})", "attempts": "{tried}",
+            "seconds": "{seconds:.1f}",
+        }, searches),
         "",
         'The column "held still" is what the motors could hold in every pose of the swing\'s own way: the swing goes',
         "where no slow motion with that load could go. What comes out is a lower bound, since SLQ finds local minima;",
@@ -193,17 +155,13 @@ def puma_markdown(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw_puma(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Torques over limits, the payload's way, the bisections, and the largest payload by duration."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 7.6), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    (torques, way), (history, ratios) = figure.subplots(2, 2)
+    figure, ((torques, way), (history, ratios)) = grid_of(2, 2, 11.0, 7.6)
     shown = results["shown"]
     t, shares = np.array(shown["t_s"]), np.array(shown["torque_shares"])
-    dress(torques, f"{shown['payload']:.1f} kg in {shown['duration']:g} s: torques over their limits", "torque / limit")
+    title = f"{shown['payload']:.1f} kg in {shown['duration']:g} s: torques over their limits"
+    dress(torques, title, "torque / limit", "time (s)")
     for i, name in enumerate(results["joints"]):
         torques.step(t, np.append(shares[:, i], shares[-1, i]), where="post", color=HUES[i][1], lw=1.6, label=name)
     held = np.array(shown["held_shares"])
@@ -211,37 +169,34 @@ def draw_puma(results: dict[str, Any], path: Path) -> None:
     torques.axhspan(-1.0, 1.0, color="#f2f2f2", zorder=0)
     top = max(1.2, float(held.max()))
     torques.set_ylim(-1.4, 1.45 * top)  # room for the names above what is drawn
-    torques.set_xlabel("time (s)")
     torques.legend(fontsize=7.5, ncols=4, frameon=False, loc="upper left")
 
-    dress(way, "way of the payload", "z, m")
-    for name, color, ls in (("straight", SOFT, "--"), ("way", RED, "-")):
+    dress(way, "way of the payload", "z, m", "x, m")
+    for name, color, ls, label in (
+        ("straight", SOFT, "--", "slow straight lift"), ("way", RED, "-", "planned swing"),
+    ):  # fmt: skip
         x, z = np.array(shown[name]).T
-        way.plot(
-            x, z, color=color, ls=ls, lw=1.8, label="slow straight lift" if name == "straight" else "planned swing"
-        )
+        way.plot(x, z, color=color, ls=ls, lw=1.8, label=label)
     way.plot(*shown["way"][0], "o", color=INK, ms=5)
     way.plot(*shown["way"][-1], "*", color=INK, ms=10)
     way.plot(0.0, 0.0, "s", color=INK, ms=5)
     way.annotate("shoulder", (0.0, 0.0), (6, -3), textcoords="offset points", fontsize=7.5)
     way.set_aspect("equal", adjustable="datalim")
-    way.set_xlabel("x, m")
     way.legend(fontsize=7.5, frameon=False, loc="center left")
 
     free = [search for search in results["searches"] if search["speed_limit"] is None]
     slow = [search for search in results["searches"] if search["speed_limit"] is not None]
     search = next(search for search in free if search["duration"] == shown["duration"])
-    dress(history, f"attempts at {shown['duration']:g} s", "payload, kg")
+    dress(history, f"attempts at {shown['duration']:g} s", "payload, kg", "attempt")
     for lifted, color, label in ((True, HUES[2][1], "lifted"), (False, RED, "not lifted")):
         points = [(i, a["payload"]) for i, a in enumerate(search["attempts"]) if a["lifted"] is lifted]
         if points:
             history.plot(*zip(*points, strict=True), ls="", marker="o" if lifted else "x", color=color, label=label)
     history.axhline(results["static"]["payload"], color=SOFT, ls="--", lw=1.0, label="static limit")
     history.set_ylim(bottom=0.0)
-    history.set_xlabel("attempt")
     history.legend(fontsize=7.5, frameon=False, loc="lower right")
 
-    dress(ratios, "largest payload over the static limit", "ratio")
+    dress(ratios, "largest payload over the static limit", "ratio", "duration (s)")
     for found, color, label in (
         (free, HUES[0][1], "planned swing"),
         (slow, HUES[3][1], f"joints below {SLOW:g} rad/s"),
@@ -251,6 +206,11 @@ def draw_puma(results: dict[str, Any], path: Path) -> None:
     ratios.axhline(TRIPLED, color=INK, ls=":", lw=1.0, label="tripled, the paper's [20]")
     ratios.axhline(1.0, color=SOFT, ls="--", lw=1.0, label="slow straight lift")
     ratios.set_ylim(bottom=0.0)
-    ratios.set_xlabel("duration (s)")
     ratios.legend(fontsize=7.5, frameon=False, loc="lower right")
     save(figure, path)
+
+
+STUDY = Study(
+    "puma", "weightlifting with a Puma-like arm (reference 20)",
+    _run, _page, _rows, {"puma.png": _draw}, seconds=60,
+)  # fmt: skip

@@ -7,7 +7,6 @@ that of SLQ's optimum; and the same from zero on shorter horizons.
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,12 @@ import numpy as np
 
 from planner.cases.two_link import two_link
 from planner.paper.methods.shooting import HamiltonianFlow, shoot
+from planner.paper.studies.records import table
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan
 from planner.solvers.lq import costates
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, figure_of, save
+from planner.view.plots.style import dress, panels_of, save
 
 DURATION = 2.0  # s, section 2.1
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)  # s
@@ -46,12 +47,12 @@ def shooting_jacobian(flow: HamiltonianFlow, sensitivity: np.ndarray) -> np.ndar
 
 
 def _tried(duration: float, name: str, guess: np.ndarray, optimum: np.ndarray) -> dict[str, Any]:
-    began = time.perf_counter()
-    found = shoot(two_link(duration=duration), guess, max_evaluations=MOST_FLOWS, tolerance=LOOSER)
+    problem = two_link(duration=duration)
+    found, seconds = timed(lambda: shoot(problem, guess, max_evaluations=MOST_FLOWS, tolerance=LOOSER))
     return {
         "duration": duration, "guess": name, "success": found.success,
         "relative_residual": found.residual / found.scale,
-        "flows": found.evaluations, "message": found.message, "seconds": time.perf_counter() - began,
+        "flows": found.evaluations, "message": found.message, "seconds": seconds,
         "costate0": found.costate0.tolist(), "distance_of_guess": float(np.linalg.norm(guess - optimum)),
     }  # fmt: skip
 
@@ -70,9 +71,7 @@ def _horizon(duration: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def shooting_results() -> dict[str, Any]:
-    """Attempts from several guesses and horizons, and sensitivities, as JSON values."""
-    began = time.perf_counter()
+def _run() -> dict[str, Any]:
     problem = two_link(duration=DURATION)
     plan = solve(problem)
     optimum = optimal_costate(plan)
@@ -89,42 +88,34 @@ def shooting_results() -> dict[str, Any]:
         "horizons": [_horizon(duration) for duration in HORIZONS],
         "from_zero": [_tried(T, "zero", np.zeros(4), optimal_costate(solve(two_link(duration=T)))) for T in FROM_ZERO],
         "t": TIMES.tolist(), "norm": [float(np.linalg.norm(S[4:], 2)) for S in along],
-        "condition": [float(np.linalg.cond(S[4:])) for S in along], "seconds": time.perf_counter() - began,
+        "condition": [float(np.linalg.cond(S[4:])) for S in along],
     }  # fmt: skip
 
 
-def shooting_markdown(results: dict[str, Any]) -> str:
-    """The results as a section of Markdown."""
-
-    def rows(attempts: list[dict[str, Any]]) -> list[str]:
-        return [
-            f"| {a['duration']:g} | {a['guess']} | {a['distance_of_guess']:.3g} | {'yes' if a['success'] else 'no'} "
-            f"| {a['relative_residual']:.1e} | {a['flows']} | {a['seconds']:.1f} |"
-            for a in attempts
-        ]
-
+def _page(results: dict[str, Any]) -> str:
+    attempts = [a | {"found": "yes" if a["success"] else "no"} for a in (*results["attempts"], *results["from_zero"])]
     lines = [
         "## Indirect shooting (section 2.1)", "",
         "Two-link arm, x and lambda integrated forward with H_u = 0 (Eq. 3, 4), lambda(0) by `scipy.optimize.root`;",
         f"found means that lambda(t_f) is phi_x to 1e-6 of it. At most {MOST_FLOWS} flows.", "",
         "![sensitivity of the final costate](shooting_sensitivity.png)", "",
-        "| t_f, s | first guess of lambda(0) | off the optimum by | found | relative residual | flows | s |",
-        "|---:|---|---:|---|---:|---:|---:|", *rows(results["attempts"]), *rows(results["from_zero"]), "",
+        *table({
+            "t_f, s": "{duration:g}", "first guess of lambda(0)": "{guess}",
+            "off the optimum by": "{distance_of_guess:.3g}", "found": "{found}",
+            "relative residual": "{relative_residual:.1e}", "flows": "{flows}", "s": "{seconds:.1f}",
+        }, attempts), "",
         "The final costate by the initial one, at each horizon's own optimum; the last columns are of the whole miss,",
         "lambda(t_f) - phi_x(x(t_f)), which is what has to become zero:", "",
-        "| t_f, s | norm of d lambda(t_f) / d lambda(0) | condition | norm of d miss / d lambda(0) | condition |",
-        "|---:|---:|---:|---:|---:|",
-        *(
-            f"| {h['duration']:g} | {h['norm']:.3g} | {h['condition']:.2g} | {h['jacobian_norm']:.3g} "
-            f"| {h['jacobian_condition']:.2g} |"
-            for h in results["horizons"]
-        ), "", _said(results), "",
+        *table({
+            "t_f, s": "{duration:g}", "norm of d lambda(t_f) / d lambda(0)": "{norm:.3g}",
+            "condition": "{condition:.2g}",
+            "norm of d miss / d lambda(0)": "{jacobian_norm:.3g}", "condition of it": "{jacobian_condition:.2g}",
+        }, results["horizons"]), "", _said(results), "",
     ]  # fmt: skip
     return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
-    """What the numbers say."""
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     missed = [a["guess"] for a in results["attempts"] if not a["success"]]
     short = [f"{a['duration']:g}" for a in results["from_zero"] if a["success"]]
@@ -139,31 +130,32 @@ def _said(results: dict[str, Any]) -> str:
     )
 
 
-def shooting_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     return [
-        {"where": "2.1", "paper": "Indirect shooting on the fully actuated arm failed",
-         "ours": f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
-                 f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
-         "why": _said(results)},
-        {"where": "2.1", "paper": "The costate equations are highly sensitive to the initial conditions (no number)",
-         "ours": f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
-                 f"condition up to {max(results['condition']):.0e}",
-         "why": "the flow preserves volume: what it contracts in one direction it stretches in another"},
+        Row(
+            "2.1", "Indirect shooting on the fully actuated arm failed",
+            f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
+            f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
+            _said(results),
+        ),
+        Row(
+            "2.1", "The costate equations are highly sensitive to the initial conditions (no number)",
+            f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
+            f"condition up to {max(results['condition']):.0e}",
+            "the flow preserves volume: what it contracts in one direction it stretches in another",
+        ),
     ]  # fmt: skip
 
 
-def draw_shooting(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Sensitivity of the final costate to the initial one, along one optimum and by horizon."""
-    figure, cells = figure_of(2)
-    along, horizons = (figure.add_subplot(cell) for cell in cells)
-    dress(along, "Along the optimum of 2 s: d lambda(t) / d lambda(0)", "")
+    figure, (along, horizons) = panels_of(2)
+    dress(along, "Along the optimum of 2 s: d lambda(t) / d lambda(0)", "", "t, s")
     along.semilogy(results["t"], results["condition"], label="condition number")
     along.semilogy(results["t"], results["norm"], label="norm")
-    along.set_xlabel("t, s")
     along.legend(frameon=False, fontsize=8)
-    dress(horizons, "Each horizon's own optimum", "")
+    dress(horizons, "Each horizon's own optimum", "", "t_f, s")
     durations = [h["duration"] for h in results["horizons"]]
     for name, label in (
         ("jacobian_condition", "condition of d miss / d lambda(0)"),
@@ -177,6 +169,11 @@ def draw_shooting(results: dict[str, Any], path: Path) -> None:
     horizons.text(
         durations[-1], 1.0, "shooting from zero: circle found, cross not", ha="right", va="center", fontsize=7.5
     )
-    horizons.set_xlabel("t_f, s")
     horizons.legend(frameon=False, fontsize=8, loc="center right", bbox_to_anchor=(1.0, 0.3))
     save(figure, path)
+
+
+STUDY = Study(
+    "shooting", "indirect shooting, and why it fails (2.1)",
+    _run, _page, _rows, {"shooting_sensitivity.png": _draw}, seconds=35,
+)  # fmt: skip

@@ -13,7 +13,7 @@ The last is what remains of Eq. 36 when Eq. 30 is left out, an easy mistake.
 
 from __future__ import annotations
 
-import time
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,11 @@ from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import Measures, measures, normal_height, robot_wrench, vertical_force
 from planner.cases.human_step.measures import height as height_of
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import PELVIS, Walker
 from planner.paper.methods.control_spline import solve_by_splines
+from planner.paper.studies.records import descent_record, plan_record
+from planner.paper.studies.study import timed
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replaying import replay
@@ -85,7 +87,7 @@ def feedforward_alone(problem: Problem, iterations: int) -> list[float]:
 
 
 def step_results() -> dict[str, Any]:
-    """Splines, updates, stance and swing, replays, and the default motions that are drawn, as JSON values."""
+    """Splines, updates, stance and swing, replays, and the default motions in the pictures, as JSON values."""
     problems = {name: human_step(phase=name, cost="study") for name in ("swing", "cycle")}
     for problem in problems.values():
         solve(problem, max_iterations=1)  # so that nothing is compiled on the clock
@@ -99,32 +101,27 @@ def step_results() -> dict[str, Any]:
         "splines": [_splines(problems["swing"], n, most) for n, most in zip(COEFFICIENTS, MOST, strict=True)],
         "swing": _motion(plans["swing"]),
         "cycle": _motion(plans["cycle"]),
-        "cycles": {"cycles": CYCLES, **_told(*_timed(long))},
+        "cycles": {"cycles": CYCLES, **_solved(long)[1]},
         "without_clearance": _motion(solve(lowest)),
         "default": {name: _drawn(human_step(phase=name)) for name in ("swing", "cycle")},
     }
 
 
-def _timed(problem: Problem, **options: Any) -> tuple[Plan, float]:
-    began = time.perf_counter()
-    return solve(problem, **options), time.perf_counter() - began
-
-
-def _told(plan: Plan, seconds: float) -> dict[str, Any]:
-    costs = [line.cost for line in plan.history]
-    return {"status": plan.status.name, "iterations": plan.nit, "seconds": seconds, "cost": plan.cost, "costs": costs}
+def _solved(problem: Problem, **options: Any) -> tuple[Plan, dict[str, Any]]:
+    plan, seconds = timed(lambda: solve(problem, **options))
+    return plan, {**plan_record(plan), "seconds": seconds, "costs": [line.cost for line in plan.history]}
 
 
 def _updates(problem: Problem) -> tuple[Plan, dict[str, Any]]:
     """The plan, and the three updates on one problem."""
-    plan, seconds = _timed(problem, max_iterations=LIMITS["feedback"])
-    found = {"feedback": _told(plan, seconds)}
-    found["open-loop"] = _told(*_timed(problem, update="open-loop", max_iterations=LIMITS["open-loop"]))
-    began = time.perf_counter()
-    costs = feedforward_alone(problem, LIMITS["feedforward alone"])
+    found = {}
+    plan, found["feedback"] = _solved(problem, max_iterations=LIMITS["feedback"])
+    _, found["open-loop"] = _solved(problem, update="open-loop", max_iterations=LIMITS["open-loop"])
+    most = LIMITS["feedforward alone"]
+    costs, seconds = timed(lambda: feedforward_alone(problem, most))
     found["feedforward alone"] = {
-        "status": "MAX_ITERATIONS" if len(costs) > LIMITS["feedforward alone"] else "NO_DESCENT",
-        "iterations": len(costs) - 1, "seconds": time.perf_counter() - began, "cost": costs[-1], "costs": costs,
+        "status": "MAX_ITERATIONS" if len(costs) > most else "NO_DESCENT", "iterations": len(costs) - 1,
+        "seconds": seconds, "cost": costs[-1], "costs": costs,
     }  # fmt: skip
     return plan, found
 
@@ -135,19 +132,17 @@ def first_within(costs: Any, share: float) -> int:
 
 
 def _splines(problem: Problem, coefficients: int, most: int) -> dict[str, Any]:
-    began = time.perf_counter()
-    found = solve_by_splines(
+    found, seconds = timed(lambda: solve_by_splines(
         problem, coefficients=coefficients, degree=DEGREE, gradient_tolerance=GRADIENT, max_iterations=most
-    )
+    ))  # fmt: skip
     return {
-        "coefficients": coefficients, "parameters": found.amplitudes.size, "success": found.success,
-        "message": found.message, "iterations": found.iterations, "evaluations": found.evaluations,
-        "cost": found.cost, "costs": found.costs.tolist(), "seconds": time.perf_counter() - began,
+        "coefficients": coefficients, "parameters": found.spline.c.size, **descent_record(found),
+        "costs": found.costs.tolist(), "seconds": seconds,
     }  # fmt: skip
 
 
 def _motion(plan: Plan) -> dict[str, Any]:
-    """What a motion came to, and its replays' errors in deg RMS over the joints of the legs."""
+    """Measures of a motion, and its replays' errors in deg RMS over the joints of the legs."""
     assert plan.problem is not None
     assert plan.problem.requirements is not None  # a case's, just solved
     step = step_of(plan.problem)
@@ -163,8 +158,8 @@ def _motion(plan: Plan) -> dict[str, Any]:
     joints = [m.joint(f"right_{name}").start for name in ("hip_flexion", "knee", "ankle")]
     heel, normal_heel = frame_points(m, np.stack([plan.xs[-1], step.states[-1]]), ("right_heel_point",))[:, 0]
     return {
-        "status": plan.status.name, "iterations": plan.nit, "cost": plan.cost, **_summary(found),
-        "carried_rms": normal.rms, "end_deg": end[joints].tolist(), "end_heel_m": (heel - normal_heel).tolist(),
+        **plan_record(plan), **_summary(found), "carried_rms": normal.rms,
+        "end_deg": end[joints].tolist(), "end_heel_m": (heel - normal_heel).tolist(),
         "replay_deg": errors,
     }  # fmt: skip
 
@@ -179,16 +174,12 @@ def carried(problem: Problem) -> np.ndarray:
 
 
 def _summary(found: Measures) -> dict[str, Any]:
-    return {
-        "rms": found.rms, "clearance": found.clearance, "hip_lift": found.hip_lift, "in_stance": found.in_stance,
-        "in_swing": found.in_swing, "stance_force": found.stance_force, "largest_force": found.largest_force,
-        "straightest_knee": found.straightest_knee, "pelvis": found.pelvis.tolist(),
-    }  # fmt: skip
+    return asdict(found) | {"pelvis": found.pelvis.tolist()}
 
 
 def _drawn(problem: Problem) -> dict[str, Any]:
-    """The motion with the default cost, and all that the pictures need of it."""
-    plan, seconds = _timed(problem)
+    """The motion with the default cost, for the pictures."""
+    plan, record = _solved(problem)
     step, m = step_of(problem), problem.dynamics.mechanism  # type: ignore[attr-defined]
     sides = step.walker.legs
     moving = [m.joint(name).start for name in PELVIS]
@@ -197,7 +188,7 @@ def _drawn(problem: Problem) -> dict[str, Any]:
     q, qd = plan.xs[:, : m.nq], plan.xs[:, m.nq :]
     lifts = {side: height_of(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
     result: dict[str, Any] = {
-        **_told(plan, seconds), **_summary(measures(step, plan.xs)), "t_s": _listed(plan.t),
+        **record, **_summary(measures(step, plan.xs)), "t_s": _listed(plan.t),
         "angles_deg": {name: _listed(np.degrees(q[:, i])) for name, i in angles.items()},
         "normal_deg": {name: _listed(np.degrees(step.states[:, i])) for name, i in angles.items()},
         "pelvis": {"planned": _listed(q[:, moving]), "normal": _listed(step.states[:, moving])},
@@ -217,5 +208,5 @@ def _drawn(problem: Problem) -> dict[str, Any]:
 
 
 def _listed(values: np.ndarray) -> list[Any]:
-    """To what a picture shows."""
+    """Rounded to the accuracy of a picture."""
     return np.round(values, 5).tolist()

@@ -1,4 +1,4 @@
-"""The pictures of step_study: the swing as in Fig. 5, a cycle in curves, and J by iteration of every method."""
+"""The pictures of the human step: the swing as in Fig. 5, a cycle in curves, and J by iteration of every method."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.step import SWING
+from planner.cases.human_step.phase import SWING
 from planner.paper.studies.step import CYCLE_TIME, FRAMES
-from planner.view.plots.stick_figures import Motion, Stick, draw_stick_figures
-from planner.view.plots.style import HUES, SOFT, dress, figure_of, save
+from planner.problem.pictures import Motion, Stick, StickFigures
+from planner.view.plots.stick_figures import draw_stick_figures
+from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 
 POSES = 8
 SIDES = ("right", "left")
-_DASHED = (0, (4, 2))
 
 
 def draw_step(results: dict[str, Any], path: Path) -> None:
@@ -35,19 +35,15 @@ def draw_step(results: dict[str, Any], path: Path) -> None:
         Stick((other, hip), "hips", hue=None),
         Stick((hip, knee, ankle, heel, toe, ankle), "the leg that swings", hue=1),
     ]
-    t = np.linspace(0.0, 100.0, POSES)
-    figure = draw_stick_figures(
-        motions, sticks, poses=POSES, times=tuple(f"{share:.0f} %" for share in t), ground=0.0,
-        title="The swing: passive leg, optimized motion of the pelvis",
-    )  # fmt: skip
-    save(figure, path)
+    times = tuple(f"{share:.0f} %" for share in np.linspace(0.0, 100.0, POSES))
+    title = "The swing: passive leg, optimized motion of the pelvis"
+    save(draw_stick_figures(StickFigures("", motions, sticks, times, 0.0, title)), path)
 
 
 def draw_step_cycle(results: dict[str, Any], path: Path) -> None:
     """Joint angles against normal, the pelvis' place, hip lift, foot forces and the robot's wrench, of a cycle."""
     drawn = results["default"]["cycle"]
-    figure, cells = figure_of(6)
-    axes = [figure.add_subplot(cell) for cell in cells]
+    figure, axes = panels_of(6)
     percent = 100.0 * np.array(drawn["t_s"]) / CYCLE_TIME
     for on, side in zip(axes[:2], SIDES, strict=True):
         dress(on, f"{side.capitalize()} leg, normal dashed, its swing shaded", "angle (deg)")
@@ -56,7 +52,7 @@ def draw_step_cycle(results: dict[str, Any], path: Path) -> None:
         for i, joint in enumerate(("hip_flexion", "knee", "ankle")):
             name = f"{side}_{joint}"
             on.plot(percent, drawn["angles_deg"][name], color=HUES[i][1], lw=1.8, label=joint.replace("_", " "))
-            on.plot(percent, drawn["normal_deg"][name], color=HUES[i][1], lw=1.2, ls=_DASHED)
+            on.plot(percent, drawn["normal_deg"][name], color=HUES[i][1], lw=1.2, ls=DASHED)
     pelvis = {key: np.array(values) for key, values in drawn["pelvis"].items()}
     path_of, forces, push, turn = axes[2:]
     dress(path_of, "Pelvis and hips, from the normal gait", "mm")
@@ -88,10 +84,9 @@ def draw_step_cycle(results: dict[str, Any], path: Path) -> None:
 
 def draw_step_methods(results: dict[str, Any], path: Path) -> None:
     """J over the least found, by iteration."""
-    figure, cells = figure_of(2)
-    for phase, cell in zip(("swing", "cycle"), cells, strict=True):
-        axes = figure.add_subplot(cell)
-        dress(axes, phase.capitalize(), "J")
+    figure, panels = panels_of(2)
+    for phase, axes in zip(("swing", "cycle"), panels, strict=True):
+        dress(axes, phase.capitalize(), "J", "iteration, counted from 1")
         for i, (name, one) in enumerate(results["updates"][phase].items()):
             axes.loglog(1 + np.arange(len(one["costs"])), one["costs"], color=HUES[i][1], lw=1.8, label=f"SLQ, {name}")
         for i, one in enumerate(results["splines"] if phase == "swing" else ()):
@@ -101,6 +96,5 @@ def draw_step_methods(results: dict[str, Any], path: Path) -> None:
         for labels in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
             labels("{x:g}")
         axes.tick_params(axis="y", which="both", labelsize=8)
-        axes.set_xlabel("iteration, counted from 1")
         axes.legend(frameon=False, fontsize=8)
     save(figure, path)

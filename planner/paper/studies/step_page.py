@@ -1,74 +1,77 @@
-"""What the numbers of step_study say: a section of the page, and the rows of the table."""
+"""The human step (section 2.3) on the page: a section of text, and rows of the table."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from planner.paper.studies.step import COEFFICIENTS, DEGREE, LIMITS, WITHIN, first_within
+from planner.paper.studies.records import row_of, table
+from planner.paper.studies.step import COEFFICIENTS, DEGREE, LIMITS, WITHIN, first_within, step_results
+from planner.paper.studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
+from planner.paper.studies.study import Row, Study
 
-HOURS = 4.0  # the paper's, of the swing on a PIII at 800 MHz
 PAPERS = 32  # parameters
 
 
-def step_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     swing, cycle, lowest = results["updates"]["swing"], results["updates"]["cycle"], results["without_clearance"]
     few, many = results["splines"]
     shown, both, drawn = results["swing"], results["cycle"], results["default"]
     lift = 1e3 * shown["hip_lift"]["right"]
     slq, eq36, alone = (cycle[update] for update in LIMITS)
     return [
-        {
-            "where": "2.3", "paper": f"Human step: {PAPERS} B-spline parameters for the swing hip",
-            "ours": "; ".join(f"{s['parameters']} parameters: J {s['cost']:.4g}, {_ended(s)} after {s['iterations']} "
-                              f"iterations, {s['seconds']:.0f} s" for s in (few, many))
-                    + f"; SLQ on the same problem: J {swing['feedback']['cost']:.4g}, "
-                      f"{swing['feedback']['iterations']} iterations, {swing['feedback']['seconds']:.2g} s",
-            "why": "the gradient is the exact one of the discretised J (Eq. 16-19 times the basis) in place of Eq. 7, "
-                   "so BFGS does converge; six accelerations of the pelvis are the splines, the paper does not say "
-                   "which motions of the hip its were",
-        },
-        {
-            "where": "2.3, Fig. 5",
-            "paper": "The pelvis alone moves a paralysed leg through a step near the recorded gait: hip lifted, pelvis "
-                     "twisted",
-            "ours": f"hip lifted by {lift:.0f} mm ({1e3 * lowest['hip_lift']['right']:.0f} mm if the foot need not be "
-                    f"clear), the foot at least {1e3 * shown['clearance']['right']:.0f} mm up in the middle of the "
-                    f"swing; from the normal gait, RMS: {_rms(shown, ('right',))}; at the end hip and knee are "
-                    f"{abs(shown['end_deg'][0]):.1f} and {abs(shown['end_deg'][1]):.1f} deg off, the heel is "
-                    f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; replayed in MuJoCo within "
-                    f"{shown['replay_deg']['open-loop']:.2g} deg",
-            "why": "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
-                   "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
-                   "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands",
-        },
-        {
-            "where": "2.3", "paper": "Approximately 4 hours to converge (PIII-800)",
-            "ours": f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs "
-                    f"{slq['seconds']:.2g} s",
-            "why": f"a machine some tens of times as fast makes minutes of hours; the rest are exact derivatives "
-                   f"and {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
-                   f"{few['parameters']} parameters takes {few['seconds']:.0f} s here",
-        },
-        {
-            "where": "2.3", "paper": "Stance and swing together were unstable and did not converge",
-            "ours": f"{slq['status'].lower()} in {slq['iterations']} iterations from J {slq['costs'][0]:.0f} to "
-                    f"{slq['cost']:.2f} (within 5 % after {first_within(slq['costs'], 0.05)}); the paper's update "
-                    f"(Eq. 36) {eq36['cost']:.2f} after {eq36['iterations']}; without Eq. 30, U + alpha k, it is still "
-                    f"at {alone['cost']:.0f} after {alone['iterations']}",
-            "why": "smooth contact, a wish to have the standing foot on the belt, accelerations of the pelvis as "
-                   "controls, and rollouts with the gains. Eq. 36 does it, too, more slowly and to a slightly "
-                   "higher minimum; what fails is to leave out the states of the LQ problem",
-        },
-        {
-            "where": "2.3",
-            "paper": '"In just a few minutes" with the new algorithm, stance and swing together',
-            "ours": f"{slq['seconds']:.2g} s for a cycle, {results['cycles']['seconds']:.2g} s for "
-                    f"{results['cycles']['cycles']} at once (the default cost: {drawn['cycle']['seconds']:.2g} s for a "
-                    f"cycle); MuJoCo is {both['replay_deg']['open-loop']:.2g} deg RMS from the plan without feedback, "
-                    f"{both['replay_deg']['feedback']:.2g} deg with the gains",
-            "why": "it does not differ: the hope was right",
-        },
+        Row(
+            "2.3", f"Human step: {PAPERS} B-spline parameters for the swing hip",
+            "; ".join(
+                f"{s['parameters']} parameters: J {s['cost']:.4g}, {_ended(s)} after {s['iterations']} "
+                f"iterations, {s['seconds']:.0f} s" for s in (few, many)
+            )
+            + f"; SLQ on the same problem: J {swing['feedback']['cost']:.4g}, "
+            f"{swing['feedback']['iterations']} iterations, {swing['feedback']['seconds']:.2g} s",
+            "the gradient is the exact one of the discretised J (Eq. 16-19 times the basis) in place of Eq. 7, "
+            "so BFGS does converge; six accelerations of the pelvis are the splines, the paper does not say "
+            "which motions of the hip its were",
+        ),
+        Row(
+            "2.3, Fig. 5",
+            "The pelvis alone moves a paralysed leg through a step near the recorded gait: hip lifted, pelvis "
+            "twisted",
+            f"hip lifted by {lift:.0f} mm ({1e3 * lowest['hip_lift']['right']:.0f} mm if the foot need not be "
+            f"clear), the foot at least {1e3 * shown['clearance']['right']:.0f} mm up in the middle of the "
+            f"swing; from the normal gait, RMS: {_rms(shown, ('right',))}; at the end hip and knee are "
+            f"{abs(shown['end_deg'][0]):.1f} and {abs(shown['end_deg'][1]):.1f} deg off, the heel is "
+            f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; replayed in MuJoCo within "
+            f"{shown['replay_deg']['open-loop']:.2g} deg",
+            "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
+            "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
+            "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands",
+        ),
+        Row(
+            "2.3", "Approximately 4 hours to converge (PIII-800)",
+            f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs "
+            f"{slq['seconds']:.2g} s",
+            f"a machine some tens of times as fast makes minutes of hours; the rest are exact derivatives "
+            f"and {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
+            f"{few['parameters']} parameters takes {few['seconds']:.0f} s here",
+        ),
+        Row(
+            "2.3", "Stance and swing together were unstable and did not converge",
+            f"{slq['status'].lower()} in {slq['iterations']} iterations from J {slq['costs'][0]:.0f} to "
+            f"{slq['cost']:.2f} (within 5 % after {first_within(slq['costs'], 0.05)}); the paper's update "
+            f"(Eq. 36) {eq36['cost']:.2f} after {eq36['iterations']}; without Eq. 30, U + alpha k, it is still "
+            f"at {alone['cost']:.0f} after {alone['iterations']}",
+            "smooth contact, a wish to have the standing foot on the belt, accelerations of the pelvis as "
+            "controls, and rollouts with the gains. Eq. 36 does it, too, more slowly and to a slightly "
+            "higher minimum; what fails is to leave out the states of the LQ problem",
+        ),
+        Row(
+            "2.3",
+            '"In just a few minutes" with the new algorithm, stance and swing together',
+            f"{slq['seconds']:.2g} s for a cycle, {results['cycles']['seconds']:.2g} s for "
+            f"{results['cycles']['cycles']} at once (the default cost: {drawn['cycle']['seconds']:.2g} s for a "
+            f"cycle); MuJoCo is {both['replay_deg']['open-loop']:.2g} deg RMS from the plan without feedback, "
+            f"{both['replay_deg']['feedback']:.2g} deg with the gains",
+            "it does not differ: the hope was right",
+        ),
     ]  # fmt: skip
 
 
@@ -82,9 +85,16 @@ def _rms(motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     return ", ".join(f"{word} {max(motion['rms'][f'{s}_{joint}'] for s in sides):.1f} deg" for word, joint in named)
 
 
-def step_markdown(results: dict[str, Any]) -> str:
-    """The results as a section of Markdown."""
-    swing, cycle, drawn = results["swing"], results["cycle"], results["default"]
+def _page(results: dict[str, Any]) -> str:
+    swing, cycle, drawn, more = results["swing"], results["cycle"], results["default"], results["cycles"]
+    slq = results["updates"]["swing"]["feedback"]["cost"]
+    within = {f"to {100.0 * share:g} %": f"{{within[{i}]}}" for i, share in enumerate(WITHIN)}
+    solves = [
+        _shares({"phase": phase, "update": name, **one})
+        for phase, updates in results["updates"].items() for name, one in updates.items()
+    ]  # fmt: skip
+    solves.append(_shares({"phase": f"{more['cycles']} cycles", "update": "feedback", **more}))
+    splines = [_shares({"ended": _ended(one), "slq": slq, **one}) for one in results["splines"]]
     lines = [
         "## The human step (section 2.3)", "",
         "A robot moves the pelvis of a person whose legs are passive, over a treadmill. What the model and the cost",
@@ -94,37 +104,20 @@ def step_markdown(results: dict[str, Any]) -> str:
         "The pictures are of the default cost. All that follows is one problem for every method, `cost=\"study\"`,",
         "from the normal motion of the pelvis.", "",
         "![J by iteration](step_methods.png)", "",
-        "| phase | update | status | iterations | "
-        + " | ".join(f"to {100.0 * share:g} %" for share in WITHIN) + " | J | s |",
-        "|---|---|---|---:|" + "---:|" * len(WITHIN) + "---:|---:|",
-    ]  # fmt: skip
-    for phase, updates in results["updates"].items():
-        for name, one in updates.items():
-            within = " | ".join(str(first_within(one["costs"], share)) for share in WITHIN)
-            lines.append(
-                f"| {phase} | {name} | {one['status']} | {one['iterations']} | {within} | {one['cost']:.4f} "
-                f"| {one['seconds']:.2f} |"
-            )
-    more = results["cycles"]
-    lines += [
-        f"| {more['cycles']} cycles | feedback | {more['status']} | {more['iterations']} | "
-        + " | ".join(str(first_within(more["costs"], share)) for share in WITHIN)
-        + f" | {more['cost']:.4f} | {more['seconds']:.2f} |",
+        *table({
+            "phase": "{phase}", "update": "{update}", "status": "{status}", "iterations": "{iterations}", **within,
+            "J": "{cost:.4f}", "s": "{seconds:.2f}",
+        }, solves),
         "", "Open-loop is the paper's Eq. 36: the direction dU holds the states of the LQ problem (Eq. 25, 30).",
         "Feedforward alone is U + alpha k, what is left when they are forgotten: no direction of the paper's, and the",
         "one that crawls on the swing and gets stuck on the cycle. It is counted in NumPy, so its seconds are not the",
         f"others'; limits {', '.join(f'{limit} ({name})' for name, limit in LIMITS.items())}.", "",
         f"The swing by B-splines: six accelerations of the pelvis of degree {DEGREE}, BFGS, exact gradient by the",
         f"costate. {COEFFICIENTS[0]} coefficients each are nearly the paper's {PAPERS} parameters:", "",
-        "| parameters | BFGS | iterations | evaluations | "
-        + " | ".join(f"to {100.0 * share:g} %" for share in WITHIN) + " | J | J of SLQ | s |",
-        "|---:|---|---:|---:|" + "---:|" * len(WITHIN) + "---:|---:|---:|",
-        *(
-            f"| {s['parameters']} | {_ended(s)} | {s['iterations']} | {s['evaluations']} | "
-            + " | ".join(str(first_within(s["costs"], share)) for share in WITHIN)
-            + f" | {s['cost']:.3f} | {results['updates']['swing']['feedback']['cost']:.3f} | {s['seconds']:.1f} |"
-            for s in results["splines"]
-        ), "",
+        *table({
+            "parameters": "{parameters}", "BFGS": "{ended}", "iterations": "{iterations}",
+            "evaluations": "{evaluations}", **within, "J": "{cost:.3f}", "J of SLQ": "{slq:.3f}", "s": "{seconds:.1f}",
+        }, splines), "",
         "| motion | hip, knee, ankle from the normal gait, deg RMS | least clearance, mm | hip lift, mm "
         "| on the belt in stance, % | in swing, % | in MuJoCo, without and with gains, deg RMS |",
         "|---|---|---|---|---|---|---|",
@@ -142,6 +135,11 @@ def step_markdown(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _shares(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with the iterations after which J is within each share of its end."""
+    return record | {"within": [first_within(record["costs"], share) for share in WITHIN]}
+
+
 def _line(name: str, motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     def both(key: str, scale: float, form: str) -> str:
         return " / ".join(format(scale * motion[key][side], form) for side in sides)
@@ -149,7 +147,13 @@ def _line(name: str, motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     errors, stance, swing = motion["replay_deg"], "no belt", ""
     if motion["largest_force"] > 0.0:
         stance, swing = both("in_stance", 100.0, ".0f"), both("in_swing", 100.0, ".0f")
-    return (
-        f"| {name} | {_rms(motion, sides)} | {both('clearance', 1e3, '.1f')} | {both('hip_lift', 1e3, '.0f')} "
-        f"| {stance} | {swing} | {errors['open-loop']:.2g}, {errors['feedback']:.2g} |"
-    )
+    return row_of([
+        name, _rms(motion, sides), both("clearance", 1e3, ".1f"), both("hip_lift", 1e3, ".0f"), stance, swing,
+        f"{errors['open-loop']:.2g}, {errors['feedback']:.2g}",
+    ])  # fmt: skip
+
+
+STUDY = Study(
+    "step", "the human step (2.3)", step_results, _page, _rows,
+    {"step_fig5.png": draw_step, "step_cycle.png": draw_step_cycle, "step_methods.png": draw_step_methods}, seconds=50,
+)  # fmt: skip

@@ -6,11 +6,11 @@ sweep factorises R + B'PB and gives gains. With gradients q, r in place of offse
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
+from planner.paper.studies.study import Row, Study, timed
 from planner.problem.costs.tracking import Quadratic
 from planner.solvers import lq
 
@@ -62,34 +62,36 @@ def table_results(problems: int = PROBLEMS) -> dict[str, Any]:
     rng, worst, seconds = np.random.default_rng(0), 0.0, {"table": 0.0, "sweep": 0.0}
     for _ in range(problems):
         A, B, model = random_lq(rng)
-        began = time.perf_counter()
-        printed = table_one(A, B, model)[1]
-        seconds["table"] += time.perf_counter() - began
-        began = time.perf_counter()
-        sweep = lq.riccati(A, B, model)
-        assert sweep is not None  # R is positive definite
-        dus = lq.direction(A, B, sweep)[1]
-        seconds["sweep"] += time.perf_counter() - began
+        (_, printed), by_table = timed(lambda: table_one(A, B, model))  # noqa: B023
+        (_, dus), by_sweep = timed(lambda: lq.direction(A, B, swept(A, B, model)))  # noqa: B023
+        seconds = {"table": seconds["table"] + by_table, "sweep": seconds["sweep"] + by_sweep}
         worst = max(worst, float(np.abs(printed - dus).max() / np.abs(dus).max()))
     return {"problems": problems, "difference": worst, "seconds": seconds}
 
 
-def table_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
+def swept(A: np.ndarray, B: np.ndarray, model: Quadratic) -> lq.Sweep:
+    """The Riccati sweep of an LQ problem whose R is positive definite."""
+    sweep = lq.riccati(A, B, model)
+    assert sweep is not None  # R is positive definite
+    return sweep
+
+
+def _page(results: dict[str, Any]) -> str:
     return (
         "# Table 1 as printed (section 3.2)\n\n"
         f"Controls of {results['problems']} random LQ problems by Table 1, line by line, and by the sweep of\n"
-        f"`planner/lq.py`: they differ by at most {results['difference']:.1e} of the largest control.\n"
+        f"`planner/solvers/lq.py`: they differ by at most {results['difference']:.1e} of the largest control.\n"
     )
 
 
-def table_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     return [
-        {
-            "where": "3.2, Table 1, Eq. 22-34", "paper": "The LQ tracking problem by a Riccati sweep, with M(n) = "
-            "[I + B R^-1 B' P]^-1",
-            "ours": f"the same controls to {results['difference']:.1e} on {results['problems']} random problems",
-            "why": "it does not differ; M(n) is not formed, since a Cholesky factor of R + B'PB does the same",
-        }
+        Row(
+            "3.2, Table 1, Eq. 22-34", "The LQ tracking problem by a Riccati sweep, with M(n) = [I + B R^-1 B' P]^-1",
+            f"the same controls to {results['difference']:.1e} on {results['problems']} random problems",
+            "it does not differ; M(n) is not formed, since a Cholesky factor of R + B'PB does the same",
+        )
     ]  # fmt: skip
+
+
+STUDY = Study("table", "Table 1 as printed", table_results, _page, _rows)

@@ -11,7 +11,6 @@ those of the NumPy sweep, along solves those of the compiled one.
 from __future__ import annotations
 
 import os
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +22,9 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
-from planner.paper.studies.table import random_lq
+from planner.paper.studies.records import table
+from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.table import random_lq, swept
 from planner.paper.studies.watched import Step, watched
 from planner.problem.costs.tracking import Quadratic
 from planner.problem.plan import Status
@@ -31,7 +32,7 @@ from planner.problem.problem import Problem
 from planner.solvers import lq
 from planner.solvers.multistart import smooth
 from planner.solvers.slq import solve
-from planner.view.plots.style import RED, SOFT, dress, save
+from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems
 STARTS = 200  # per case, the issue's number
@@ -93,12 +94,7 @@ def theorem_results(
             "feedback": _from_many(problem, family.size, min(starts, family.most), family.limit, "feedback"),
             "open-loop": _from_many(problem, family.size, min(few, starts), limit, "open-loop"),
         })  # fmt: skip
-    return {
-        "random": random_identity(problems),
-        "problems": problems,
-        "starts": starts,
-        "cases": found,
-    }
+    return {"random": random_identity(problems), "problems": problems, "starts": starts, "cases": found}
 
 
 def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) -> tuple[float, float, float]:
@@ -108,7 +104,7 @@ def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) 
         A: (N, ndx, ndx).
         B: (N, ndx, nu).
         model: The cost's Hessians and gradients.
-        step: What a sweep made of them. What regularises it counts as part of R.
+        step: Result of a sweep. Its regularisation counts as part of R.
     """
     ndx, nu = B.shape[1:]
     sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope, 0.5 * step.slope)
@@ -126,8 +122,7 @@ def random_identity(problems: int, seed: int = 0) -> dict[str, Any]:
     errors = []
     for _ in range(problems):
         A, B, model = random_lq(rng)
-        sweep = lq.riccati(A, B, model)
-        assert sweep is not None  # R is positive definite
+        sweep = swept(A, B, model)
         empty = np.empty((0, 0))
         step = Step(empty, empty, lq.gradient(A, B, model), sweep.K, sweep.k, sweep.slope, 0.0)
         errors.append(identity_errors(A, B, model, step))
@@ -160,26 +155,20 @@ def _from_many(problem: Problem, size: float, starts: int, limit: int, update: s
 
     def run(number: int) -> tuple[str, int, float, float]:  # the last is the median of the last steps
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
-        plan = solve(
-            replace(problem, us=us),
-            update=update,
-            max_iterations=limit,
-            decrease_tolerance=TOLERANCE,
-            gain_tolerance=0.0,
-        )
+        options = {"max_iterations": limit, "decrease_tolerance": TOLERANCE, "gain_tolerance": 0.0}
+        plan = solve(replace(problem, us=us), update=update, **options)
         steps = [line.step for line in plan.history[-LAST - 1 : -1] if line.step > 0.0]
         return plan.status.name, plan.nit, plan.cost, float(np.median(steps)) if steps else 0.0
 
-    began = time.perf_counter()
     pool = ThreadPoolExecutor(os.cpu_count())
     try:
-        ends = list(pool.map(run, range(starts)))
+        ends, seconds = timed(lambda: list(pool.map(run, range(starts))))
     finally:
         pool.shutdown(cancel_futures=True)
     done = [end for end in ends if end[0] == Status.CONVERGED.name]
     failed = [end for end in ends if end[0] != Status.CONVERGED.name]
     return {
-        "starts": starts, "limit": limit, "seconds": time.perf_counter() - began,
+        "starts": starts, "limit": limit, "seconds": seconds,
         "converged": len(done), "statuses": dict(Counter(end[0] for end in ends)),
         "iterations": [end[1] for end in done], "costs": [end[2] for end in done],
         "minima": local_minima([end[2] for end in done]),
@@ -220,18 +209,29 @@ def _iterations(entry: dict[str, Any]) -> str:
     return f" in {_few(entry['iterations'])} iterations" if entry["iterations"] else ""
 
 
-def _steps(case: dict[str, Any], update: str) -> str:
-    step = case[update]["failed_step"]
-    return f"{case['case']} {step:.2g}" if step is not None else f"{case['case']} none failed"
+def _steps(results: dict[str, Any], update: str) -> str:
+    """Median of the last steps of the starts that failed, of every case."""
+    steps = {case["case"]: case[update]["failed_step"] for case in results["cases"]}
+    return "; ".join(f"{case} {'none failed' if step is None else f'{step:.2g}'}" for case, step in steps.items())
 
 
 def _ended(entry: dict[str, Any]) -> str:
     return ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
 
 
-def theorem_markdown(results: dict[str, Any]) -> str:
-    """The results as a page of Markdown."""
-    random = results["random"]
+def _page(results: dict[str, Any]) -> str:
+    along = [{"where": "random", "iterates": results["problems"], **results["random"], "lowered": ""}]
+    many = []
+    for case in results["cases"]:
+        name, found = f"{case['case']}, N = ", case["along"]
+        lowered = f"{found['falls']} of {found['steps']}"
+        along.append({"where": f"{name}{found['N']}, every iterate", "lowered": lowered, **found})
+        for update in ("feedback", "open-loop"):
+            entry = case[update]
+            many.append({
+                "case": f"{name}{case['N']}", "update": update, "size": case["size"], "share": _share(entry),
+                "ended": _ended(entry), "few": _few(entry["iterations"]), "listed": _minima(entry), **entry,
+            })  # fmt: skip
     lines = [
         "# Theorems 1 and 2 in numbers (section 3.4)", "",
         "![Eq. 42 along solves; iterations and final costs from random starts](theorems.png)", "",
@@ -240,53 +240,33 @@ def theorem_markdown(results: dict[str, Any]) -> str:
         "slope that the Riccati sweep returns. Largest relative difference to the sum of squares, and the slope",
         "nearest to zero, which must be negative. At iterates, what remains near the end of a solve is rounding of a",
         "gradient that is nearly zero:", "",
-        "| where | LQ problems | grad J . dU | the sweep's slope | slope nearest to zero | steps that lowered J |",
-        "|---|---:|---:|---:|---:|---:|",
-        f"| random | {results['problems']} | {random['gradient_error']:.1e} | {random['sweep_error']:.1e} "
-        f"| {random['largest_slope']:.1e} | |",
-    ]  # fmt: skip
-    for case in results["cases"]:
-        along = case["along"]
-        lines.append(
-            f"| {case['case']}, N = {along['N']}, every iterate | {along['iterates']} | {along['gradient_error']:.1e} "
-            f"| {along['sweep_error']:.1e} | {along['largest_slope']:.1e} | {along['falls']} of {along['steps']} |"
-        )
-    lines += [
-        "",
+        *table({
+            "where": "{where}", "LQ problems": "{iterates}", "grad J . dU": "{gradient_error:.1e}",
+            "the sweep's slope": "{sweep_error:.1e}", "slope nearest to zero": "{largest_slope:.1e}",
+            "steps that lowered J": "{lowered}",
+        }, along), "",
         "## Theorem 2: convergence from random starts", "",
         f"Smooth random controls (six cosines, seeds 0 to {results['starts'] - 1}) of a given RMS; Armijo's rule. A",
         f"solve has converged when the LQ model promises less than {TOLERANCE:g} of the cost. Costs that differ by",
         f"less than {100.0 * SAME:g} % are one local minimum.", "",
-        "| case | update | RMS | converged | limit | ended | iterations: least / median / most "
-        "| local minima: cost (starts) | s |",
-        "|---|---|---:|---:|---:|---|---:|---|---:|",
-    ]  # fmt: skip
-    for case in results["cases"]:
-        for update in ("feedback", "open-loop"):
-            entry = case[update]
-            lines.append(
-                f"| {case['case']}, N = {case['N']} | {update} | {case['size']:g} | {_share(entry)} | {entry['limit']} "
-                f"| {_ended(entry)} | {_few(entry['iterations'])} | {_minima(entry)} | {entry['seconds']:.1f} |"
-            )
-    lines += [
-        "",
+        *table({
+            "case": "{case}", "update": "{update}", "RMS": "{size:g}", "converged": "{share}", "limit": "{limit}",
+            "ended": "{ended}", "iterations: least / median / most": "{few}",
+            "local minima: cost (starts)": "{listed}", "s": "{seconds:.1f}",
+        }, many), "",
         "Open-loop is Eq. 43 as printed. MAX_ITERATIONS is slow convergence, not divergence: every step lowers the",
         "cost, but the LQ problem leaves out the curvature of the dynamics, and where that is large (a final state far",
         "from the goal, arms that whirl) it promises too much and only short steps are taken; that this is the whole",
         "reason is not shown here, exact second derivatives would tell. Median of the last",
         f"{LAST} step lengths of the starts that failed, where 1 is the LQ problem's own, with the feedback update: "
-        + "; ".join(_steps(case, "feedback") for case in results["cases"])
-        + "; open-loop: "
-        + "; ".join(_steps(case, "open-loop") for case in results["cases"])
-        + ".",
+        f"{_steps(results, 'feedback')}; open-loop: {_steps(results, 'open-loop')}.",
         "NOT_FINITE are starts whose first rollout leaves the range of numbers; Theorem 2 assumes it does not. The",
         "theorem promises a local minimum and says nothing of which: the table shows how many there are.",
-    ]
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
-def theorem_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table: the paper says, we get, why it differs."""
+def _rows(results: dict[str, Any]) -> list[Row]:
     cases_, random = results["cases"], results["random"]
     worst = max([random["gradient_error"], *(case["along"]["gradient_error"] for case in cases_)])
     falls = sum(case["along"]["falls"] for case in cases_), sum(case["along"]["steps"] for case in cases_)
@@ -296,55 +276,46 @@ def theorem_rows(results: dict[str, Any]) -> list[dict[str, str]]:
         return "; ".join(f"{case['case']} {_share(case[update])}{_iterations(case[update])}" for case in cases_)
 
     return [
-        {
-            "where": "3.4, Theorem 1, Eq. 42",
-            "paper": "The direction descends: grad J . dU = -(sum of squares) < 0",
-            "ours": f"relative difference at most {worst:.1e} on {results['problems']} random LQ problems and at all "
+        Row(
+            "3.4, Theorem 1, Eq. 42", "The direction descends: grad J . dU = -(sum of squares) < 0",
+            f"relative difference at most {worst:.1e} on {results['problems']} random LQ problems and at all "
             f"{iterates_} iterates of {len(cases_)} solves; {falls[0]} of {falls[1]} steps lowered J",
-            "why": "it does not differ",
-        },
-        {
-            "where": "3.4, Theorem 2, Eq. 43",
-            "paper": "From an arbitrary start U + alpha dU converges to a local minimum",
-            "ours": f"converged (iterations: least / median / most): {ended('open-loop')}",
-            "why": "within a limit of iterations. On the arms the rollout without feedback leaves only tiny steps: it "
+            "it does not differ",
+        ),
+        Row(
+            "3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
+            f"converged (iterations: least / median / most): {ended('open-loop')}",
+            "within a limit of iterations. On the arms the rollout without feedback leaves only tiny steps: it "
             "descends, far too slowly to be of use",
-        },
-        {
-            "where": "3.4, Theorem 2", "paper": "The same, with any of the usual line searches",
-            "ours": f"with the feedback update: {ended('feedback')}. Local minima: "
+        ),
+        Row(
+            "3.4, Theorem 2", "The same, with any of the usual line searches",
+            f"with the feedback update: {ended('feedback')}. Local minima: "
             + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_),
-            "why": "what is missing was still descending at its limit, by short steps: median "
-            + "; ".join(_steps(case, "feedback") for case in cases_)
-            + ". Which local minimum is reached depends on the start, of which the theorem says nothing",
-        },
+            f"what is missing was still descending at its limit, by short steps: median {_steps(results, 'feedback')}. "
+            "Which local minimum is reached depends on the start, of which the theorem says nothing",
+        ),
     ]  # fmt: skip
 
 
-def draw_theorems(results: dict[str, Any], path: Path) -> None:
+def _draw(results: dict[str, Any], path: Path) -> None:
     """Eq. 42 along solves, iterations and final costs of many starts: one column per case."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = len(results["cases"])
-    figure = Figure(figsize=(4.4 * columns, 8.4), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(3, columns, squeeze=False)
+    figure, grid = grid_of(3, columns, 4.4 * columns, 8.4)
     for column, case in enumerate(results["cases"]):
         top, middle, bottom = grid[:, column]
         first = column == 0
         along, entry = case["along"], case["feedback"]
-        dress(top, f"{case['case']}: Eq. 42 along a solve", "relative difference" if first else "")
+        dress(top, f"{case['case']}: Eq. 42 along a solve", "relative difference" if first else "", "iteration")
         top.semilogy(np.maximum(along["errors"], 1e-17), ".", color="#0b5aa6", ms=4)
         top.set_ylim(1e-17, 1.0)  # from rounding to nothing in common
         top.locator_params(axis="x", integer=True)
-        top.set_xlabel("iteration")
-        dress(middle, f"{_share(entry)} random starts converged", "starts" if first else "")
+        limit = f"iterations (limit {entry['limit']})"
+        dress(middle, f"{_share(entry)} random starts converged", "starts" if first else "", limit)
         if entry["iterations"]:
             middle.hist(entry["iterations"], bins=40, range=(0, max(entry["iterations"])), color="#0b5aa6")
-        middle.set_xlabel(f"iterations (limit {entry['limit']})")
         finite = [cost for cost in (*entry["costs"], *entry["failed_costs"]) if cost > 0.0]
-        dress(bottom, f"{len(entry['minima'])} local minima", "starts" if first else "")
+        dress(bottom, f"{len(entry['minima'])} local minima", "starts" if first else "", "final cost J")
         if finite:
             far = max(finite) > 2.0 * min(finite)
             bins = (np.geomspace if far else np.linspace)(0.99 * min(finite), 1.01 * max(finite), 50)
@@ -352,5 +323,10 @@ def draw_theorems(results: dict[str, Any], path: Path) -> None:
             bottom.hist(sets, bins=list(bins), stacked=True, color=colours, label=["converged", "not converged"])
             bottom.set_xscale("log" if far else "linear")
             bottom.legend(frameon=False, fontsize=8, labelcolor=SOFT)
-        bottom.set_xlabel("final cost J")
     save(figure, path)
+
+
+STUDY = Study(
+    "theorems", "Theorems 1 and 2 in numbers",
+    theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=90,
+)  # fmt: skip

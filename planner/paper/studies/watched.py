@@ -1,4 +1,4 @@
-"""The LQ problem of every iteration of a solve, seen from outside: dynamics that note what the search is handed."""
+"""The LQ problem of every iteration of a solve, recorded by dynamics that keep the arguments of each line search."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.solvers.slq import solve
 
 
 class Step(NamedTuple):
-    """What the compiled sweep made of one trajectory."""
+    """Result of the compiled sweep for one trajectory."""
 
     xs: np.ndarray  # (N+1, nx)
     us: np.ndarray  # (N, nu)
@@ -24,7 +24,7 @@ class Step(NamedTuple):
     K: np.ndarray  # (N, nu, ndx)
     k: np.ndarray  # (N, nu)
     slope: float  # of J along the direction
-    regularisation: float  # what was added to R
+    regularisation: float  # added to R
 
 
 class _Watched:

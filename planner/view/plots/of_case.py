@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from planner.base.files import PathLike
 from planner.problem.default_appearance import appearance_of
 from planner.problem.pictures import CasePicture, Charts, Paths, StickFigures
-from planner.view.plots.charts import plot_charts
-from planner.view.plots.paths import plot_paths
-from planner.view.plots.stick_figures import plot_stick_figures
+from planner.view.plots.charts import draw_charts
+from planner.view.plots.paths import draw_paths
+from planner.view.plots.stick_figures import draw_stick_figures
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from planner.problem.plan import Plan
     from planner.proof.replaying import Replay
 
@@ -27,17 +28,8 @@ def case_pictures(plan: Plan, replay: Replay | None) -> dict[str, CasePicture]:
     return {CASE_PICTURES[type(picture)]: picture for picture in appearance.pictures(plan, replay)}
 
 
-def plot_case_picture(picture: CasePicture, path: PathLike) -> None:
-    """Write one of them.
-
-    Raises:
-        FileError: `path` cannot be written, or its suffix names no format.
-    """
+def draw_case_picture(picture: CasePicture) -> Figure:
+    """The figure of one of them."""
     if isinstance(picture, Charts):
-        plot_charts(picture.t, picture.charts, path, xlabel=picture.xlabel, title=picture.title,
-                    span_label=picture.span_label)  # fmt: skip
-    elif isinstance(picture, Paths):
-        plot_paths(picture.traces, path, title=picture.title)
-    else:
-        plot_stick_figures(picture.motions, picture.sticks, path, poses=len(picture.times), times=picture.times,
-                           ground=picture.ground, title=picture.title)  # fmt: skip
+        return draw_charts(picture)
+    return draw_paths(picture) if isinstance(picture, Paths) else draw_stick_figures(picture)

@@ -1,6 +1,6 @@
 """A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
 
-Which states and controls are drawn is the machine's to say (`Appearance.plots`); nothing here knows a machine. The
+The machine's `Appearance.plots` lists the states and controls to draw. The
 plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all can
 still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
 """
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.base.files import PathLike
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
@@ -22,6 +21,7 @@ from planner.proof.replaying import Replay
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
+    DASHED,
     GREYS,
     HUES,
     INK,
@@ -31,8 +31,9 @@ from planner.view.plots.style import (
     drawable,
     dress,
     figure_of,
+    legend_below,
     right_axis,
-    save,
+    title_above,
 )
 
 if TYPE_CHECKING:
@@ -62,22 +63,13 @@ class _Curve:
     index: int  # of the state or control
 
 
-def plot_plan(plan: Plan, shown: Proof | Replay | None, path: PathLike) -> None:
-    """Write the figure of a plan, and of its replays, to `path`.
+def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
+    """The figure of a plan, and of its replays.
 
     Args:
-        plan: What was planned. Its problem's stage lists the panels; without one, all states and controls.
-        shown: What MuJoCo did with it: a proof for both replays, one replay, or None.
-        path: The file to write; its suffix chooses the format (png, pdf, svg).
-
-    Raises:
-        FileError: `path` cannot be written, or its suffix names no format.
+        plan: The plan. Its problem's appearance lists the panels; without one, all states and controls.
+        shown: Its replays in MuJoCo: a proof for both, one replay, or None.
     """
-    save(draw_plan(plan, shown), path)
-
-
-def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
-    """The figure that plot_plan() writes."""
     replays = _replays(shown)
     panels = _panels(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
@@ -97,7 +89,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
 
 
 def _replays(shown: Proof | Replay | None) -> list[Replay]:
-    """What is drawn, the widest line first."""
+    """The replays to draw, the widest line first."""
     if shown is None:
         return []
     return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
@@ -109,7 +101,7 @@ def _judged(shown: Proof | Replay | None) -> Replay | None:
 
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
-    """The panels that the plan's stage lists; for a plan without any, its states and its controls."""
+    """The panels that the plan's appearance lists; for a plan without any, its states and its controls."""
     appearance = appearance_of(plan.problem)
     if appearance is not None and appearance.plots:
         return appearance.plots
@@ -133,7 +125,7 @@ def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
 
 
 def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
-    """One panel of the stage; with `difference`, replays minus plan on an axis of its own beneath."""
+    """One panel; with `difference`, replays minus plan on an axis of its own beneath."""
     curves = _curves(panel, plan, replays)
     first = next((curve for curve in curves if not curve.held), None)
     beneath = None
@@ -160,7 +152,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
             shown = _until_astray(values, on.get_ylim())
             on.plot(t, shown, **_line(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
         on.plot(
-            curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=(0, (4, 2)), drawstyle=steps,
+            curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=DASHED, drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
         (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
@@ -260,8 +252,8 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
 
     appearance = appearance_of(plan.problem)
     title = appearance.title if appearance is not None else (plan.case or "Plan")
-    figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
-    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)), label="plan")]
+    title_above(figure, title)
+    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=DASHED, label="plan")]
     for replay in replays:
         words = MODE_WORDS["feedback" if replay.feedback else "open-loop"]
         handles.append(Line2D([], [], **_line(replay, GREYS), label=f"replay in MuJoCo, {words}"))
@@ -269,7 +261,7 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
         handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
     if limited(plan):
         handles.append(Patch(facecolor=INK, alpha=SHADE, label=LABEL))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5)
+    legend_below(figure, handles)
 
 
 def _name_curves(axes: Axes, labels: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""What a proof measured, in one figure: how errors grow, the order of the replay, and the Monte Carlo.
+"""The figure of a proof: how errors grow, the order of the replay, and the Monte Carlo.
 
 Open loop and with gains keep their colours throughout. Panels that do not apply are left out.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.files import PathLike
+from planner.model.mechanism import Mechanism
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
@@ -20,36 +20,34 @@ from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbed import Perturbed
 from planner.proof.scales import STATE_BOUND
-from planner.view.plots import style
-from planner.view.plots.style import INK, MODE_COLOURS, MODE_WORDS, RED, SOFT, drawable, dress, positive, say
+from planner.view.plots.style import (
+    DASHED,
+    INK,
+    MODE_COLOURS,
+    MODE_WORDS,
+    RED,
+    SOFT,
+    drawable,
+    dress,
+    panels_of,
+    positive,
+    say,
+    title_above,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 ERROR = "largest component: rad, m, rad/s, m/s"
-_DASHED = (0, (4, 2))
 _DECADES = 16  # of an error; what is farther below the largest is rounding
 _HIGHEST = 1e6  # beyond, a replay has long left the plan
 _BINS = 36
 _LINEAR = 1e3  # a fan that opens wider is drawn on a symmetric log scale
 
 
-def plot_proof(proof: Proof, path: PathLike) -> None:
-    """Write the figure of a proof to `path`.
-
-    Args:
-        proof: What prove() found.
-        path: The file to write; its suffix chooses the format (png, pdf, svg).
-
-    Raises:
-        FileError: `path` cannot be written, or its suffix names no format.
-    """
-    style.save(draw_proof(proof), path)
-
-
 def draw_proof(proof: Proof) -> Figure:
-    """The figure that plot_proof() writes."""
+    """The figure of all that a proof measured."""
     plan, rollouts = proof.replay.plan, proof.monte_carlo
     panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=_bound(plan))]
     if proof.convergence is not None:
@@ -57,27 +55,26 @@ def draw_proof(proof: Proof) -> Figure:
     if rollouts is not None and rollouts.done:
         panels += [partial(_draw_fan, rollouts=rollouts, mode=mode, plan=plan) for mode in rollouts.fans]
         panels.append(partial(_draw_ends, rollouts=rollouts))
-    figure, cells = style.figure_of(len(panels))
-    for draw, cell in zip(panels, cells, strict=True):
-        draw(figure.add_subplot(cell))
-    figure.suptitle("What the proof measured", fontsize=12, fontweight="bold", color=INK)
+    figure, axes = panels_of(len(panels))
+    for draw, on in zip(panels, axes, strict=True):
+        draw(on)
+    title_above(figure, "What the proof measured")
     return figure
 
 
 def _bound(plan: Plan) -> float | None:
-    """What the general rules ask of the end state; None where the case has rules of its own."""
+    """The general bound on the end state's error; None where the case has rules of its own."""
     own = getattr(getattr(plan.problem, "requirements", None), "tracking", None)
     return STATE_BOUND if own is None else None
 
 
 def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
-    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", ERROR)
-    axes.set_xlabel("time (s)")
+    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", ERROR, "time (s)")
     drawn = []
     for mode, colour in MODE_COLOURS.items():
         for values, line, words in (
             (errors.measured[mode], "-", MODE_WORDS[mode]),
-            (errors.predicted[mode], _DASHED, f"{MODE_WORDS[mode]}, predicted"),
+            (errors.predicted[mode], DASHED, f"{MODE_WORDS[mode]}, predicted"),
         ):
             shown = positive(values)
             if np.isfinite(shown).any():
@@ -100,8 +97,8 @@ def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
 
 def _draw_order(axes: Axes, order: Order) -> None:
     """The change of the end state from each step to half of it, beside the slope of the integrator."""
-    dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state")
-    axes.set_xlabel("step h (s), halved to h/2\n" + _order_words(order))
+    words = "step h (s), halved to h/2\n" + _order_words(order)
+    dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state", words)
     axes.xaxis.label.set_fontsize(7.5)
     steps, changes = order.steps[: len(order.changes)], positive(order.changes)
     seen = np.isfinite(changes)
@@ -116,7 +113,7 @@ def _draw_order(axes: Axes, order: Order) -> None:
     first = int(np.argmax(seen))
     line = changes[first] * (steps / steps[first]) ** order.nominal
     low, high = np.nanmin(changes), np.nanmax(changes)
-    axes.plot(steps, line, color=SOFT, lw=1.1, ls=_DASHED, label=f"order {order.nominal:g}, the integrator's", zorder=2)
+    axes.plot(steps, line, color=SOFT, lw=1.1, ls=DASHED, label=f"order {order.nominal:g}, the integrator's", zorder=2)
     axes.set_ylim(0.2 * max(low, high / 10.0**_DECADES), 5.0 * high)
     axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none")
 
@@ -132,12 +129,12 @@ def _order_words(order: Order) -> str:
 
 
 def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
-    """Percentiles over time of the component that strays farthest in this mode."""
+    """Percentiles over time of the coordinate that strays farthest in this mode."""
     fan = drawable(rollouts.fans[mode].astype(float))
     reach = np.nan_to_num(np.abs(fan), nan=0.0).max(axis=(0, 1), initial=0.0)  # of each component
     worst = int(np.argmax(reach)) if reach.size else 0
-    dress(axes, f"Monte Carlo, {MODE_WORDS[mode]}: the component that strays farthest", _component(plan, worst))
-    axes.set_xlabel("time (s)")
+    title = f"Monte Carlo, {MODE_WORDS[mode]}: the coordinate that strays farthest"
+    dress(axes, title, _deviation(plan, worst), "time (s)")
     if fan.size == 0 or not np.isfinite(fan).any():
         say(axes, "no rollout is left")
         return
@@ -155,24 +152,27 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
     axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none", ncols=3)
 
 
-def _component(plan: Plan, index: int) -> str:
-    """What a component of a deviation is called in the plots of its machine."""
+def _deviation(plan: Plan, index: int) -> str:
+    """Name and unit of a number of a deviation: as in the plots of the machine, else by joint and axis."""
     appearance = appearance_of(plan.problem)
-    if (
-        appearance is not None and plan.space.ndx == plan.xs.shape[1]
-    ):  # else a deviation has other components than a state
-        for panel in appearance.plots:
-            for state, label in panel.states:
-                if state == index:
-                    same = panel.ylabel.startswith(label)
-                    return f"deviation of {panel.ylabel if same else f'{label}, {panel.ylabel}'}"
-    return f"deviation, component {index}"
+    for panel in () if appearance is None else appearance.plots:
+        for state, label in panel.states:
+            if plan.space.in_deviation(state) == index:
+                same = panel.ylabel.startswith(label)
+                return f"deviation of {panel.ylabel if same else f'{label}, {panel.ylabel}'}"
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    if not isinstance(mechanism, Mechanism) or index >= 2 * mechanism.nv:
+        return f"deviation of number {index} of the state"
+    i, unit = index % mechanism.nv, "/s" if index >= mechanism.nv else ""
+    joint = next(n for n, links in enumerate(mechanism.joint_links) if links.start <= i < links.stop)
+    links, name = mechanism.joint_links[joint], mechanism.joint_names[joint] or f"joint {joint}"
+    axis = f" {'xyz'[(i - links.start) % 3]}" if links.stop - links.start > 1 else ""
+    return f"deviation of {name}{axis}, {'rad' if mechanism.S[i, :3].any() else 'm'}{unit}"
 
 
 def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
     """A histogram of the end errors in each mode, beside the tolerance."""
-    dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts")
-    axes.set_xlabel(f"end error, {ERROR}")
+    dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts", f"end error, {ERROR}")
     ends = {mode: positive(errors) for mode, errors in rollouts.end_error.items()}
     found = np.concatenate([*ends.values(), [rollouts.tolerance], [1.0] if math.isnan(rollouts.tolerance) else []])
     found = found[np.isfinite(found)]

@@ -17,8 +17,7 @@ _MARKED = 60  # iterations beyond which marks would be a band
 
 def draw_convergence(axes: Axes, plan: Plan) -> None:
     """Cost minus final cost, and gradient norm, at each iteration."""
-    dress(axes, "Convergence", "")
-    axes.set_xlabel("iteration")
+    dress(axes, "Convergence", "", "iteration")
     axes.locator_params(axis="x", integer=True)
     iterations = np.array([line.iteration for line in plan.history], dtype=float)
     excess = drawable(np.array([line.cost for line in plan.history], dtype=float))

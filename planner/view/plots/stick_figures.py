@@ -1,4 +1,4 @@
-"""Stick figures over a motion, from several sides: what was planned solid, what it was held to dashed, as in Fig. 5.
+"""Stick figures over a motion, from several sides: the plan solid, its reference dashed, as in Fig. 5.
 
 The poses of one row stand apart, further than they are in space; all views of a pose stand below each other.
 """
@@ -12,11 +12,10 @@ import numpy as np
 
 from planner.base.arguments import array, count, number
 from planner.base.errors import PlannerError
-from planner.base.files import PathLike
 from planner.problem.appearance import View
-from planner.problem.pictures import Motion, Stick
+from planner.problem.pictures import Motion, Stick, StickFigures
 from planner.view.plots.projection import FRONT, SIDE, axes_of, projected
-from planner.view.plots.style import HUES, INK, SOFT, figure_of, save
+from planner.view.plots.style import HUES, INK, SOFT, blank, legend_below, title_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,48 +27,17 @@ _WIDE, _HEAD = 13.0, 0.6  # inches
 _EMPTY = 0.08  # of the height, above and below
 
 
-def plot_stick_figures(
-    motions: Sequence[Motion],
-    sticks: Sequence[Stick],
-    path: PathLike,
-    *,
-    poses: int = 9,
-    times: tuple[str, ...] | None = None,
-    views: Sequence[View] = (SIDE, FRONT),
-    ground: float | None = None,
-    title: str = "",
-) -> None:
-    """Write a picture of poses at equal times.
-
-    Args:
-        motions: Over the same time; of any numbers of samples.
-        sticks: What joins the points, of every motion.
-        path: The file to write; its suffix chooses the format (png, pdf, svg).
-        poses: How many, the first and the last included.
-        times: What is written under each pose; none by default.
-        views: From where, a row for each.
-        ground: m, height of a line under the feet; None for none.
-        title: Above it all.
+def draw_stick_figures(picture: StickFigures, views: Sequence[View] = (SIDE, FRONT)) -> Figure:
+    """A figure of poses at equal times, as many as the picture has times, with a row for each view.
 
     Raises:
-        PlannerError: Points that do not fit the sticks, or another count of times than of poses.
-        FileError: `path` cannot be written, or its suffix names no format.
+        PlannerError: Points that do not fit the sticks, or fewer than two poses.
     """
-    options = {"poses": poses, "times": times, "views": views, "ground": ground, "title": title}
-    save(draw_stick_figures(motions, sticks, **options), path)
-
-
-def draw_stick_figures(
-    motions: Sequence[Motion], sticks: Sequence[Stick], *, poses: int = 9, times: tuple[str, ...] | None = None,
-    views: Sequence[View] = (SIDE, FRONT), ground: float | None = None, title: str = "",
-) -> Figure:  # fmt: skip
-    """The figure that plot_stick_figures() writes."""
-    shown = [_poses(motion, sticks, count("poses", poses, least=2)) for motion in motions]
+    motions, sticks, poses = picture.motions, picture.sticks, count("poses", len(picture.times), least=2)
+    shown = [_poses(motion, sticks, poses) for motion in motions]
     if not shown or not sticks or not views:
         raise PlannerError("there is nothing to draw, expected at least one motion, one stick and one view.")
-    if times is not None and len(times) != poses:
-        raise PlannerError(f"times has {len(times)} labels, expected one for each of {poses} poses.")
-    floor = None if ground is None else number("ground", ground)
+    floor = None if picture.ground is None else number("ground", picture.ground)
     flat = [[projected(points, view) for points in shown] for view in views]
     # Each pose in the middle of a column that is as wide as the widest needs; the dashed one keeps its place beside it.
     middles = [0.5 * (row[0][..., 0].min(axis=1) + row[0][..., 0].max(axis=1)) for row in flat]
@@ -78,7 +46,7 @@ def draw_stick_figures(
         for row, middle in zip(flat, middles, strict=True) for points in row
     )  # fmt: skip
     apart = 2.0 * _APART * max(reach, 1e-9)
-    figure, axes = _figure(flat, apart, poses, bool(title))
+    figure, axes = _figure(flat, apart, poses, bool(picture.title))
     for view, row, middle, on in zip(views, flat, middles, axes, strict=True):
         for motion, points in zip(motions, row, strict=True):
             shifted = points.copy()
@@ -88,11 +56,10 @@ def draw_stick_figures(
             on.axhline(floor * axes_of(view)[1][2], color=SOFT, lw=0.8, zorder=0)
         on.set_title(view.label, fontsize=9.5, loc="left", color=INK)
         on.set_xlim(-0.5 * apart, (poses - 0.5) * apart)
-    for k, words in enumerate(times or ()):
+    for k, words in enumerate(picture.times):
         axes[-1].text(apart * k, -0.02, words, ha="center", va="top", fontsize=8.5, color=INK,
                       transform=axes[-1].get_xaxis_transform())  # fmt: skip
-    if title:
-        figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+    title_above(figure, picture.title)
     _legend(figure, motions, sticks)
     return figure
 
@@ -114,8 +81,6 @@ def _poses(motion: Motion, sticks: Sequence[Stick], poses: int) -> np.ndarray:
 
 def _figure(flat: list[list[np.ndarray]], apart: float, poses: int, titled: bool) -> tuple[Figure, list[Axes]]:
     """A figure of rows to one scale, each as high as its poses."""
-    figure, _ = figure_of(1)
-    figure.clear()
     spans = []
     for row in flat:
         heights = np.concatenate([points[..., 1].ravel() for points in row])
@@ -123,7 +88,7 @@ def _figure(flat: list[list[np.ndarray]], apart: float, poses: int, titled: bool
         spans.append((float(heights.min()) - room, float(heights.max()) + room))
     scale = _WIDE / (poses * apart)  # inches per metre
     high = [scale * (top - bottom) for bottom, top in spans]
-    figure.set_size_inches(_WIDE, sum(high) + _HEAD + 0.3 * len(high) + (0.3 if titled else 0.0))
+    figure = blank(_WIDE, sum(high) + _HEAD + 0.3 * len(high) + (0.3 if titled else 0.0))
     grid = figure.add_gridspec(len(flat), 1, height_ratios=high)
     axes = [figure.add_subplot(grid[i, 0]) for i in range(len(flat))]
     for on, span in zip(axes, spans, strict=True):
@@ -159,4 +124,4 @@ def _legend(figure: Figure, motions: Sequence[Motion], sticks: Sequence[Stick]) 
     ]  # fmt: skip
     handles += [Line2D([], [], color=_colour(stick, False), lw=2.0, label=stick.label) for stick in sticks
                 if stick.label]  # fmt: skip
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8.5)
+    legend_below(figure, handles)

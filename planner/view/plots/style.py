@@ -1,10 +1,11 @@
-"""What all plots share: a figure without pyplot, quiet axes, colours, and gaps where a value cannot be drawn."""
+"""Shared by all plots: figures without pyplot, quiet axes, colours, and gaps where a value cannot be drawn."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 DPI = 130
 MINUS = "\N{MINUS SIGN}"
+DASHED = (0, (4, 2))
 INK = "#222222"
 SOFT = "#7d8590"
 RED = "#b2182b"
@@ -43,19 +45,37 @@ DRAWABLE = 1e60  # values beyond are not drawn: what ran away must not break the
 _COLUMN, _ROW, _HEAD = 5.4, 3.1, 0.5  # inches
 
 
-def figure_of(panels: int) -> tuple[Figure, list[SubplotSpec]]:
-    """A figure of two columns, and a cell for each panel; an odd last one takes the whole width."""
+def blank(width: float, height: float) -> Figure:
+    """An empty figure of a size in inches."""
     # Agg objects of its own and no pyplot: neither a display nor a caller's figures are touched.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = 1 if panels == 1 else 2
-    rows = math.ceil(panels / columns)
-    figure = Figure(figsize=(_COLUMN * columns, _HEAD + _ROW * rows), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(w_pad=0.08, h_pad=0.08)  # type: ignore[call-arg]
+    return figure
+
+
+def grid_of(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
+    """A figure of a size in inches, and its axes (rows, columns)."""
+    figure = blank(width, height)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def panels_of(panels: int) -> tuple[Figure, list[Axes]]:
+    """A figure of two columns, and its axes; an odd last panel takes the whole width."""
+    figure, cells = figure_of(panels)
+    return figure, [figure.add_subplot(cell) for cell in cells]
+
+
+def figure_of(panels: int) -> tuple[Figure, list[SubplotSpec]]:
+    """The figure of panels_of() before it has axes: a cell for each panel."""
+    columns = 1 if panels == 1 else 2
+    rows = math.ceil(panels / columns)
+    figure = blank(_COLUMN * columns, _HEAD + _ROW * rows)
     grid = figure.add_gridspec(rows, columns)
     cells = [grid[index // columns, index % columns] for index in range(panels - 1)]
     return figure, [*cells, grid[rows - 1, (panels - 1) % columns :]]
@@ -76,8 +96,10 @@ def save(figure: Figure, path: PathLike) -> None:
         figure.savefig(hidden, dpi=DPI, format=kind)
 
 
-def dress(axes: Axes, title: str, ylabel: str) -> None:
-    """Title, label and quiet lines."""
+def dress(axes: Axes, title: str, ylabel: str, xlabel: str = "") -> None:
+    """Title, labels and quiet lines."""
+    if xlabel:
+        axes.set_xlabel(xlabel)
     if title:
         axes.set_title(title, fontsize=9.5, loc="left", color=INK)
     axes.set_ylabel(ylabel, fontsize=8.5)
@@ -89,6 +111,18 @@ def dress(axes: Axes, title: str, ylabel: str) -> None:
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color("#999999")
+
+
+def title_above(figure: Figure, title: str) -> None:
+    """A title above all panels; none where it is empty."""
+    if title:
+        figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
+    """One legend under all panels, in a row or in so many columns at most."""
+    most = len(handles) if columns is None else min(len(handles), columns)
+    figure.legend(handles=handles, loc="outside lower center", ncols=most, frameon=False, fontsize=8.5)
 
 
 def right_axis(axes: Axes, ylabel: str) -> Axes:

@@ -35,10 +35,10 @@ class Box(NamedTuple):
 def whole_motion(
     films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Where to look, and from how far, to see all of some films of one plan; of a replay that runs away, its start.
+    """Point and distance (m) at which a camera sees all of some films; of a replay that runs away, its start.
 
     Args:
-        films: What to see.
+        films: Of one plan.
         model: Their MuJoCo model.
         appearance: From where.
         aspect: Width of the picture over its height.
@@ -57,10 +57,10 @@ def whole_motion(
 
 
 def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:
-    """Which bodies (nbody,) and which tendons (ntendon,) of a model are a stage's scenery.
+    """Masks of the bodies (nbody,) and tendons (ntendon,) of a model that are scenery.
 
     Raises:
-        PlannerError: The stage names what the model does not have.
+        PlannerError: The model has no body or tendon of that name.
     """
     bodies, tendons = np.zeros(model.nbody, bool), np.zeros(model.ntendon, bool)
     named = {model.body(i).name: (bodies, i) for i in range(1, model.nbody)}
@@ -68,7 +68,7 @@ def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarr
     for name in appearance.scenery:
         if name not in named:
             known = ", ".join(filter(None, named)) or "none"
-            raise PlannerError(f"the stage's scenery is {name!r}, expected a body or tendon of the model: {known}.")
+            raise PlannerError(f"the scenery is {name!r}, expected a body or tendon of the model: {known}.")
         mask, i = named[name]
         mask[i] = True
     for i in range(1, model.nbody):
@@ -104,7 +104,7 @@ def standing_back(
     """The distance from the box's centre at which a camera sees all of it.
 
     Args:
-        box: What to see.
+        box: It is wholly in the picture.
         azimuth: Of the camera, degrees (MuJoCo's convention).
         elevation: Of the camera, degrees.
         fovy: Vertical field of view, degrees.

@@ -3,7 +3,7 @@
 The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
 
 If this process cannot draw, because mujoco was imported before there was a choice of a library, the same films are
-drawn in a child process (python -m planner.view.render.drawing JOBFILE ...).
+drawn in a child process (python -m planner.view.render.drawing JOBFILE).
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +40,7 @@ _VIDEO_OVERSIZE = 1.5  # two thirds of the time that 2 takes, and in motion nobo
 
 @dataclass(frozen=True)
 class Job:
-    """What to make of films.
+    """A video, strip or still to make of films.
 
     Attributes:
         kind: "video", "strip" or "frame".
@@ -64,7 +66,7 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
 
     Args:
         films: One, or for a video or a still two of the same plan, at the same times, to be shown side by side.
-        job: What to make.
+        job: The picture or video to make.
         progress: Called with (frames done, frames in all) of a video.
     """
     if gl.can_render_here():
@@ -112,12 +114,17 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
             first = i == 0 if len(films) > 1 else j == 0  # of the cameras
             last_row, last_column = i == len(seen) - 1, j == len(row) - 1
             beside = [other for other in row if other is not film] if len(films) > 1 else []
-            words = _Words(
-                largest, first, last_row and j == 0, last_row and (len(films) > 1 or first),
-                job.speed if last_row and last_column else None,
+            captioned = last_row and (len(films) > 1 or first)
+            views = () if film.appearance is None else film.appearance.views
+            words = overlay.Words(
+                largest, numbers=first, legend=last_row and j == 0,
+                speed=job.speed if last_row and last_column else None,
+                caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
+                label=views[0].label if views else "",
             )  # fmt: skip
-            narrow = len(row) > 1 or len(seen) > 1
-            tiles[-1].append(_Tile(film, (widths[j], heights[i]), job, words, beside, narrow))
+            oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
+            scene = partial(Scene, oversize=oversize, beside=beside, narrow=len(row) > 1 or len(seen) > 1)
+            tiles[-1].append(_Tile(film, (widths[j], heights[i]), words, scene))
     return tiles
 
 
@@ -140,32 +147,15 @@ def _shares(pixels: int, parts: int) -> list[int]:
     return [each] * (parts - 1) + [pixels - each * (parts - 1)]
 
 
-class _Words(NamedTuple):
-    """What is written into one part of a picture."""
-
-    largest: np.ndarray  # (R,) of each readout
-    numbers: bool
-    legend: bool
-    caption: bool
-    speed: float | None
-
-
 class _Tile:
     """A film from one camera, with its words. A context manager."""
 
     def __init__(
-        self, film: Film, size: tuple[int, int], job: Job, words: _Words, beside: Sequence[Film], narrow: bool
+        self, film: Film, size: tuple[int, int], words: overlay.Words, scene: Callable[..., Scene]
     ) -> None:  # fmt: skip
         self.film = film
         self._appearance = film.appearance or Appearance(title="")
-        label = self._appearance.views[0].label if self._appearance.views else ""
-        self._words = overlay.Overlay(
-            self._appearance, *size, largest=words.largest, speed=words.speed, legend=words.legend,
-            caption=film.caption if words.caption else None, unstable=film.unstable if words.caption else math.inf,
-            numbers=words.numbers, label=label,
-        )  # fmt: skip
-        oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
-        self._scene = Scene(film, *size, oversize=oversize, beside=beside, narrow=narrow)
+        self._words, self._scene = overlay.Overlay(self._appearance, *size, words), scene(film, *size)
 
     def __enter__(self) -> _Tile:
         self._scene.__enter__()
@@ -221,18 +211,17 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
 
 def _draw_in_child(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndarray:
     with tempfile.TemporaryDirectory(prefix="planner-") as folder:
-        files = [Path(folder) / f"job{number}.npz" for number in range(len(films))]
-        for film, file in zip(films, files, strict=True):
-            film.save(file, **asdict(job))
+        file = Path(folder) / "job"
+        file.write_bytes(pickle.dumps((films, job)))
         # The child must find this very package, whatever folder it is started in.
         places = [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
         child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "planner.view.render.drawing", *map(str, files)],
+            [sys.executable, "-P", "-m", "planner.view.render.drawing", str(file)],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
         )  # fmt: skip
         try:
-            return _follow(child, files[0], progress)
+            return _follow(child, file, progress)
         finally:
             child.kill()  # does nothing to a finished process
             child.communicate()
@@ -255,16 +244,15 @@ def _follow(child: subprocess.Popen[str], file: Path, progress: Progress | None)
     return np.load(file.with_suffix(".npy"), allow_pickle=False)
 
 
-def _child(files: list[Path]) -> int:
-    """The child's side: do the job in the files, report on stdout, leave the picture beside the first."""
-    loaded = [Film.load(file) for file in files]
+def _child(file: Path) -> int:
+    """The child's side: do the job in the file, report on stdout, leave the picture beside it."""
+    films, job = pickle.loads(file.read_bytes())
     try:
-        films, job = [film for film, _ in loaded], Job(**loaded[0][1])
         image = _draw(films, job, lambda done, total: _report(done=done, total=total))
     except PlannerError as error:
         _report(error=type(error).__name__, message=str(error))
         return 1
-    np.save(files[0].with_suffix(".npy"), image)
+    np.save(file.with_suffix(".npy"), image)
     return 0
 
 
@@ -274,4 +262,4 @@ def _report(**values: Any) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(_child([Path(file) for file in sys.argv[1:]]))
+    sys.exit(_child(Path(sys.argv[1])))

@@ -1,25 +1,21 @@
 """Film: everything a renderer needs to know about a replay, as plain arrays, one row per frame.
 
-Made here from a Replay, drawn elsewhere, perhaps in another process: a film goes into an .npz without pickle. A replay
-that ran away stays in the last pose that it had.
+Made here from a Replay, drawn elsewhere, perhaps in another process: a film can be pickled. A replay that ran away
+stays in the last pose that it had.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.problem.appearance import Appearance, Ghost, Readout, View
+from planner.problem.appearance import Appearance, Ghost
 from planner.problem.default_appearance import appearance_of
-
-ASSET = "asset:"  # and a name: the bytes of a file that the model's text names, in a job for a child process
 
 if TYPE_CHECKING:
     from planner.proof.contact_history import ContactHistory
@@ -32,17 +28,12 @@ _EXPOSURE = 0.01
 # Poses along the whole motion, for what is seen of it at once: trails and the place of the camera.
 _PATH = 240
 
-_ARRAYS = (
-    "t", "qpos", "ghost_qpos", "forces", "points", "readings", "largest", "shift",
-    "path_t", "path_qpos", "path_ghost_qpos",
-)  # fmt: skip
-
 
 class Caption(NamedTuple):
-    """What is written under a film that is shown beside another.
+    """Words under a film that is shown beside another.
 
     Attributes:
-        mode: Which of the two it is.
+        mode: Open loop or with gains.
         verdict: "PASS", "FAIL" or "".
         detail: How it ended.
     """
@@ -61,7 +52,7 @@ class Film:
         appearance: How it is shown; None shows the whole motion, the plan in the same place.
         t: (F,) s.
         qpos: (F, nq) of the simulated machine.
-        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the stage gives.
+        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the appearance gives.
         forces: (F, C, 3) contact forces, in the world.
         points: (F, C, 3) where they act; NaN without contact.
         readings: (F, R, 2) the readouts, in the simulation and in the plan.
@@ -71,7 +62,7 @@ class Film:
         path_qpos: (P, nq) of the simulated machine.
         path_ghost_qpos: (P, nq) of the ghost.
         unstable: s, when the simulation ran away; infinite when it did not.
-        caption: What is written under it, or None.
+        caption: Words under it, or None.
         assets: Files that the model's text names.
     """
 
@@ -101,10 +92,10 @@ class Film:
         Args:
             replay: What to show.
             t: (F,) s, within the replay.
-            caption: What is written under it.
+            caption: Words under it.
 
         Raises:
-            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the stage's ghost
+            PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the ghost
                 is no motion of this machine.
         """
         known = _known(replay)
@@ -122,7 +113,7 @@ class Film:
         forces, points = _arrows(replay.contacts, t)
         return cls(
             mjcf=replay.twin.mjcf,
-            appearance=appearance,
+            appearance=appearance and replace(appearance, plots=(), pictures=None),  # functions cannot be pickled
             t=t,
             qpos=_interpolate(t, sampled, replay.qpos[:known]),
             ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
@@ -144,58 +135,11 @@ class Film:
 
     @property
     def views(self) -> tuple[Film, ...]:
-        """The film once for each of the stage's cameras."""
+        """The film once for each camera of its appearance."""
         views = () if self.appearance is None else self.appearance.views
         return tuple(
             replace(self, appearance=self.appearance.seen_from(view)) for view in views if self.appearance
         ) or (self,)
-
-    def save(self, path: Path, **extra: Any) -> None:
-        """Write the film, and JSON values beside it, to an .npz file."""
-        appearance = None if self.appearance is None else _appearance_values(self.appearance)
-        unstable = self.unstable if math.isfinite(self.unstable) else None
-        meta = json.dumps(
-            {"mjcf": self.mjcf, "appearance": appearance, "unstable": unstable, "caption": self.caption, "extra": extra}
-        )
-        contents: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
-        contents |= {ASSET + name: np.frombuffer(content, np.uint8) for name, content in self.assets.items()}
-        np.savez(path, meta=np.array(meta), **contents)
-
-    @classmethod
-    def load(cls, path: Path) -> tuple[Film, dict[str, Any]]:
-        """The film in a file that save() wrote, and what was beside it."""
-        with np.load(path, allow_pickle=False) as file:
-            meta = json.loads(str(file["meta"]))
-            arrays = {name: file[name] for name in _ARRAYS}
-            named = [name for name in file.files if name.startswith(ASSET)]
-            assets = {name.removeprefix(ASSET): file[name].tobytes() for name in named}
-        appearance = meta["appearance"]
-        if appearance is not None:
-            appearance = _appearance_of_values(appearance)
-        unstable = math.inf if meta["unstable"] is None else meta["unstable"]
-        caption = None if meta["caption"] is None else Caption(*meta["caption"])
-        film = cls(
-            mjcf=meta["mjcf"], appearance=appearance, **arrays, unstable=unstable, caption=caption, assets=assets
-        )
-        return film, meta["extra"]
-
-
-def _appearance_values(appearance: Appearance) -> dict[str, Any]:
-    """What a film needs of an appearance, as JSON values: of its ghost, the states are already in the film."""
-    ghost = appearance.ghost and {
-        "label": appearance.ghost.label,
-        "colour": appearance.ghost.colour,
-        "opacity": appearance.ghost.opacity,
-    }
-    return {**asdict(replace(appearance, plots=(), pictures=None, ghost=None)), "ghost": ghost}
-
-
-def _appearance_of_values(values: dict[str, Any]) -> Appearance:
-    ghost = values["ghost"] and Ghost(states=np.zeros((0, 0)), **values["ghost"])
-    readouts = tuple(Readout(**readout) for readout in values["readouts"])
-    views = tuple(View(**view) for view in values["views"])
-    names = {"readouts": readouts, "views": views, "ghost": ghost, "scenery": tuple(values["scenery"])}
-    return Appearance(**{**values, **names})
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -16,7 +17,8 @@ from planner.view.render.film import Caption
 from planner.view.render.scene import FORCE, ghost_paint
 
 Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
-_Words = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
+_Part = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
+_Placed = tuple[Image.Image, tuple[int, int]]  # a panel, and its upper left corner
 
 _INK = (28, 32, 40)
 _QUIET = (92, 99, 112)
@@ -28,29 +30,42 @@ _MINUS = "\N{MINUS SIGN}"
 _LONG = 1e7
 
 
+@dataclass(frozen=True)
+class Words:
+    """Everything written on a film.
+
+    Attributes:
+        largest: (R,) largest magnitude of each readout: it decides the decimals.
+        numbers: Write title, time and readouts.
+        legend: Say which machine is solid and which is a ghost.
+        speed: Playback speed; None writes none.
+        caption: Written at the bottom, or None.
+        unstable: s, when the simulation ran away: said from then on.
+        label: The camera's name, in the upper right corner.
+    """
+
+    largest: np.ndarray
+    numbers: bool = True
+    legend: bool = True
+    speed: float | None = None
+    caption: Caption | None = None
+    unstable: float = math.inf
+    label: str = ""
+
+
 class Overlay:
     """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
 
-    def __init__(
-        self, appearance: Appearance, width: int, height: int, *, largest: np.ndarray, speed: float | None = None,
-        legend: bool = True, caption: Caption | None = None, unstable: float = math.inf, numbers: bool = True,
-        label: str = "",
-    ) -> None:  # fmt: skip
+    def __init__(self, appearance: Appearance, width: int, height: int, words: Words) -> None:
         """Lay out the panels, once for all frames.
 
         Args:
-            appearance: What to write.
+            appearance: Title, readouts and ghost.
             width: Of the pictures, pixels.
             height: Of the pictures, pixels.
-            largest: (R,) largest magnitude of each readout: it decides the decimals.
-            speed: Playback speed; None writes none.
-            legend: Say what is solid and what is a ghost.
-            caption: Written at the bottom, or None.
-            unstable: s, when the simulation ran away: said from then on.
-            numbers: Write title, time and readouts.
-            label: Written in the upper right corner: where it is seen from.
+            words: What to write.
         """
-        self._appearance, self._numbers = appearance, numbers
+        self._appearance, self._numbers, largest = appearance, words.numbers, words.largest
         self._width, self._height = width, height
         unit = min(height / 720, width / 900)
         self._unit = unit
@@ -64,12 +79,14 @@ class Overlay:
         self._decimals = [decimals(scales[readout.unit]) for readout in appearance.readouts]
         self._margin, self._padding, self._line = 22 * unit, 13 * unit, 27 * unit
         self._columns = self._lay_out_columns(largest)
-        self._panels = [*([self._readout_panel()] if numbers else []), *self._legend_panels(speed, legend)]
-        if label:
-            self._panels.append(self._right_panel(label, round(self._margin)))
-        self._unstable, self._warning = unstable, self._warning_panel(unstable, 1.0 if caption is None else 2.3)
-        if caption is not None:
-            self._panels.append(self._caption_panel(caption))
+        self._panels = [*([self._readout_panel()] if words.numbers else []), *self._legend_panels(words)]
+        if words.label:
+            self._panels.append(self._right_panel(words.label, round(self._margin)))
+        warning = [(f"unstable at t = {words.unstable:.2f} s", self._title, _BAD)]
+        self._unstable = words.unstable
+        self._warning = self._bottom_panel(warning, 1.0 if words.caption is None else 2.3)
+        if words.caption is not None:
+            self._panels.append(self._caption_panel(words.caption))
 
     def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
         """The picture (height, width, 3) with everything written on it, a new array.
@@ -115,7 +132,7 @@ class Overlay:
         sim = self._margin + self._padding + left + wide
         return sim, sim + wide, sim + wide + 8 * self._unit
 
-    def _readout_panel(self) -> tuple[Image.Image, tuple[int, int]]:
+    def _readout_panel(self) -> _Placed:
         """Title, column heads, labels and units: what stays the same from frame to frame."""
         appearance, m, p = self._appearance, self._margin, self._padding
         sim, plan, units = self._columns
@@ -138,18 +155,14 @@ class Overlay:
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
         return panel, (round(m), round(m))
 
-    def _caption_panel(self, caption: Caption) -> tuple[Image.Image, tuple[int, int]]:
+    def _caption_panel(self, caption: Caption) -> _Placed:
         """Which film it is and how it ends, at the bottom in the middle."""
-        parts: list[_Words] = [(f"{caption.mode}  ", self._title, _INK)]
+        parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK)]
         if caption.verdict:
             parts.append((f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
         return self._bottom_panel([*parts, (caption.detail, self._text, _INK)], 1.0)
 
-    def _warning_panel(self, unstable: float, above: float) -> tuple[Image.Image, tuple[int, int]]:
-        words = f"unstable at t = {unstable:.2f} s"
-        return self._bottom_panel([(words, self._title, _BAD)], above)
-
-    def _bottom_panel(self, parts: Sequence[_Words], above: float) -> tuple[Image.Image, tuple[int, int]]:
+    def _bottom_panel(self, parts: Sequence[_Part], above: float) -> _Placed:
         """Words in a row in the middle, so many lines above the legend."""
         p, height = self._padding, 40 * self._unit
         panel, draw = _panel(2 * p + sum(font.getlength(words) for words, font, _ in parts), height, 8 * self._unit)
@@ -160,29 +173,29 @@ class Overlay:
         y = self._height - self._margin - 34 * self._unit - above * (height + 8 * self._unit)
         return panel, (round((self._width - panel.width) / 2), round(y))
 
-    def _legend_panels(self, speed: float | None, legend: bool) -> list[tuple[Image.Image, tuple[int, int]]]:
-        """What is solid and what is a ghost, bottom left; how fast it plays, bottom right."""
+    def _legend_panels(self, words: Words) -> list[_Placed]:
+        """Legend of solid and ghost, bottom left; playback speed, bottom right."""
         ghost = "plan" if self._appearance.ghost is None else self._appearance.ghost.label
         paint = _bytes(ghost_paint(self._appearance))
         entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
         if self._appearance.force_scale > 0:
             entries.append(("contact force", _bytes(FORCE)))
         p, box, height = self._padding, 13 * self._unit, 34 * self._unit
-        gaps = [self._small.getlength(words) + 1.6 * box for words, _ in entries]
+        gaps = [self._small.getlength(entry) + 1.6 * box for entry, _ in entries]
         panel, draw = _panel(2 * p + sum(gaps) + 1.6 * box * (len(entries) - 1), height, 8 * self._unit)
         x = p
-        for (words, colour), gap in zip(entries, gaps, strict=True):
+        for (entry, colour), gap in zip(entries, gaps, strict=True):
             top = (height - box) / 2
             draw.rectangle((x, top, x + box, top + box), fill=colour, outline=colour[:3])
-            draw.text((x + 1.6 * box, height / 2), words, _INK, self._small, anchor="lm")
+            draw.text((x + 1.6 * box, height / 2), entry, _INK, self._small, anchor="lm")
             x += gap + 1.6 * box
         bottom = round(self._height - self._margin - height)
-        panels = [(panel, (round(self._margin), bottom))] if legend else []
-        if speed is not None:
-            panels.append(self._right_panel(speed_words(speed), bottom))
+        panels = [(panel, (round(self._margin), bottom))] if words.legend else []
+        if words.speed is not None:
+            panels.append(self._right_panel(speed_words(words.speed), bottom))
         return panels
 
-    def _right_panel(self, words: str, y: int) -> tuple[Image.Image, tuple[int, int]]:
+    def _right_panel(self, words: str, y: int) -> _Placed:
         p, height = self._padding, 34 * self._unit
         panel, draw = _panel(2 * p + self._small.getlength(words), height, 8 * self._unit)
         draw.text((p, height / 2), words, _INK, self._small, anchor="lm")

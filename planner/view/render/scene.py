@@ -17,8 +17,8 @@ from PIL import Image
 
 from planner.base import gl
 from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance
-from planner.proof.replaying import compile_model
 from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.shapes import Paint, Shapes, without_shadow
@@ -50,7 +50,7 @@ class Scene:
         """Open the model and an OpenGL context.
 
         Args:
-            film: What to draw.
+            film: To draw.
             width: Pixels.
             height: Pixels.
             ghost: Draw the ghost beside the machine. Without it, the camera looks at the machine alone.
@@ -61,7 +61,7 @@ class Scene:
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
-            PlannerError: The stage names what the model does not have.
+            PlannerError: The appearance names a site, body or tendon that the model does not have.
             RenderingUnavailable: The OpenGL library is there but does not work.
         """
         mujoco = gl.load_mujoco()
@@ -84,7 +84,7 @@ class Scene:
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
         self._option, self._perturb = _option(model), mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()
-        # A stage's own camera is for wide pictures, unless it goes with the machine or is one of several.
+        # An appearance's own camera is for wide pictures, unless it goes with the machine or is one of several.
         placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
         self._fixed = self._appearance.distance is not None and placed
         self._look_at, self._distance = self._place(width / height, beside, narrow)
@@ -170,14 +170,14 @@ class Scene:
         self._camera.azimuth, self._camera.elevation = appearance.azimuth, appearance.elevation
 
     def _paths(self) -> list[tuple[np.ndarray, Paint, float]]:
-        """The path (P, 3) of the stage's site in the simulation and in the ghost, their colours and thickness."""
+        """The path (P, 3) of the trail's site in the simulation and in the ghost, their colours and thickness."""
         name, mujoco = self._appearance.trail, self._mujoco
         if not name:
             return []
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         if site < 0:
             known = ", ".join(self._model.site(i).name for i in range(self._model.nsite)) or "none"
-            raise PlannerError(f"the stage's trail is {name!r}, expected a site of the model: {known}.")
+            raise PlannerError(f"the appearance's trail is {name!r}, expected a site of the model: {known}.")
 
         def path(poses: np.ndarray, offset: np.ndarray) -> np.ndarray:
             points = np.empty((len(poses), 3))
@@ -231,7 +231,7 @@ def visible_model(film: Film) -> Any:
 
 
 def best_rows(film: Film, width: int, height: int) -> int:
-    """In how many rows the poses of a strip are largest; one where the stage has a camera of its own."""
+    """In how many rows the poses of a strip are largest; one where the appearance has a camera of its own."""
     appearance = film.appearance or Appearance(title="")
     if appearance.distance is not None:
         return 1
@@ -257,7 +257,7 @@ def _option(model: Any) -> Any:
 
 
 def ghost_paint(appearance: Appearance) -> Paint:
-    """Colour and opacity of a stage's ghost."""
+    """Colour and opacity of the ghost."""
     opacity = _ASIDE if any(appearance.ghost_offset) else _IN_PLACE
     if appearance.ghost is None:
         return (*GHOST, opacity)
@@ -265,7 +265,7 @@ def ghost_paint(appearance: Appearance) -> Paint:
 
 
 def _without_scenery(model: Any, appearance: Appearance) -> Any:
-    """The model with nothing to see of the stage's scenery."""
+    """The model with its scenery hidden."""
     if not appearance.scenery:
         return model
     bodies, tendons = scenery_of(model, appearance)

@@ -44,13 +44,13 @@ def render_video(
     """Write a film of a replay, or of both replays of a proof side by side: H.264 in MP4, for any browser or player.
 
     Args:
-        shown: What to show: a replay, or a proof for its open-loop replay at the left and the one with gains at the
+        shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
             right, each with the ghost of the plan. A replay that ran away stays in its last pose.
         path: The file, ending in .mp4.
         width: Pixels, even.
         height: Pixels, even.
         fps: Frames per second.
-        speed: Playback speed, 0.25 is four times slow motion; None takes the stage's.
+        speed: Playback speed, 0.25 is four times slow motion; None takes the appearance's.
         progress: Called with (frames done, frames in all).
 
     Returns:
@@ -101,7 +101,7 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     """Write a PNG with poses at equal times side by side, as in the paper's figures.
 
     Args:
-        replay: What to show.
+        replay: To show.
         path: The file, ending in .png.
         poses: How many, the first and the last included.
         width: Of the whole picture, pixels.
@@ -133,7 +133,7 @@ def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 7
     """One picture of a replay.
 
     Args:
-        replay: What to show.
+        replay: To show.
         t: When, s.
         width: Pixels.
         height: Pixels.

@@ -48,7 +48,7 @@ def write_report(
     Embedded are strip.png, plots.png, proof.png and video.mp4, those of them that lie in `folder`.
 
     Args:
-        plan: What was planned.
+        plan: The plan.
         proof: Its proof; None when there is none, e.g. for a plan that is not finite.
         folder: Where the pictures are and the page goes. It must exist.
         video_note: Why there is no video, in one sentence; used only when there is none.

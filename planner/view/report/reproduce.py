@@ -22,7 +22,7 @@ def command(plan: Plan, path: Sequence[Refinement] = (), options: Mapping[str, A
     """The command line that makes a plan; "" for a problem that is no case and no file.
 
     Args:
-        plan: What was planned.
+        plan: The plan.
         path: How it was refined, if it was: the command names the plan that this began with.
         options: Flags of the command by name with what was given: {"update": "open-loop", "no_refine": True}.
     """

@@ -14,14 +14,17 @@ from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
-from planner.proof.another_model import another_model
+from planner.proof.another_model import another_model, with_model
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.curve_callback import curves_acting
 from planner.proof.driven_parity import driven_parity
-from planner.proof.replaying import compile_model, matching_model, with_model
 from planner.proof.rigid_parity import rigid_parity
+from planner.proof.simulation import set_state
 
 STATES = 256
 BOUND = 1e-10  # relative; rounding is 1e-13
+
+_NOTHING = Section("parity", not_applicable="the problem names no states at which the two models are the same")
 
 
 def parity(
@@ -44,39 +47,52 @@ def parity(
         ModelError: MuJoCo refuses the model, or it has other joints, actuators or states.
     """
     if isinstance(machine, Mechanism):
-        return _of_mechanism(machine, None, with_model(twin or Twin.of(machine), mjcf), seed)
+        return _of_mechanism(machine, None, CompiledTwin(with_model(twin or Twin.of(machine), mjcf)), seed)
     if not isinstance(machine, Problem):
         raise PlannerError(f"parity() was given {shown(machine)}, expected a Mechanism or a Problem.")
-    requirements = machine.requirements or Requirements()
-    mechanism = getattr(machine.dynamics, "mechanism", None)
-    if requirements.rates is None and not isinstance(mechanism, Mechanism):
-        return Section("parity", not_applicable="the problem names no states at which the two models are the same")
     twin = twin or machine.twin
     if twin is None:
+        if _nothing_to_compare(machine):
+            return _NOTHING
         raise PlannerError("the problem has no MuJoCo model to be compared with, expected a twin.")
     prescribed = getattr(machine.dynamics, "prescribed", ())
-    twin = another_model(machine, twin, mjcf) if prescribed else with_model(twin, mjcf)
-    if requirements.rates is None and isinstance(mechanism, Mechanism):
-        if prescribed:
-            model = compile_model(twin.mjcf, twin.assets)
-            with curves_acting(twin, model):
-                return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
-        return _of_mechanism(mechanism, machine.dynamics, twin, seed)
-    return _of_rates(machine, requirements, twin, seed)
+    compiled = another_model(machine, twin, mjcf) if prescribed else CompiledTwin(with_model(twin, mjcf))
+    return parity_in(compiled, machine, seed)
 
 
-def _of_mechanism(mechanism: Mechanism, dynamics: Any, twin: Twin, seed: int) -> Section:
-    model = compile_model(twin.mjcf, twin.assets)
-    with curves_acting(twin, model):
+def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Section:
+    """parity() of a problem in a model that is compiled already."""
+    if _nothing_to_compare(problem):
+        return _NOTHING
+    requirements, dynamics = problem.requirements, problem.dynamics
+    mechanism, prescribed = getattr(dynamics, "mechanism", None), getattr(dynamics, "prescribed", ())
+    if requirements is not None and requirements.rates is not None:
+        return _of_rates(problem, requirements, compiled, seed)
+    assert isinstance(mechanism, Mechanism)  # else there is nothing to compare
+    if not prescribed:
+        return _of_mechanism(mechanism, dynamics, compiled, seed)
+    model = compiled.copy()
+    with curves_acting(compiled.twin, model):
+        return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
+
+
+def _nothing_to_compare(problem: Problem) -> bool:
+    mechanism, requirements = getattr(problem.dynamics, "mechanism", None), problem.requirements
+    return not isinstance(mechanism, Mechanism) and (requirements is None or requirements.rates is None)
+
+
+def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, seed: int) -> Section:
+    model = compiled.copy()
+    with curves_acting(compiled.twin, model):
         return rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
 
 
-def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: int) -> Section:
+def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:
     """Parity of dx/dt at the states that the problem's requirements name."""
     mujoco = load_mujoco()
-    model = matching_model(twin, problem.dynamics.nu)
+    compiled.check(problem.dynamics.nu)
+    twin, model = compiled.twin, compiled.model
     data = mujoco.MjData(model)
-    nq, nv = model.nq, model.nv
     assert requirements.equal_states is not None  # a case gives both
     assert requirements.rates is not None
     rng = np.random.default_rng(seed)
@@ -85,7 +101,7 @@ def _of_rates(problem: Problem, requirements: Requirements, twin: Twin, seed: in
     ours = requirements.rates(twin.x_of(ws), us)
     theirs = np.empty_like(ours)
     for i, w in enumerate(ws):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [nq, nq + nv])
+        set_state(model, data, w)
         data.ctrl[:] = us[i]
         with curves_acting(twin, model):
             mujoco.mj_forward(model, data)

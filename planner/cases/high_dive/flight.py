@@ -1,13 +1,13 @@
-"""Dive: a diver's flight as data, its cost, and first controls that turn him the right number of times.
+"""Dive: the data of a flight, its cost, and first controls that turn the diver the right number of times.
 
     J = 1/2 (dx_N' F dx_N) + 1/2 sum dt (r |u|^2 + p s(t) |(q - q_mid) / half range|^2 + c |joint rates|^2)
 
-F weighs the angles of pelvis and joints and the rates of the joints; s fades the posture out at both ends.
+F weighs the angles of pelvis and joints and the rates of the joints; s removes the posture term at both ends.
 
-An orientation has no count of turns: the goal of 1 1/2 somersaults and 1 twist is that of 1/2 and none, and the cost
-measures the shortest way there. So the goal is moved to its place from where a stiff body would arrive, by at most 0.6
-rad from solve to solve, each begun with the controls of the last: the count of turns is that of this path (a
-homotopy). These solves are coarse; the plan of the last is followed with its gains at the stages that are asked for.
+An orientation does not count turns: 1 1/2 somersaults with 1 twist end like 1/2 somersault with none, and the cost
+measures the shortest rotation to the goal. So a homotopy sets the count: the goal starts where a stiff body arrives and
+moves to its place by at most 0.6 rad per solve; each solve starts from the controls of the one before. These solves use
+few stages; a rollout with the gains of the last one gives the first controls at the requested stages.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
 
-OPENING = 0.35  # s, at most a quarter of the flight: how long the posture fades in after take-off, out before entry
+OPENING = 0.35  # s, at most a quarter of the flight: the posture term grows after take-off and fades before entry
 
-_STEP = 0.6  # rad, of the goal, from solve to solve: far from the half turn at which the shortest way changes
-_STAGES, _ITERATIONS = 140, 25  # of these solves, at most: near the next is enough
-_LAST_ITERATIONS = 100  # of the last, whose plan is followed
+_STEP = 0.6  # rad between the goals of two solves: far below the half turn at which the shortest rotation changes
+_STAGES, _ITERATIONS = 140, 25  # limits of the solves on the way, which need not converge
+_LAST_ITERATIONS = 100  # limit of the last solve, whose gains are used
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class Dive:
     """A flight from take-off to entry.
 
     Attributes:
-        diver: Who, and from where.
-        up: Speed of the centre of mass at take-off, m/s.
-        ahead: The same, horizontally.
-        rate: Of the somersault at take-off, rad/s.
+        diver: The person and the tower.
+        up: Upward speed of the centre of mass at take-off, m/s.
+        ahead: Forward speed of the centre of mass at take-off, m/s.
+        rate: Rate of the somersault at take-off, rad/s.
         duration: s.
         somersaults: Turns over the head, positive forward.
         twists: Turns about the long axis, positive to the left.
-        weights: Of the cost.
+        weights: Weights of the cost.
     """
 
     diver: Diver
@@ -74,9 +74,9 @@ class Dive:
         return self.diver.take_off(self.up, self.ahead, self.rate)
 
     def entry(self, part: float = 1.0) -> np.ndarray:
-        """The state (nx,) at the end of a path of goals: of a stiff body at part 0, of the dive at 1.
+        """Goal state (nx,) on the homotopy: where a stiff body arrives at part 0, the entry of the dive at 1.
 
-        Only the orientation and the joints mean something: the rest flies by itself.
+        Only orientation and joints are goals; place and velocity of the pelvis follow from the fall.
         """
         x = self.diver.mechanism.keyframe("goal")
         stiff = self.rate * self.duration
@@ -85,7 +85,7 @@ class Dive:
         return x
 
     def cost(self, dynamics: RigidBodyDynamics, N: int, part: float = 1.0) -> TrackingCost:
-        """The cost over N stages, with the goal on its way to the dive's."""
+        """The cost over N stages, with the goal entry(part)."""
         nq, nv = dynamics.mechanism.nq, dynamics.mechanism.nv
         ranges, weights = self.diver.ranges(), self.weights
         t = dynamics.dt * np.arange(N + 1)
@@ -100,13 +100,13 @@ class Dive:
         return TrackingCost(Q, R, x_ref, space=dynamics.space)
 
     def carried(self, t: np.ndarray) -> np.ndarray:
-        """(K,) how much of the posture weight there is at times t (K,): 0 at the ends, 1 between."""
+        """Share (K,) of the posture weight at times t (K,): 0 at both ends, 1 between."""
         fade = min(OPENING, 0.25 * self.duration)
         s = np.clip(np.minimum(t, self.duration - t) / fade, 0.0, 1.0)
         return s * s * (3.0 - 2.0 * s)
 
     def first_controls(self, dynamics: RigidBodyDynamics, N: int) -> np.ndarray:
-        """(N, nu) that lead near the goal with the right number of turns."""
+        """Controls (N, nu) that end near the goal after the right number of turns."""
         plan = turning_plan(self, min(N, _STAGES))
         space = dynamics.space
         stage = np.arange(N) * plan.N // N
@@ -120,14 +120,14 @@ class Dive:
 
 
 def turned(somersault: float, twist: float) -> np.ndarray:
-    """The quaternion (4,) of turns about the lateral, then the long axis of an upright body, rad."""
+    """Quaternion (4,) of an upright body turned about its lateral axis, then about its long axis, by angles in rad."""
     axes = np.array([[0.0, somersault, 0.0], [0.0, 0.0, twist]])
     return product(*exp_quaternion(axes))
 
 
 @lru_cache(maxsize=8)
 def turning_plan(dive: Dive, N: int) -> Plan:
-    """A plan of the dive over N stages, made along a path of goals from where a stiff body arrives."""
+    """Plan the dive over N stages by the homotopy of goals."""
     mechanism = dive.diver.mechanism
     dynamics = RigidBodyDynamics(mechanism, dive.duration / N, "rk4")
     us = _stiff_controls(dive, dynamics, N)
@@ -140,7 +140,7 @@ def turning_plan(dive: Dive, N: int) -> Plan:
 
 
 def _stiff_controls(dive: Dive, dynamics: RigidBodyDynamics, N: int) -> np.ndarray:
-    """(N, nu) torques that hold every joint, by inverse dynamics at the beginning of each stage."""
+    """Torques (N, nu) that hold every joint still, by inverse dynamics at the beginning of each stage."""
     mechanism = dynamics.mechanism
     held = RigidBodyDynamics(mechanism, dynamics.dt, prescribed=mechanism.joint_names[1:])
     still = np.zeros((N, held.nu))
