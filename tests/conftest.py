@@ -12,6 +12,15 @@ def pytest_configure():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True)
+def _signals():
+    """A command that runs in this process takes kills into its own hands: the test run gets them back."""
+    before = {kill: signal.getsignal(kill) for kill in (signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for kill, handler in before.items():
+        signal.signal(kill, handler)
+
+
 def pytest_collection_modifyitems(items):
     if gl.backend() is None:
         missing = pytest.mark.skip(reason="no headless OpenGL library: apt-get install libosmesa6")

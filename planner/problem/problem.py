@@ -158,7 +158,7 @@ class Problem:
         for name, kind in parts:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
-                raise PlannerError(f"{name} is {shown(part)}, expected a {kind.__name__} or None.")
+                raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
 
     @property
     def case(self) -> str | None:

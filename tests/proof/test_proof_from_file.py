@@ -40,7 +40,7 @@ PROBLEMS = {
     "hopper": planner.cases.hopper, "two-link": planner.cases.two_link,
     "acrobot": lambda: planner.cases.acrobot(start="hanging"), "own": own_machine,
 }  # fmt: skip
-ROLLOUTS = {"hopper": 0, "two-link": 8, "acrobot": 8, "own": 8}  # of the hopper they take ten seconds
+ROLLOUTS = {"hopper": 0, "two-link": 0, "acrobot": 8, "own": 8}  # seconds, where there are any
 
 
 @pytest.fixture(scope="module")
