@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
-from test_render import SMALL, STAGE, changed, decode, make_replay
+from test_render import APPEARANCE, SMALL, changed, decode, make_replay
 
 from planner.base import gl
 from planner.base.measured import Measured, Section
@@ -82,7 +82,7 @@ def test_the_camera_follows_what_strays_only_so_far():
 
 
 def test_the_warning_appears_when_it_happens():
-    words = Overlay(STAGE, 640, 360, Words(np.array([10.0]), unstable=0.1))
+    words = Overlay(APPEARANCE, 640, 360, Words(np.array([10.0]), unstable=0.1))
     grey = np.full((360, 640, 3), 128, np.uint8)
     readings = np.array([[1.0, 1.0]])
 

@@ -16,6 +16,7 @@ from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
+from planner.proof import contact_history
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.replaying import compile_model
 from planner.view.render.drawing import Job, carry_out
