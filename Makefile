@@ -5,18 +5,23 @@
 
 PLANNER = .venv/bin/planner
 PYTHON = .venv/bin/python
-PYTEST_FLAGS ?= -n 2
+# Two workers; a file stays with one of them, so that its fixtures are built once.
+PYTEST_FLAGS ?= -n 2 --dist loadfile
 GALLERY = renders/gallery
 
 .DEFAULT_GOAL = run
-.PHONY: run test lint gallery clean help setup
+.PHONY: run test test-slow test-all lint gallery clean help setup setup-test
 
 run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 	@$(PLANNER) run hopper --out renders/hopper
 
-test: ## run all tests; e.g. make test PYTEST_FLAGS="-k hopper"
-	@.ci/setup test
-	@$(PLANNER) warmup --all
+test: setup-test ## run the tests; e.g. make test PYTEST_FLAGS="-k hopper"
+	$(PYTHON) -m pytest -m "not slow" $(PYTEST_FLAGS)
+
+test-slow: setup-test ## run the tests that are marked slow
+	$(PYTHON) -m pytest -m slow $(PYTEST_FLAGS)
+
+test-all: setup-test ## run both
 	$(PYTHON) -m pytest $(PYTEST_FLAGS)
 
 lint: ## check style and types
@@ -45,8 +50,12 @@ clean: ## remove .venv and caches; results in renders/ stay
 	find planner tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 setup:
 	@.ci/setup
 	@$(PLANNER) warmup
+
+setup-test:
+	@.ci/setup test
+	@$(PLANNER) warmup --all

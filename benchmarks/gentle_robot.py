@@ -15,7 +15,7 @@ import planner
 from planner.cases.human_step.case import Phase, human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import judge_tracking, measures, robot
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import SIDES, Walker
 
 WAYS: dict[str, dict[str, Any]] = {
@@ -49,7 +49,7 @@ def row(phase: Phase, given: dict[str, Any]) -> list[str]:
     )
     step = Step(walker, NORMAL_GAIT, 1.2, 0.0 if cycle else SWING[0], plan.N, problem.dynamics.dt)
     found, does = measures(step, plan.xs), robot(problem.dynamics, plan.xs, plan.us)  # type: ignore[arg-type]
-    errors = [judge_tracking(step, planner.replay(plan, feedback=feedback)).figures[0].value for feedback in (0, 1)]  # type: ignore[arg-type]
+    errors = [judge_tracking(step, planner.replay(plan, feedback=feedback)).measured[0].value for feedback in (0, 1)]  # type: ignore[arg-type]
     return [
         f"{plan.nit}" if plan.success else f"{plan.nit}, {plan.status.name}", f"{seconds:.2f}",
         f"{np.sqrt(np.mean(np.square(list(found.rms.values())))):.2f}", f"{1e3 * min(found.clearance.values()):.0f}",

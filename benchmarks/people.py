@@ -19,7 +19,7 @@ import planner
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, judge_tracking, measures
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import SIDES, Walker
 from planner.proof.replaying import replay
 
@@ -50,7 +50,7 @@ def attempt(person: dict[str, float], phase: str, proof: bool = True) -> dict[st
     row = {**person, "phase": phase, "iterations": plan.nit, "cost": plan.cost, "clear_mm": clear, "seconds": seconds}
     if proof:
         for name, feedback in (("open_loop_deg", False), ("gains_deg", True)):
-            row[name] = judge_tracking(step, replay(plan, feedback=feedback)).figures[0].value
+            row[name] = judge_tracking(step, replay(plan, feedback=feedback)).measured[0].value
     return {**row, "success": not reasons, "reasons": reasons}
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 import planner
 from planner.base.gl import load_mujoco, load_rollout
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Batch, Rollouts
 
@@ -65,10 +66,10 @@ def measure(name: str) -> dict[str, Any]:
     """The figures of one case."""
     whole = planner.solve(planner.cases.build(name))
     assert whole.twin is not None
-    with Rollouts(whole, whole.twin) as simulator:
+    with Rollouts(whole, CompiledTwin(whole.twin)) as simulator:
         steps, per_stage = simulator.steps, CONTROL_STEPS * simulator.substeps
     plan = first_stages(whole, max(2, round(STEPS / per_stage)))
-    with Rollouts(plan, whole.twin) as simulator:
+    with Rollouts(plan, CompiledTwin(whole.twin)) as simulator:
         sizes, size = simulator.nominal.sizes, simulator.batch_size
         draws = [draw(Perturbation(), 0, k, sizes) for k in range(ROLLOUTS)]
         batches: list[Batch] = []

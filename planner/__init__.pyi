@@ -21,7 +21,7 @@ from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status
 from planner.problem.problem import Problem as Problem
-from planner.proof.models_agree import parity as parity
+from planner.proof.model_parity import parity as parity
 from planner.proof.refinement import refine as refine
 from planner.proof.replaying import Replay as Replay
 from planner.proof.replaying import replay as replay

@@ -1,9 +1,13 @@
 """A cart with a pole, and problem files about it."""
 
+from dataclasses import replace
+
 import pytest
 
 import planner
+from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.cases.problem_file import load
+from planner.paper.studies.objective import CART as RAIL
 
 CART = """
 <mujoco model="cart">
@@ -43,3 +47,14 @@ def refuse(path, *fragments):
     assert "\n" not in message
     for fragment in fragments:
         assert fragment in message
+
+
+def cart(N=50, duration=4.0, **limits):
+    """1 kg on a rail, a metre from rest to rest: the double integrator."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(RAIL), duration / N)
+    cost = TrackingCost.joints(dynamics, [1.0, 0.0], N, effort=1.0, final_position=1e3, final_velocity=1e3)
+    return Problem(dynamics, cost, [0.0, 0.0], limits=Limits(final="exact", **limits))
+
+
+def arm(N=50, **limits):
+    return replace(cases.two_link(horizon=N), limits=Limits(final="exact", **limits))

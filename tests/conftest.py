@@ -1,17 +1,15 @@
-"""What all tests share: those that draw need a headless OpenGL library."""
+"""What all tests share: signals that a shell takes away from its background jobs, and a library to draw with."""
 
-import inspect
+import signal
 
 import pytest
 
 from planner.base import gl
-from planner.proof.verdict import prove
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _proofs_without_rollouts():
-    """Proofs take their 512 perturbed rollouts, some seconds each, only in the tests that ask for them."""
-    inspect.unwrap(prove).__kwdefaults__["rollouts"] = 0
+def pytest_configure():
+    # A shell starts background jobs with Ctrl-C ignored, which they and their children would inherit.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items):

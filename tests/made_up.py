@@ -9,6 +9,7 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.recipe import Recipe
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbation import Perturbation
@@ -55,7 +56,7 @@ def make_replay(plan, feedback=False, error=1e-3):
     xs[:, 0] += error * t
     force = np.maximum(0.0, -xs[:, 0])
     return Replay(
-        plan, plan.twin, feedback, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
+        plan, CompiledTwin(plan.twin), feedback, "RK4", t, xs[:, :2], xs[:, :2], xs[:, 2:],
         np.repeat(plan.us, SUBSTEPS, axis=0), xs, states(t), force, np.full((len(t), 3), np.nan), SUBSTEPS,
     )  # fmt: skip
 

@@ -1,7 +1,6 @@
 """Plans of trees for the tests of proof and pictures: rolled out, or of the acrobot."""
 
 import numpy as np
-from test_mechanism_parity import TREE
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
@@ -70,3 +69,39 @@ def swing_up(integrator, dt):
     cost = planner.TrackingCost.reach(mechanism.keyframe("goal"), N, final=1000.0, effort=1.0, dt=dt)
     twin, start = planner.Twin.of(mechanism), mechanism.keyframe("start")
     return planner.solve(Problem(dynamics, cost, start, horizon=N, twin=twin))
+
+
+TREE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0 0 -9.81"><flag contact="disable"/></option>
+  <worldbody>
+    <body name="trunk">
+      <freejoint name="root"/>
+      <inertial pos="0.1 0 0.2" mass="12" diaginertia="0.3 0.4 0.2"/>
+      <body name="thigh" pos="0 0.1 -0.2">
+        <joint name="hip" axis="0 1 0" damping="0.3" stiffness="2" springref="0.1" armature="0.01"/>
+        <inertial pos="0 0 -0.2" mass="3" diaginertia="0.05 0.05 0.01"/>
+        <body name="shank" pos="0 0 -0.4">
+          <joint name="knee" axis="0 1 0"/>
+          <inertial pos="0.01 0 -0.2" mass="2" diaginertia="0.03 0.03 0.005"/>
+        </body>
+      </body>
+      <body name="boom" pos="0.2 0 0.3">
+        <joint name="boom" type="slide" axis="1 0 0" damping="0.2"/>
+        <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.02"/>
+        <body name="hand" pos="0.3 0 0">
+          <joint name="wrist" type="ball" damping="0.05" stiffness="0.4"/>
+          <inertial pos="0 0.02 0.1" mass="0.5" diaginertia="0.004 0.003 0.002"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="hip" joint="hip" gear="3"/>
+    <position name="boom" joint="boom" kp="40" kv="2"/>
+    <general name="knee" joint="knee" dyntype="filter" dynprm="0.05" gainprm="2"/>
+    <general name="spring" joint="boom" dyntype="integrator" gainprm="5" biasprm="0 -5 0" biastype="affine"/>
+  </actuator>
+</mujoco>
+"""

@@ -7,11 +7,13 @@ from legs import attributes
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contacts import contact_attributes
+from planner.model.mjcf.survey import compile_model
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout, View
 from planner.problem.plan import Plan, Status
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactRecorder
-from planner.proof.replaying import Replay, compile_model
+from planner.proof.replaying import Replay
 
 BELT_SPEED = 1.0  # m/s, backward
 FRICTION, IMPRATIO = 0.6, 1000.0
@@ -64,7 +66,7 @@ def standing(appearance=APPEARANCE, steps=400, text=TREADMILL):
         status=Status.CONVERGED, history=(), problem=problem, twin=twin,
     )  # fmt: skip
     return Replay(
-        plan=plan, twin=twin, feedback=False, integrator="EULER", t=t, qpos=w[:, : model.nq], qvel=w[:, model.nq :],
-        act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w, contact_force=recorder.force,
-        contact_point=recorder.point, substeps=steps, contacts=recorder.history(t),
+        plan=plan, compiled=CompiledTwin(twin), feedback=False, integrator="EULER", t=t, qpos=w[:, : model.nq],
+        qvel=w[:, model.nq :], act=np.zeros((steps + 1, 0)), ctrl=np.zeros((steps, 0)), xs=w, plan_xs=w,
+        contact_force=recorder.force, contact_point=recorder.point, substeps=steps, contacts=recorder.history(t),
     )  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from planner import Problem, TrackingCost
 from planner.base.gl import load_mujoco
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import SCREW, Mechanism
@@ -279,3 +280,28 @@ def site_jacobian(model, qpos, name):
 def relative_error(value, reference):
     """Largest deviation beside the largest entry of the reference (or beside 1 if that is more)."""
     return np.max(np.abs(value - reference), initial=0.0) / max(1.0, np.max(np.abs(reference), initial=0.0))
+
+
+def weights(rng, n, full):
+    """(n, n) positive definite: full, or a diagonal."""
+    if not full:
+        return np.diag(0.1 + rng.random(n))
+    root = rng.normal(size=(n, n))
+    return root @ root.T + 0.1 * np.eye(n)
+
+
+def problem(dynamics, rng, N=9, full=True):
+    """Weights that change from stage to stage, some of them zero, along a moving reference, from a state in motion."""
+    space, nq, nu = dynamics.space, dynamics.mechanism.nq, dynamics.nu
+    x0 = random_state(space, rng)
+    x0[nq:] *= 0.3
+    Q = np.array([weights(rng, space.ndx, full) * (rng.random() < 0.7) for _ in range(N + 1)])
+    R = np.array([weights(rng, nu, full) for _ in range(N)])
+    x_ref = np.array([space.integrate(x0, 0.3 * rng.normal(size=space.ndx)) for _ in range(N + 1)])
+    cost = TrackingCost(Q, R, x_ref, rng.normal(size=(N, nu)), space)
+    return Problem(dynamics, cost, x0, 0.1 * rng.normal(size=(N, nu)))
+
+
+def drawn(text, seed, integrator, full, prescribe=True):
+    dynamics, _, _, rng = driven(text, seed, K=1, integrator=integrator, dt=0.01, prescribe=prescribe)
+    return problem(dynamics, rng, full=full)

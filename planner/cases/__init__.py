@@ -1,4 +1,10 @@
-"""The machines of the paper, and what they need. A case is a function of plain numbers that returns a Problem."""
+"""The machines of the paper. A case is a function of plain numbers that returns a Problem.
+
+The folders high_dive and human_step share their names with the functions that their case.py defines. The imports below
+run before any other part of those folders is reached, and bind the names to the functions; Python binds a submodule to
+its parent's name only once, so `planner.cases.human_step` is always the function. Import parts of a folder with `from
+planner.cases.human_step.gait import Gait`.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +31,7 @@ __all__ = ["CASES", "acrobot", "build", "high_dive", "hopper", "human_step", "pu
 
 
 def build(name: str, /, **parameters: Any) -> Problem:
-    """The Problem of a case by name.
+    """Build the Problem of a case by its name.
 
     Raises:
         PlannerError: No such case, no such parameter, or a value that is out of range.

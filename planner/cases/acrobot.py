@@ -5,20 +5,20 @@ stands upright.
 
     number              value    from
     start               q1 = -1.0, at rest              paper, section 2.2
-    start "hanging"     q1 = -pi/2, at rest             paper, section 2.2: the problem it states first
+    start "hanging"     q1 = -pi/2, at rest             paper, section 2.2, its first problem
     goal                (pi/2, 0) at rest               paper, sections 2.1 and 2.2
     c1, c2              100      paper, section 2.2 (the objective of Eq. 5): 200 with our factor 1/2
     weight on u^2       1        paper, Eq. 5 (with its 1/2)
     first guess         the elbow held, so that the arm falls like a rigid pendulum     paper, section 2.2
-    from hanging        u = 0.5 sin(2 pi t)    ours: with the elbow held, or with u = 0, it stays where it is
+    guess from hanging  u = 0.5 sin(2 pi t)    ours: with the elbow held, or with u = 0, the arm does not move
     t_f                 3 s; from hanging 4 s    ours: the paper has none
     masses, lengths     0.5 kg, 1 m, uniform rods    ours: those of case 1
     g                   9.81     ours: the paper has none
-    N, integrator       100 a second, RK4     ours: explicit Euler gains energy, and the plan feeds on it
+    N, integrator       100 a second, RK4     ours: explicit Euler adds energy, and the plan exploits it
     tolerance of goal   0.1      ours, rad and rad/s: see TOLERANCE
 
-There are many local minima, and small changes decide which is found: from the paper's guess SLQ reaches a cost of 2.1
-at 100 stages a second and 6.6 at 50; from u = 0, 12.5 and 6.6.
+There are many local minima, and small changes decide which one SLQ finds. It reaches a cost of 2.1 at 100 stages a
+second and 6.6 at 50 from the paper's guess, 12.5 and 6.6 from u = 0.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics, judge_upright, stages
+from planner.cases.horizon import stages
+from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics, judge_upright
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
@@ -40,9 +41,9 @@ Start = Literal["paper", "hanging"]
 Guess = Literal["paper", "zero", "sine"]
 
 TOLERANCE = 0.1
-"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian would cost. Without
-a motor at the shoulder the last radian can be dear: 15 per rad at the costs of 3.4 (from hanging) and 6.6, which is
-0.08 rad at a weight of 200."""
+"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian costs. Without a
+motor at the shoulder the last radian can cost 15 (at total costs of 3.4, from hanging, and 6.6): a miss of 0.08 rad at
+a weight of 200."""
 
 
 def acrobot(
@@ -60,14 +61,14 @@ def acrobot(
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls: "paper" (the elbow held, by inverse dynamics), "zero" or "sine" (0.5 sin(2 pi t) N m);
             by default "paper", from hanging "sine".
-        mass1: Upper arm, kg.
-        mass2: Forearm, kg.
-        length1: Upper arm, m.
-        length2: Forearm, m.
+        mass1: Mass of the upper arm, kg.
+        mass2: Mass of the forearm, kg.
+        length1: Length of the upper arm, m.
+        length2: Length of the forearm, m.
         gravity: g, m/s^2.
-        position_weight: On the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
-        velocity_weight: On the final |dq|^2 / 2, rad/s; twice the paper's c2.
-        effort_weight: On u^2 / 2, torque in N m, times dt.
+        position_weight: Weight on the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
+        velocity_weight: Weight on the final |dq|^2 / 2, rad/s; twice the paper's c2.
+        effort_weight: Weight on u^2 / 2, torque in N m, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.
@@ -95,15 +96,13 @@ def acrobot(
 
 def _first_controls(guess: str, dynamics: RigidBodyDynamics, x0: np.ndarray, N: int) -> np.ndarray:
     t = dynamics.dt * np.arange(N)[:, None]
-    return {
-        "paper": lambda: held_elbow(dynamics.mechanism, x0, dynamics.dt, N),
-        "zero": lambda: 0.0 * t,
-        "sine": lambda: 0.5 * np.sin(2.0 * np.pi * t),
-    }[guess]()
+    if guess == "paper":
+        return _held_elbow(dynamics.mechanism, x0, dynamics.dt, N)
+    return 0.5 * np.sin(2.0 * np.pi * t) if guess == "sine" else 0.0 * t
 
 
-def held_elbow(mechanism: Mechanism, x0: np.ndarray, dt: float, N: int) -> np.ndarray:
-    """Elbow torques (N, 1) with which the arm falls like a rigid pendulum, from the middle of each stage."""
+def _held_elbow(mechanism: Mechanism, x0: np.ndarray, dt: float, N: int) -> np.ndarray:
+    """Elbow torques (N, 1) that let the arm fall like a rigid pendulum, computed in the middle of each stage."""
     held = RigidBodyDynamics(mechanism, dt, prescribed=("elbow",))
     us = np.zeros((N, held.nu))
     xs = np.empty((N, held.nx))

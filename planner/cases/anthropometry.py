@@ -1,27 +1,30 @@
-"""A person's segments as rigid bodies, from mass and height alone.
+"""The rigid bodies of a person, from mass and height alone.
 
     D. A. Winter, Biomechanics and Motor Control of Human Movement, 4th ed., Wiley 2009:
     table 4.1 (after Dempster): masses, centres of mass, radii of gyration, densities of segments;
     figure 4.1 (after Drillis and Contini): lengths of segments as parts of the height.
 
-Masses are parts of the body's mass M, lengths of its height H. What the table does not have is ours and says so:
+Masses are shares of the body mass M, lengths are shares of the height H. Values that are not in the book are ours:
 
     about a segment's long axis     a cylinder of its mass, length and density: I = m^2 / (2 pi density length)
     thorax and abdomen, pelvis      no radius of gyration there: elliptic cylinders of their mass, length and density
     L4-L5 above the hips            where the parts of the trunk have the centre of mass of the row "trunk"
     ear canal, C7-T1                at eye height (figure 4.1), and a little above the shoulders
 
-Each body's frame is at the joint that carries it, x ahead, y to the left, z up, of a person who stands, arms hanging.
+Each body's frame is at the joint that carries it; x is ahead, y left, z up for a person who stands with hanging arms.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 
+from planner.model.mjcf.text import written
+
 SHOULDER_HEIGHT, HIP_HEIGHT, EYE_HEIGHT = 0.818, 0.530, 0.936  # H, figure 4.1
-SHOULDER_WIDTH, HIP_WIDTH = 0.259, 0.191  # H, figure 4.1
 UPPER_ARM, FOREARM, HAND, THIGH, SHANK = 0.186, 0.146, 0.108, 0.245, 0.246  # H, figure 4.1
 FOOT_HEIGHT, FOOT_LENGTH = 0.039, 0.152  # H, figure 4.1
 C7_HEIGHT = 0.830  # H, ours: a little above the shoulders
@@ -36,7 +39,7 @@ BREADTH = 1.5  # of the trunk over its depth, ours
 
 
 def waist_height() -> float:
-    """L4-L5 above the hips, H: where pelvis, thorax and abdomen balance as table 4.1 says the trunk does."""
+    """Height of L4-L5 above the hips, H: it gives pelvis, thorax and abdomen the trunk's centre of mass."""
     trunk = TRUNK_MASS * TRUNK_COM * (SHOULDER_HEIGHT - HIP_HEIGHT)
     c7 = C7_HEIGHT - HIP_HEIGHT
     # trunk = PELVIS_MASS (1 - PELVIS_COM) y + CHEST_MASS (c7 - CHEST_COM (c7 - y))
@@ -60,7 +63,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class _Limb:
-    """A row of table 4.1: parts of M and of the segment's length; its length in H; its density in kg/m^3."""
+    """A row of table 4.1: mass in M; com and radius in segment lengths; length in H; density in kg/m^3."""
 
     mass: float
     com: float
@@ -77,12 +80,12 @@ _LIMBS = {
 }
 LEG_MASS, LEG_COM, LEG_RADIUS = 0.0465, 0.433, 0.302  # table 4.1, "leg", femoral condyles to medial malleolus
 FOOT_MASS, FOOT_COM, FOOT_RADIUS = 0.0145, 0.50, 0.475  # table 4.1, "foot"
-HEEL_END = 0.065 / 1.75  # H, how far the foot reaches behind the ankle, ours
+HEEL_END = 0.065 / 1.75  # H, from the ankle back to the end of the heel, ours
 _ALONG = {"thigh": 0.25, "shank": 0.20, "foot": 0.25}  # of the inertia across, ours: see leg_segments
 
 
 def segments(mass: float, height: float) -> dict[str, Segment]:
-    """The bodies of a person by name: pelvis, chest (with head), and of the limbs upper_arm, forearm, thigh, shank.
+    """Bodies of a person by name: pelvis, chest (with head), upper_arm, forearm, thigh, shank.
 
     Args:
         mass: M, kg.
@@ -98,10 +101,9 @@ def segments(mass: float, height: float) -> dict[str, Segment]:
 
 
 def leg_segments(mass: float, height: float) -> dict[str, Segment]:
-    """Thigh, shank and foot of a leg that has a foot of its own, which segments() has not.
+    """Thigh, shank and foot of a leg whose foot is a body of its own; segments() joins the foot to the shank.
 
-    About their long axes they have a share of the inertia across, more than a cylinder's: it is the turning of whole
-    legs that matters, not of one limb about itself.
+    The inertia about the long axis is a share of the inertia across it, and larger than that of a cylinder.
 
     Args:
         mass: M, kg.
@@ -110,19 +112,45 @@ def leg_segments(mass: float, height: float) -> dict[str, Segment]:
     thigh = _LIMBS["thigh"]
     rows = {"thigh": (thigh.mass, thigh.com, thigh.radius, THIGH), "shank": (LEG_MASS, LEG_COM, LEG_RADIUS, SHANK)}
     found = {}
-    for name, (part, com, radius, length) in rows.items():
-        across = part * mass * (radius * length * height) ** 2
-        found[name] = Segment(
-            part * mass, (0.0, 0.0, -com * length * height), (across, across, _ALONG[name] * across)
-        )  # fmt: skip
+    for name, (share, com, radius, length) in rows.items():
+        across = share * mass * (radius * length * height) ** 2
+        inertia = (across, across, _ALONG[name] * across)
+        found[name] = Segment(share * mass, (0.0, 0.0, -com * length * height), inertia)
     across = FOOT_MASS * mass * (FOOT_RADIUS * FOOT_LENGTH * height) ** 2
     com = ((FOOT_COM * FOOT_LENGTH - HEEL_END) * height, 0.0, -0.5 * FOOT_HEIGHT * height)
     found["foot"] = Segment(FOOT_MASS * mass, com, (_ALONG["foot"] * across, across, across))
     return found
 
 
+def sideless(name: str) -> str:
+    """The name of a body or joint without left_ or right_."""
+    return name.removeprefix("left_").removeprefix("right_")
+
+
+def fit(pelvis: ElementTree.Element, bodies: Mapping[str, Segment], scale: float) -> None:
+    """Fit a person's MJCF tree in place.
+
+    Args:
+        pelvis: The body that carries all others.
+        bodies: Masses by name without side.
+        scale: Factor of all lengths.
+    """
+    for element in pelvis.iter():
+        # the radius of a contact point is not a length of the person
+        lengths = ("pos",) if element.get("class") == "contact" else ("pos", "fromto", "size")
+        for key in lengths if element.tag != "inertial" else ():
+            if key in element.attrib:
+                element.set(key, written(*(scale * float(length) for length in element.attrib[key].split())))
+    for body in pelvis.iter("body"):
+        segment, inertial = bodies[sideless(body.attrib["name"])], body.find("inertial")
+        assert inertial is not None  # every moving body of the file has one
+        inertial.attrib.update(
+            pos=written(*segment.com), mass=written(segment.mass), diaginertia=written(*segment.inertia)
+        )
+
+
 def _about_length(mass: float, length: float, density: float) -> float:
-    """Of a round cylinder, kg m^2."""
+    """Moment of inertia of a round cylinder about its axis, kg m^2."""
     return mass**2 / (2.0 * np.pi * density * length)
 
 
@@ -133,7 +161,7 @@ def _limb(limb: _Limb, mass: float, height: float) -> Segment:
 
 
 def _trunk_part(m: float, length: float, com: float) -> Segment:
-    """An elliptic cylinder as wide as its mass asks; only its centre of mass is the table's."""
+    """An elliptic cylinder with the trunk's density; its centre of mass is that of the table."""
     area = m / (TRUNK_DENSITY * length)
     depth2, width2 = area / np.pi / BREADTH, area / np.pi * BREADTH  # squares of the half axes
     across = m * length**2 / 12.0
@@ -149,7 +177,7 @@ def _head(mass: float, height: float, waist: float) -> Segment:
 
 
 def _joined(a: Segment, b: Segment) -> Segment:
-    """Two segments on one vertical as one body (parallel axes)."""
+    """Two segments on one vertical line as one body (parallel-axis theorem)."""
     m = a.mass + b.mass
     apart = a.mass * b.mass / m * (a.com[2] - b.com[2]) ** 2
     x, y, z = (p + q for p, q in zip(a.inertia, b.inertia, strict=True))

@@ -1,7 +1,7 @@
 """Case 4: minimum fuel hopping (section 2.4 and section 4).
 
-A mass on a pneumatic leg. Air flow moves the piston, the piston moves the rest length of the spring, and the
-spring pushes only while the foot is on the ground. Units are the paper's: inch and second, forces per mass.
+A mass on a pneumatic leg. Air flow moves the piston, the piston moves the rest length of the spring, and the spring
+pushes only while the foot is on the ground. Units are those of the paper: inch and second, forces per mass.
 
     number              value    from
     k / m               100      paper, section 4
@@ -10,13 +10,13 @@ spring pushes only while the foot is on the ground. Units are the paper's: inch 
     t_f                 1        paper, section 4
     q (piston_weight)   1000     paper, section 4
     r (flow_weight)     1        paper, section 4
-    q_fin               1e5      ours: the paper leaves it open (see paper_hopper)
+    q_fin               1e5      ours: the paper does not state it (see the study `planner paper hopper`)
     weight on dy^2      2000     ours: the paper's Eq. 8 has 1, that is 2 with our factor 1/2; with 2 the mass
-                                 arrives still moving at 10 to 15 in/s
-    N, integrator       200, RK4 ours; the paper's 50 steps of explicit Euler do not survive a refined step
-    foot mass / m       1e-5     ours: MuJoCo needs some; 1e-3 already costs 0.06 % RMS of the hop height
+                                 arrives at a speed of 10 to 15 in/s
+    N, integrator       200, RK4 ours: a plan with the paper's 50 steps of explicit Euler fails at a refined step
+    foot mass / m       1e-5     ours: MuJoCo needs a mass; 1e-3 adds an error of 0.06 % RMS of the hop height
 
-The paper reports 3 iterations for y = 1 to 166 for y = 50; `planner paper hopper` sets ours beside them.
+The paper reports 3 iterations for y = 1 to 166 for y = 50; `planner paper hopper` shows ours beside them.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number
-from planner.base.errors import PlannerError
+from planner.base.arguments import choice, number
 from planner.base.measured import Measured, Section
+from planner.cases.horizon import LARGEST, stages
 from planner.dynamics import INTEGRATORS, HopperDynamics
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.model.twin import Twin
@@ -43,19 +43,16 @@ PAPER = {
     "integrator": "euler", "horizon": 50, "final_weight": 1000.0, "speed_weight": 2.0, "piston_weight": 1000.0,
     "flow_weight": 1.0, "smoothing": 0.1,
 }  # fmt: skip
-"""The paper's own problem; its q_fin is not given, 1000 is our choice among those of paper_hopper's table."""
+"""The paper's own problem; it does not state q_fin: 1000 is our choice from the table of `planner paper hopper`."""
 
-# The bounds of a proof, relative to the goal height (the hop height). RK4 plans with N >= 200 measure 0.002 to 0.02 %.
+# Bounds of the proof, relative to the goal height (the hop height). RK4 plans with N >= 200 measure 0.002 to 0.02 %.
 TRACKING_BOUND = 0.05  # RMS height error at the knots, % of the hop height
 FINAL_BOUND = 0.1  # replayed minus planned final height, % of the hop height
 GOAL_BOUND = 0.2  # planned final height minus goal, % of the hop height
 EVENT_BOUND = 0.5  # touchdown and lift-off, ms
-SUCCESS = 0.05  # of the hop height: how near a perturbed machine must come, and how far its speed may still carry it
+SUCCESS = 0.05  # of the hop height: largest miss of a perturbed machine, and largest rise that its speed allows
 
-
-LARGEST = 1e6  # of every size in inches and seconds: beyond, rounding is no longer small
 STANDING = 24.0  # height of the mass above ground at y = 0 in the model, in
-MOST_STAGES = 100_000  # 500 s at the default stage, which MuJoCo replays in minutes
 
 
 def hopper(
@@ -73,19 +70,16 @@ def hopper(
         smoothing: alpha, the compression over which the spring sets in, in.
         stiffness: k/m, 1/s^2.
         gravity: g, in/s^2.
-        final_weight: q_fin on (y(N) - height)^2 / 2.
-        speed_weight: On the final rate dy^2 / 2; the paper's Eq. 8 has no 1/2 there, so its 1 is our 2.
-        piston_weight: q on piston^2 / 2, times dt.
-        flow_weight: r on flow^2 / 2, times dt.
+        final_weight: Weight q_fin on (y(N) - height)^2 / 2.
+        speed_weight: Weight on the final rate dy^2 / 2; the paper's Eq. 8 has no 1/2 there, so its 1 is our 2.
+        piston_weight: Weight q on piston^2 / 2, times dt.
+        flow_weight: Weight r on flow^2 / 2, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.
     """
     height = number("height", height, above=0.0, most=LARGEST)
-    duration = number("duration", duration, above=0.0, most=LARGEST)
-    if horizon is None and 200.0 * duration > MOST_STAGES:
-        raise PlannerError(f"duration is {duration:g} s, expected at most {MOST_STAGES // 200} s without a horizon.")
-    N = max(200, round(200 * duration)) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
+    duration, N = stages(duration, horizon, per_second=200.0, least=200)
     choice("integrator", integrator, INTEGRATORS)
     weights = {
         "final_weight": number("final_weight", final_weight, least=0.0),
@@ -113,10 +107,10 @@ def hopper(
 
 
 def _twin(dynamics: HopperDynamics) -> Twin:
-    """The MJCF model with this machine's parameters, and its state w = (y, leg, dy, dleg, act).
+    """The MJCF model with this machine's parameters, of state w = (y, leg, dy, dleg, act).
 
-    Beyond the smoothing the C1 spring is a linear one, shortened by alpha/2: so the actuator's activation is the
-    piston less alpha/2. The leg is as long as the actuator's rest length in flight, and as the mass is high in
+    Beyond the smoothing the C1 spring is linear and shortened by alpha/2, so the actuator's activation is the piston
+    less alpha/2. The length of the leg is the rest length of the actuator in flight and the height of the mass in
     stance, whichever is less.
     """
     k, offset = dynamics.stiffness, 0.5 * dynamics.smoothing
@@ -141,7 +135,7 @@ def _twin(dynamics: HopperDynamics) -> Twin:
 
 
 def _appearance(height: float) -> Appearance:
-    # The camera stands back as far as ground and goal ask, and rises with the machine by a part of the way.
+    # The camera shows ground and goal, and follows a part of the machine's rise.
     goal = STANDING + height
     top = goal + 14.0
     follow = 0.3
@@ -168,12 +162,12 @@ def _appearance(height: float) -> Appearance:
 
 
 def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
-    """The proof's rules for this machine."""
+    """What the proof demands of this machine."""
     offset = 0.5 * dynamics.smoothing
 
     def equal_states(rng: np.random.Generator, K: int) -> np.ndarray:
-        # In flight and in stance beyond the smoothing the two springs are the same; between they differ by design.
-        # The mass must not feel how fast the leg moves, so that rate is random too.
+        # In flight, and in stance beyond the smoothing, both springs are the same; in between they differ by design.
+        # The rate of the leg is random because it must have no effect on the mass.
         y, dy, dleg = rng.uniform(-20.0, 60.0, K), rng.uniform(-200.0, 200.0, K), rng.uniform(-200.0, 200.0, K)
         stretch, stance = rng.uniform(0.1, 10.0, K), rng.random(K) < 0.5
         act = y - offset + np.where(stance, dynamics.smoothing + stretch, -stretch)
@@ -191,18 +185,18 @@ def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
 
 
 def arrived(ends: np.ndarray, goal: float, gravity: float) -> np.ndarray:
-    """Which (K,) of perturbed ends (K, 3) are near the goal, and so slow that they stay near it."""
+    """Which of the perturbed ends (K, 3) are near the goal and slow enough to stay near it: (K,)."""
     rise = ends[:, 1] ** 2 / (2.0 * gravity)
     return (np.abs(ends[:, 0] - goal) <= SUCCESS * goal) & (rise <= SUCCESS * goal)
 
 
 def judge_tracking(replay: Replay, goal: float, smoothing: float) -> Section:
-    """Whether MuJoCo's hop is the planned one: heights at the knots, the end, touchdown and lift-off."""
+    """Compare MuJoCo's hop with the plan: heights at the knots, the end, touchdown and lift-off."""
     knots = slice(None, None, replay.substeps)
     error = replay.xs[knots, 0] - replay.plan.xs[:, 0]
     rms = 100.0 * float(np.sqrt(np.mean(error**2))) / goal
     final = 100.0 * abs(float(error[-1])) / goal
-    # A crossing so slow that the height bound alone moves it by more than the time bound cannot be timed.
+    # A crossing cannot be timed if it is so slow that the height bound alone moves it by more than the time bound.
     grazing = 0.01 * TRACKING_BOUND * goal / (1e-3 * EVENT_BOUND)
     planned = crossings(replay.t, replay.plan_xs, smoothing)
     simulated = crossings(replay.t, replay.xs, smoothing)
@@ -224,9 +218,8 @@ def judge_tracking(replay: Replay, goal: float, smoothing: float) -> Section:
 
 
 def judge_goal(replay: Replay, goal: float, gravity: float) -> Section:
-    """Whether the plan, and MuJoCo with it, arrive at the goal height and at rest."""
-    planned = 100.0 * abs(float(replay.plan.xs[-1, 0]) - goal) / goal
-    reached = 100.0 * abs(float(replay.xs[-1, 0]) - goal) / goal
+    """Check that the plan and MuJoCo's replay arrive at the goal height and at rest."""
+    planned, reached = (100.0 * abs(float(xs[-1, 0]) - goal) / goal for xs in (replay.plan.xs, replay.xs))
     rise = 100.0 * float(replay.xs[-1, 1]) ** 2 / (2.0 * gravity) / goal
     return Section(
         "goal",
@@ -238,7 +231,7 @@ def judge_goal(replay: Replay, goal: float, gravity: float) -> Section:
             ),
             Measured(
                 "final_speed_as_height", rise, "% of hop height", GOAL_BOUND,
-                "v^2 / 2g of MuJoCo's final rate: so far from the goal would it still carry the mass",
+                "v^2 / 2g of MuJoCo's final rate v: how much further this speed carries the mass",
             ),
         ),
     )  # fmt: skip
@@ -247,7 +240,7 @@ def judge_goal(replay: Replay, goal: float, gravity: float) -> Section:
 def crossings(t: np.ndarray, xs: np.ndarray, smoothing: float) -> np.ndarray:
     """Touchdowns and lift-offs (E, 2): time, and rate of compression (positive at touchdown).
 
-    Both springs count as touching from half the smoothing on, where the linear one begins.
+    Both springs touch from a compression of half the smoothing, where the linear one begins.
     """
     e = xs[:, 2] - xs[:, 0] - 0.5 * smoothing
     i = np.flatnonzero((e[:-1] > 0.0) != (e[1:] > 0.0))
@@ -256,9 +249,9 @@ def crossings(t: np.ndarray, xs: np.ndarray, smoothing: float) -> np.ndarray:
 
 
 def match_crossings(planned: np.ndarray, simulated: np.ndarray, grazing: float) -> tuple[float, int]:
-    """The largest time between a crossing and its counterpart, s, and how many were compared.
+    """The largest time between a crossing and its counterpart, s, and the number of crossings compared.
 
-    Every crossing of either side faster than `grazing` must have one in the same direction on the other side.
+    Every crossing faster than `grazing` on either side needs one in the same direction on the other side.
     """
     worst, compared = 0.0, 0
     for here, there in ((planned, simulated), (simulated, planned)):

@@ -1,8 +1,11 @@
-"""The planar arm of two links that cases 1 and 2 share: its model, its cost (Eq. 5), how it is shown and judged.
+"""The planar arm of two links of cases 1 and 2: its model, its cost (Eq. 5), its pictures and the check of its goal.
 
-The paper gives no numbers for the links. Two uniform rods of 0.5 kg and 1 m need an effort of 72.6 along its first
-guess, where it states 73.6; so these are ours. A rod's inertia along itself is a thousandth of that across: MuJoCo
-refuses a body without thickness, and motion in a plane never feels it.
+    number                value             from
+    masses, lengths       0.5 kg, 1 m       ours: uniform rods
+    inertia along a rod   0.001 of across   ours: MuJoCo refuses a body without thickness; planar motion ignores it
+    goal                  (pi/2, 0)         paper, Eq. 5
+
+The paper states no masses and an effort of 73.6 along its first guess; these rods need 72.6.
 """
 
 from __future__ import annotations
@@ -12,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number
-from planner.base.errors import PlannerError
+from planner.base.arguments import choice, number
 from planner.base.measured import Measured, Section
+from planner.cases.horizon import LARGEST
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path, model_text, written
@@ -25,9 +28,6 @@ if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
 LIGHTEST, HEAVIEST = 1e-3, 1e3  # kg and m, of a link
-LARGEST = 1e6  # of weights
-MOST_STAGES = 100_000
-
 UPRIGHT = np.array([0.5 * np.pi, 0.0])  # q_d of Eq. 5, rad
 
 _THIN = 1e-3  # inertia of a rod along itself over that across
@@ -35,14 +35,14 @@ _THIN = 1e-3  # inertia of a rod along itself over that across
 
 @dataclass(frozen=True)
 class Links:
-    """Two uniform rods in gravity: kg, m, m/s^2. Checked.
+    """Two uniform rods in gravity, with checked values.
 
     Attributes:
-        mass1: Of the upper arm.
-        mass2: Of the forearm.
-        length1: Of the upper arm.
-        length2: Of the forearm.
-        gravity: Downwards; 0 is an arm on a table.
+        mass1: Mass of the upper arm, kg.
+        mass2: Mass of the forearm, kg.
+        length1: Length of the upper arm, m.
+        length2: Length of the forearm, m.
+        gravity: Downward acceleration, m/s^2; 0 for an arm on a table.
     """
 
     mass1: float
@@ -59,41 +59,36 @@ class Links:
 
     @property
     def scale(self) -> float:
-        """Reach over that of the model's own file: what is only seen is drawn so many times larger."""
+        """Reach over that of the model file: factor of all shapes that are only drawn."""
         return 0.5 * (self.length1 + self.length2)
 
 
-def arm_mechanism(model: str, links: Links) -> Mechanism:
-    """The model of a case with these links, read from the very text that a replay uses."""
-    return Mechanism.from_mjcf(arm_text(model, links))
-
-
 def arm_text(model: str, links: Links) -> str:
-    """The MJCF text of "two_link" or "acrobot" with these links.
-
-    What is seen is drawn larger with the arm; a model of the file's own lengths is the file.
-    """
+    """The MJCF text of the model "two_link" or "acrobot" with these links; drawn shapes are scaled with the arm."""
     s, l1, l2 = links.scale, links.length1, links.length2
     hub = "shoulder_motor" if model == "two_link" else "shoulder_pin"
     edits = {
         "option": {"gravity": f"0 0 {written(-links.gravity)}"},
         "worldbody/body/inertial": _rod(links.mass1, l1),
-        "worldbody/body/body": {"pos": _text(l1, 0, 0)},
+        "worldbody/body/body": {"pos": written(l1, 0, 0)},
         "worldbody/body/body/inertial": _rod(links.mass2, l2),
-        ".//site[@name='tip']": {"pos": _text(l2, 0, 0), "size": _text(0.01 * s)},
-        ".//site[@name='target']": {"pos": _text(0, 0, l1 + l2), "size": _text(0.085 * s)},
-        ".//geom[@name='upper_arm']": {"fromto": _text(0, 0.1 * s, 0, l1, 0.1 * s, 0), "size": _text(0.055 * s)},
-        f".//geom[@name='{hub}']": {"fromto": _text(0, 0.21 * s, 0, 0, 0.04 * s, 0), "size": _text(0.085 * s)},
-        ".//geom[@name='elbow_motor']": {"fromto": _text(l1, 0.165 * s, 0, l1, 0.04 * s, 0), "size": _text(0.075 * s)},
-        ".//geom[@name='forearm']": {"fromto": _text(0, 0, 0, l2, 0, 0), "size": _text(0.045 * s)},
-        ".//geom[@name='elbow_cap']": {"fromto": _text(0, 0.04 * s, 0, 0, -0.055 * s, 0), "size": _text(0.065 * s)},
-        ".//geom[@name='hand']": {"pos": _text(l2, 0, 0), "size": _text(0.06 * s)},
-        ".//geom[@name='floor']": {"pos": _text(0, 0, -2.2 * s)},
-        ".//geom[@name='column']": {"pos": _text(0, 0.32 * s, -1.05 * s), "size": _sized(s, 0.075, 0.075, 1.15)},
-        ".//geom[@name='column_foot']": {"pos": _text(0, 0.32 * s, -2.17 * s), "size": _sized(s, 0.3, 0.3, 0.03)},
-        ".//geom[@name='bearing']": {"fromto": _text(0, 0.4 * s, 0, 0, 0.21 * s, 0), "size": _text(0.11 * s)},
-        ".//light[@name='key']": {"pos": _text(-2.8 * s, -3.2 * s, 7.8 * s)},
-        "statistic": {"center": _text(0, 0, -0.2 * s), "extent": _text(6.0 * s)},
+        ".//site[@name='tip']": {"pos": written(l2, 0, 0), "size": written(0.01 * s)},
+        ".//site[@name='target']": {"pos": written(0, 0, l1 + l2), "size": written(0.085 * s)},
+        ".//geom[@name='upper_arm']": {"fromto": written(0, 0.1 * s, 0, l1, 0.1 * s, 0), "size": written(0.055 * s)},
+        f".//geom[@name='{hub}']": {"fromto": written(0, 0.21 * s, 0, 0, 0.04 * s, 0), "size": written(0.085 * s)},
+        ".//geom[@name='elbow_motor']": {
+            "fromto": written(l1, 0.165 * s, 0, l1, 0.04 * s, 0),
+            "size": written(0.075 * s),
+        },
+        ".//geom[@name='forearm']": {"fromto": written(0, 0, 0, l2, 0, 0), "size": written(0.045 * s)},
+        ".//geom[@name='elbow_cap']": {"fromto": written(0, 0.04 * s, 0, 0, -0.055 * s, 0), "size": written(0.065 * s)},
+        ".//geom[@name='hand']": {"pos": written(l2, 0, 0), "size": written(0.06 * s)},
+        ".//geom[@name='floor']": {"pos": written(0, 0, -2.2 * s)},
+        ".//geom[@name='column']": {"pos": written(0, 0.32 * s, -1.05 * s), "size": _sized(s, 0.075, 0.075, 1.15)},
+        ".//geom[@name='column_foot']": {"pos": written(0, 0.32 * s, -2.17 * s), "size": _sized(s, 0.3, 0.3, 0.03)},
+        ".//geom[@name='bearing']": {"fromto": written(0, 0.4 * s, 0, 0, 0.21 * s, 0), "size": written(0.11 * s)},
+        ".//light[@name='key']": {"pos": written(-2.8 * s, -3.2 * s, 7.8 * s)},
+        "statistic": {"center": written(0, 0, -0.2 * s), "extent": written(6.0 * s)},
     }
     return edited(model_text(model_path(model) / "scene.xml"), edits)
 
@@ -101,39 +96,26 @@ def arm_text(model: str, links: Links) -> str:
 def _rod(mass: float, length: float) -> dict[str, str]:
     across = mass * length**2 / 12.0
     return {
-        "pos": _text(0.5 * length, 0, 0),
+        "pos": written(0.5 * length, 0, 0),
         "mass": written(mass),
-        "diaginertia": _text(_THIN * across, across, across),
+        "diaginertia": written(_THIN * across, across, across),
     }
 
 
-def _text(*values: float) -> str:
-    return " ".join(written(value) for value in values)
-
-
 def _sized(scale: float, *values: float) -> str:
-    return _text(*(scale * value for value in values))
-
-
-def stages(duration: float, horizon: int | None) -> tuple[float, int]:
-    """The checked duration, s, and the number of stages: 100 a second where none is given."""
-    duration = number("duration", duration, above=0.0, most=LARGEST)
-    if horizon is None and 100.0 * duration > MOST_STAGES:
-        raise PlannerError(f"duration is {duration:g} s, expected at most {MOST_STAGES // 100} s without a horizon.")
-    N = max(1, round(100.0 * duration)) if horizon is None else count("horizon", horizon, most=MOST_STAGES)
-    return duration, N
+    return written(*(scale * value for value in values))
 
 
 def arm_dynamics(model: str, links: Links, dt: float, integrator: str) -> RigidBodyDynamics:
-    """The arm, discretised."""
+    """The discretised arm, read from the same text that the replay uses."""
     choice("integrator", integrator, INTEGRATORS)
-    return RigidBodyDynamics(arm_mechanism(model, links), dt, integrator)
+    return RigidBodyDynamics(Mechanism.from_mjcf(arm_text(model, links)), dt, integrator)
 
 
 def arm_cost(
     dynamics: RigidBodyDynamics, horizon: int, position_weight: float, velocity_weight: float, effort_weight: float
 ) -> TrackingCost:
-    """Eq. 5, with a factor 1/2 on every term: our weights of the end are twice the paper's c1 and c2."""
+    """The cost of Eq. 5 with a factor 1/2 on every term, so that the final weights are twice the paper's c1 and c2."""
     return TrackingCost.joints(
         dynamics, np.concatenate([UPRIGHT, np.zeros(2)]), horizon,
         final_position=number("position_weight", position_weight, least=0.0, most=LARGEST),
@@ -143,12 +125,12 @@ def arm_cost(
 
 
 def arm_appearance(title: str, links: Links, controls: tuple[str, ...], speed: float) -> Appearance:
-    """The pair side by side, the path of the tip, and where the tip should come to rest."""
+    """Plan and replay side by side, the path of the tip, and a line at the goal of the tip."""
     s, top = links.scale, links.length1 + links.length2
     return Appearance(
         title=title,
         readouts=(Readout("shoulder", 0, "rad"), Readout("elbow", 1, "rad")),
-        ghost_offset=(-3.6 * s, 0.0, 0.0),  # to the left, where the numbers stand: machine and goal are in the open
+        ghost_offset=(-3.6 * s, 0.0, 0.0),  # to the left, so that the numbers do not cover machine and goal
         goal_line=((-0.4 * s, 0.0, top), (0.4 * s, 0.0, top)),
         goal_label="goal",
         azimuth=90.0,
@@ -164,17 +146,23 @@ def arm_appearance(title: str, links: Links, controls: tuple[str, ...], speed: f
 
 
 def judge_upright(replay: Replay, tolerance: float) -> Section:
-    """Whether the plan, and MuJoCo with it, come to rest upright, within a tolerance in rad and rad/s."""
-    misses = {
-        "planned": (replay.plan.xs[-1], "the plan's end"),
-        "replayed": (replay.xs[-1], "MuJoCo's end"),
-    }
-    why = "the final weight w is soft: a plan stops where the effort of the next radian, w times the miss, is worth it"
-    measured = []
-    for who, (x, whose) in misses.items():
-        angle, rate = float(np.abs(x[:2] - UPRIGHT).max()), float(np.abs(x[2:]).max())
-        measured += [
-            Measured(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from upright, larger joint; {why}"),
-            Measured(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, larger joint"),
-        ]
-    return Section("goal", tuple(measured))
+    """Check that the plan and MuJoCo's replay end upright and at rest, within a tolerance in rad and rad/s."""
+    goal = np.concatenate([UPRIGHT, np.zeros(2)])
+    why = "the final weight w is soft: at the optimum the next radian costs an effort of w times the miss"
+    misses = (end_misses(who, x, goal, tolerance, why) for who, x in ends_of(replay).items())
+    return Section("goal", tuple(measured for miss in misses for measured in miss))
+
+
+def ends_of(replay: Replay) -> dict[str, np.ndarray]:
+    """The last states (nx,) of the plan and of its replay."""
+    return {"planned": replay.plan.xs[-1], "replayed": replay.xs[-1]}
+
+
+def end_misses(who: str, x: np.ndarray, goal: np.ndarray, tolerance: float, why: str) -> list[Measured]:
+    """How far an end x (2 n,) of "planned" or "replayed" is from a goal (2 n,) at rest; n angles, then n rates."""
+    whose = "the plan's end" if who == "planned" else "MuJoCo's end"
+    angle, rate = np.abs(x - goal).reshape(2, -1).max(axis=1).tolist()
+    return [
+        Measured(f"{who}_angle_miss", angle, "rad", tolerance, f"{whose} from the goal, largest joint; {why}"),
+        Measured(f"{who}_rate_miss", rate, "rad/s", tolerance, f"{whose} from rest, largest joint"),
+    ]

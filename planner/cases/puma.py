@@ -1,25 +1,25 @@
 """Weightlifting with a Puma: minimum effort from hanging to upright with a load in the hand (reference [20]).
 
 The paper says of [20], Wang, Timoszyk and Bobrow: "we tripled the payload above the manufacturers specifications". A
-slow lift must hold the load wherever it goes, so the outstretched arm decides; a swing need not.
+slow lift must hold the load everywhere on its path, so the outstretched arm limits it; a swing need not.
 
     number              value    from
     arm                 a 560 of 1.25 m reach         ../mjcf/puma: a 762's inertias are not published
     rated payload       20 kg    the manufacturer's figure for the 762, whose reach is 1.25 m
     torque limits       the 560's (97.6, 186.4, 89.4, 24.2, 20.1, 21.3 N m: Armstrong, Khatib, Burdick 1986) times one
-                        factor, 2.63     ours: so that along the straight lift the rated payload can just be held
+                        factor, 2.63     ours: it lets the motors just hold the rated payload along the straight lift
     payload             iron ball, its centre 0.22 m beyond the wrist       ours
     start, goal         hanging and upright, arm straight, at rest          ours: [20] has other poses
     t_f                 2.5 s    ours
-    cost                1/2 sum of (torque over its limit)^2, integrated    the paper's effort, motors made comparable
+    cost                1/2 sum of (torque over its limit)^2, integrated    the paper's effort, scaled per motor
     bounds              every torque within its limit, exactly              [20] has soft ones
     first guess         the straight lift with the elbow tucked in, by inverse dynamics     ours
     tolerance of goal   0.01     ours, rad and rad/s: see TOLERANCE
 
-Limits of joint speeds, which [20] has, are an option (speed_limit): those of a 762 are not known to us, and without
-them a swing is faster than the real arm. Friction is left out.
+Limits of joint speeds, which [20] has, are an option (speed_limit): we do not know those of a 762, and without them a
+swing is faster than the real arm. The model has no friction.
 
-Heavy loads need a first guess near their lift: planner.paper.largest_payload comes to them from lighter ones.
+Heavy loads need a first guess near their lift: planner.paper.largest_payload approaches them from lighter ones.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from numpy.polynomial import Polynomial
 
 from planner.base.arguments import choice, number
 from planner.base.measured import Measured, Section
-from planner.cases.planar_arm import LARGEST, stages
+from planner.cases.horizon import LARGEST, stages
+from planner.cases.planar_arm import end_misses, ends_of
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.algorithms import bias
 from planner.model.mechanism import Mechanism
@@ -57,13 +58,12 @@ JOINTS = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_bend", "hand_roll
 PEAK_560 = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])  # N m at the joints, Armstrong, Khatib, Burdick 1986
 
 TOLERANCE = 0.01
-"""rad and rad/s. At an optimum the miss times the final weight is what one more radian would cost: with a weight of
-1e4, 0.01 is a price of 100 per rad, some hundred times the cost of the whole lift. A lift that is not possible misses
-by far more."""
+"""rad and rad/s. At an optimum the miss times the final weight is the cost of one more radian: with a weight of 1e4
+0.01 means 100 per rad, about a hundred times the cost of the whole lift. An impossible lift misses by far more."""
 
-ROUNDING = 1e-12  # of a torque at its limit, over that limit
+ROUNDING = 1e-12  # relative, of a torque at its limit
 
-_BULGES: dict[str, dict[str, float]] = {  # rad, by how much the middle of a first guess leaves the straight lift
+_BULGES: dict[str, dict[str, float]] = {  # rad, distance of a first guess from the straight lift, in its middle
     "straight": {},
     "tucked": {"elbow": -2.0},
     "swung": {"shoulder": -1.5},
@@ -80,19 +80,19 @@ def puma(
     """Lift a load with a Puma-like arm, from hanging to upright, with least effort of its motors.
 
     Args:
-        payload: In the hand, kg.
+        payload: Mass in the hand, kg.
         duration: t_f, s.
         horizon: N, stages; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls, by inverse dynamics: "straight" (every joint smoothly along the straight line), "tucked"
             (elbow bent on the way), "swung" (back first), or "swung-tucked".
-        rated: kg, what the torque limits can just hold everywhere along the straight lift.
-        position_weight: On the final |q - q_d|^2 / 2, q in rad.
-        velocity_weight: On the final |dq|^2 / 2, rad/s.
-        effort_weight: On |torque over its limit|^2 / 2, times dt.
-        wrist_weight: On |q|^2 / 2 of the three wrist joints on the way, rad, times dt: they need not wind up.
+        rated: Payload, kg, that the torque limits can just hold everywhere along the straight lift.
+        position_weight: Weight on the final |q - q_d|^2 / 2, q in rad.
+        velocity_weight: Weight on the final |dq|^2 / 2, rad/s.
+        effort_weight: Weight on |torque over its limit|^2 / 2, times dt.
+        wrist_weight: Weight on |q|^2 / 2 of the three wrist joints on the way, rad, times dt, against winding up.
         torques: "bounded" (every motor within its limit) or "free" (the limits only scale the effort).
-        speed_limit: Of every joint, rad/s; by default none.
+        speed_limit: Largest speed of every joint, rad/s; by default none.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.
@@ -132,14 +132,11 @@ def puma(
 
 
 def puma_mechanism(payload: float) -> Mechanism:
-    """The arm with this payload in its hand, kg, read from the very text that a replay uses."""
+    """The arm with a payload in kg in its hand, read from the same text that the replay uses."""
     radius = ball_radius(payload)
-    inertia = written(0.4 * payload * radius**2)
+    inertia = written(*[0.4 * payload * radius**2] * 3)
     edits = {
-        ".//body[@name='payload']/inertial": {
-            "mass": written(payload),
-            "diaginertia": f"{inertia} {inertia} {inertia}",
-        },
+        ".//body[@name='payload']/inertial": {"mass": written(payload), "diaginertia": inertia},
         ".//geom[@name='payload']": {"size": written(radius)},
         ".//site[@name='target']": {"size": written(1.25 * radius)},
     }
@@ -147,26 +144,26 @@ def puma_mechanism(payload: float) -> Mechanism:
 
 
 def ball_radius(mass: float) -> float:
-    """Of an iron ball, m."""
+    """Radius of an iron ball of a mass in kg, m."""
     return float(np.cbrt(0.75 * mass / (np.pi * IRON)))
 
 
 def straight_lift(poses: int = 721) -> np.ndarray:
-    """The slow lift, all joints along the straight line from start to goal: (poses, 6) rad."""
+    """Joint angles (poses, 6) of the slow lift along the straight line from start to goal, rad."""
     mechanism = puma_mechanism(RATED)
     start, goal = mechanism.keyframe("start")[:6], mechanism.keyframe("goal")[:6]
     return start + np.linspace(0.0, 1.0, poses)[:, None] * (goal - start)
 
 
 def torque_limits(rated: float = RATED) -> np.ndarray:
-    """(6,) N m: the 560's, times the one factor with which the straight lift can just hold the rated payload."""
+    """Torque limits (6,), N m: those of the 560 times the factor that just holds the rated payload along the lift."""
     path = straight_lift()
     held = np.abs(bias(puma_mechanism(rated), path, np.zeros_like(path)))
     return PEAK_560 * float(np.max(held / PEAK_560))
 
 
 def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.ndarray:
-    """Torques (N, 6) of the straight lift with a bulge in the middle, by inverse dynamics."""
+    """Torques (N, 6) of the straight lift with a detour in its middle, by inverse dynamics."""
     q, qd, qdd = quintic(mechanism.keyframe("start")[:6], mechanism.keyframe("goal")[:6], duration, N)
     s = (np.arange(N)[:, None] + 0.5) / N
     bulge = Polynomial([0.0, 0.0, 0.0, 64.0, -192.0, 192.0, -64.0])  # (4 s (1 - s))^3: at rest at both ends
@@ -178,28 +175,19 @@ def first_lift(mechanism: Mechanism, style: str, duration: float, N: int) -> np.
 
 
 def judge_lift(replay: Replay, goal: np.ndarray, limits: np.ndarray) -> Section:
-    """Whether the payload comes to rest where it should, and what of the torques was used."""
-    why = "a lift that is not possible misses by far more than the price of effort"
+    """Check that the arm ends at the goal (12,) at rest, and that no torque exceeds the limits (6,)."""
+    why = "an impossible lift misses by far more"
     measured = []
-    for who, x, us, whose in (
-        ("planned", replay.plan.xs[-1], replay.plan.us, "the plan"),
-        ("replayed", replay.xs[-1], replay.ctrl, "MuJoCo"),
-    ):
-        miss = np.abs(x - goal)
+    for (who, x), us in zip(ends_of(replay).items(), (replay.plan.us, replay.ctrl), strict=True):
         share = np.max(np.abs(us) / limits, axis=0)
-        strained = JOINTS[int(np.argmax(share))]
-        measured += [
-            Measured(f"{who}_angle_miss", float(miss[:6].max()), "rad", TOLERANCE, f"{whose}, largest joint; {why}"),
-            Measured(f"{who}_rate_miss", float(miss[6:].max()), "rad/s", TOLERANCE, f"{whose}, largest joint"),
-            Measured(
-                f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, f"{whose}, of the limit: at {strained}"
-            ),
-        ]
+        note = f"largest torque over its limit, at the {JOINTS[int(np.argmax(share))]}"
+        measured += end_misses(who, x, goal, TOLERANCE, why)
+        measured.append(Measured(f"{who}_torque_share", float(share.max()), "", 1.0 + ROUNDING, note))
     return Section("goal", tuple(measured))
 
 
 def _appearance(payload: float) -> Appearance:
-    """Machine and ghost side by side, the path of the payload, and where it should come to rest."""
+    """Plan and replay side by side, the path of the payload, and a line at its goal."""
     arm, wrist = tuple(enumerate(JOINTS[:3])), tuple((i + 3, name) for i, name in enumerate(JOINTS[3:]))
     return Appearance(
         title=f"Puma-like arm lifts {payload:.3g} kg (rated {RATED:g})",

@@ -1,7 +1,7 @@
 """Case 1: minimum effort of a fully actuated planar arm of two links (section 2.1, Eq. 5, Fig. 3).
 
-From outstretched and horizontal to upright in two seconds. The paper's minimum lets gravity have the arm first: it
-swings down while the forearm folds, then swings up.
+From horizontal and outstretched to upright in two seconds. In the paper's minimum the arm first swings down while the
+forearm folds, then swings up.
 
     number              value    from
     start, goal         (0, 0), (pi/2, 0) at rest       paper, section 2.1
@@ -9,14 +9,13 @@ swings down while the forearm folds, then swings up.
     c1, c2              100      paper, section 2.1; Eq. 5 has no 1/2 on these terms, so with ours they are 200
     weight on |u|^2     1        paper, Eq. 5 (with its 1/2)
     first guess         q2 = 0, q1 smooth, by inverse dynamics     paper, section 2.1; a quintic is ours
-    masses, lengths     0.5 kg, 1 m, uniform rods    ours: the paper has none; these need an effort of 72.6 along the
-                                 first guess, where the paper states 73.6
+    masses, lengths     0.5 kg, 1 m, uniform rods    ours, see planar_arm.py
     g                   9.81     ours: the paper has none
     N, integrator       100 a second, RK4     ours: the paper's is adaptive
     tolerance of goal   0.05     ours, rad and rad/s: see TOLERANCE
 
-The paper's minimum has an effort of 9.9. From its first guess SLQ ends at 17.8, in another local minimum; from eight
-starts (`--starts 8`) the best has 5.5. There are many, and the paper calls its own locally optimal too.
+The paper's minimum has an effort of 9.9. From the paper's first guess SLQ ends in another local minimum, at 17.8; the
+best of eight starts (`--starts 8`) has 5.5. There are many local minima; the paper calls its own one of them.
 """
 
 from __future__ import annotations
@@ -26,7 +25,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics, judge_upright, stages
+from planner.cases.horizon import stages
+from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics, judge_upright
 from planner.model.twin import Twin
 from planner.problem.guess import follow, quintic
 from planner.problem.problem import Problem, Requirements
@@ -35,8 +35,8 @@ from planner.problem.recipe import Recipe
 Guess = Literal["paper", "zero"]
 
 TOLERANCE = 0.05
-"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian would cost: the
-default's 0.02 rad at a weight of 200 are 4 per rad. Twice that is allowed, for other guesses, and rounded up."""
+"""rad and rad/s. At an optimum the miss times the final weight is the effort that one more radian costs: the default
+misses by 0.02 rad at a weight of 200, which is 4 per rad. Twice that, rounded up, leaves room for other guesses."""
 
 
 def two_link(
@@ -51,14 +51,14 @@ def two_link(
         horizon: N, stages; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls: "paper" (forearm straight, upper arm smoothly up, by inverse dynamics) or "zero".
-        mass1: Upper arm, kg.
-        mass2: Forearm, kg.
-        length1: Upper arm, m.
-        length2: Forearm, m.
+        mass1: Mass of the upper arm, kg.
+        mass2: Mass of the forearm, kg.
+        length1: Length of the upper arm, m.
+        length2: Length of the forearm, m.
         gravity: g, m/s^2.
-        position_weight: On the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
-        velocity_weight: On the final |dq|^2 / 2, rad/s; twice the paper's c2.
-        effort_weight: On |u|^2 / 2, torques in N m, times dt.
+        position_weight: Weight on the final |q - q_d|^2 / 2, q in rad; twice the paper's c1 (Eq. 5 has no 1/2 there).
+        velocity_weight: Weight on the final |dq|^2 / 2, rad/s; twice the paper's c2.
+        effort_weight: Weight on |u|^2 / 2, torques in N m, times dt.
 
     Raises:
         PlannerError: A parameter that is not finite or out of range.

@@ -15,7 +15,7 @@ from planner.cli.console import Console
 from planner.cli.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
 from planner.kernels.numba.jit import is_warm
 from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_together
-from planner.proof.models_agree import parity
+from planner.proof.model_parity import parity
 from planner.solvers.slq import solve
 
 

@@ -19,6 +19,7 @@ from planner.problem.archive import plan_name
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.case_replay import replay_case
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.perturbation import Perturbation
 from planner.proof.replaying import Replay
 
@@ -100,9 +101,9 @@ def _case(plan: Plan, arguments: argparse.Namespace, perturbation: Perturbation)
     if plan.twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     count("replay-case", arguments.replay_case, least=0)
-    feedback = arguments.mode == "feedback"
+    compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
     return replay_case(
-        plan, plan.twin, arguments.replay_case, seed=arguments.seed, perturbation=perturbation, feedback=feedback
+        plan, compiled, arguments.replay_case, seed=arguments.seed, perturbation=perturbation, feedback=feedback
     )
 
 

@@ -26,7 +26,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
-from planner.proof.models_agree import parity
+from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
 from planner.proof.verdict import with_rollouts
 

@@ -51,7 +51,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """What acts on a mechanism. nu actuators; the ranges are data, infinite where there are none.
+    """The nu actuators of a mechanism. Ranges are data only, infinite where there are none.
 
     Attributes:
         names: (nu,) names, "" where the file gives none.
@@ -257,7 +257,7 @@ class Mechanism:
 
     @cached_property
     def space(self) -> StateSpace:
-        """Of x = (qpos, qvel, act)."""
+        """The space of states x = (qpos, qvel, act)."""
         return StateSpace(self.nq + self.nv + self.na, 2 * self.nv + self.na, self.quaternions)
 
     @cached_property

@@ -133,18 +133,25 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
 
 def _check_meta(named: str, meta: dict[str, Any]) -> None:
     for name, kinds in _META.items():
-        value: Any = meta.get(name)
-        usable = name in meta and _is(value, kinds)
-        if usable and name in ("versions", "files"):
-            usable = all(isinstance(text, str) for text in value.values())
-        if usable and name == "recipe" and value is not None:
-            kinds = {"name": str, "parameters": dict}
-            usable = set(value) == set(kinds) and all(isinstance(value[part], kinds[part]) for part in kinds)
-        if usable and name == "starts":
-            rows = (row if isinstance(row, list) else [] for row in value)
-            usable = all(len(row) == len(_START) and all(map(_is, row, _START)) for row in rows)
-        if not usable:
+        if name not in meta or not _is(meta[name], kinds) or not _INSIDE.get(name, lambda value: True)(meta[name]):
             raise FileError(f"{named} is damaged: its meta has no usable {name!r}.")
+
+
+def _texts(table: dict[str, Any]) -> bool:
+    return all(isinstance(text, str) for text in table.values())
+
+
+def _recipe(table: dict[str, Any] | None) -> bool:
+    kinds = {"name": str, "parameters": dict}
+    return table is None or (set(table) == set(kinds) and all(isinstance(table[key], kinds[key]) for key in kinds))
+
+
+def _starts(rows: list[Any]) -> bool:
+    whole = (isinstance(row, list) and len(row) == len(_START) for row in rows)
+    return all(whole) and all(all(map(_is, row, _START)) for row in rows)
+
+
+_INSIDE = {"versions": _texts, "files": _texts, "recipe": _recipe, "starts": _starts}  # checks beyond the kind
 
 
 def _is(value: Any, kinds: tuple[type, ...]) -> bool:

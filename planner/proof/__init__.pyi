@@ -1,7 +1,7 @@
 from planner.proof.contact_history import ContactHistory as ContactHistory
 from planner.proof.cost import proven_cost as proven_cost
 from planner.proof.hold import hold_gain as hold_gain
-from planner.proof.models_agree import parity as parity
+from planner.proof.model_parity import parity as parity
 from planner.proof.perturbation import Perturbation as Perturbation
 from planner.proof.refinement import Refined as Refined
 from planner.proof.refinement import Refinement as Refinement

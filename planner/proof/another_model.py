@@ -7,15 +7,26 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.driven import as_driven
 from planner.model.mjcf.edit import take_out
-from planner.model.mjcf.refuse import found
+from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.survey import Survey
+from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
-from planner.proof.replaying import compile_model, with_model
+from planner.proof.compiled_twin import CompiledTwin
 
 
-def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin:
+def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
+    """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
+    if mjcf is None:
+        return twin
+    root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
+    return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
+
+
+def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> CompiledTwin:
     """A twin with another MJCF, a path or the XML text; the twin itself for None.
 
     A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of. Its
@@ -24,23 +35,25 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Twin
     Raises:
         ModelError: A file that cannot be read or that MuJoCo refuses.
     """
-    if mjcf is None:
-        return twin
-    twin = with_model(twin, mjcf)
+    compiled = CompiledTwin(with_model(twin, mjcf))
     mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
-        return twin
-    return as_driven(_without(mechanism, twin), mechanism, getattr(problem.dynamics, "prescribed", ()))
+    if mjcf is None or not isinstance(mechanism, Mechanism):
+        return compiled
+    compiled = _without(mechanism, compiled)
+    prescribed = getattr(problem.dynamics, "prescribed", ())
+    driven = as_driven(compiled.twin, compiled.model, mechanism, prescribed) if prescribed else compiled.twin
+    return compiled if driven is compiled.twin else CompiledTwin(driven)
 
 
-def _without(mechanism: Mechanism, twin: Twin) -> Twin:
+def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
     """The twin without what the mechanism's file had and the mechanism has not."""
     if not mechanism.ignored:
-        return twin
-    model = compile_model(twin.mjcf, twin.assets)
-    kinds = {one.kind for one in found(model) if one.phrase in mechanism.ignored or one.kind in mechanism.ignored}
+        return compiled
+    survey, ignored = Survey(compiled.model), mechanism.ignored
+    found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=True)]
+    kinds = {one.kind for one in found if one.phrase in ignored or one.kind in ignored}
     if not kinds:
-        return twin
-    root = ElementTree.fromstring(twin.mjcf)
-    take_out(root, kinds, model)
-    return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"))
+        return compiled
+    root = ElementTree.fromstring(compiled.twin.mjcf)
+    take_out(root, [one for one in found if one.kind in kinds], survey.model)
+    return CompiledTwin(replace(compiled.twin, mjcf=ElementTree.tostring(root, encoding="unicode")))

@@ -8,23 +8,30 @@ import numpy as np
 
 from planner.base.arguments import count
 from planner.base.gl import load_mujoco
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.ranges import ranges_reached
-from planner.proof.replaying import RUNAWAY, Replay, warnings_of
+from planner.proof.replaying import Replay
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
+from planner.proof.simulation import RUNAWAY, set_state, state_of, warnings_of
 
 
 def replay_case(
-    plan: Plan, twin: Twin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None, feedback: bool = True
+    plan: Plan,
+    compiled: CompiledTwin,
+    k: int,
+    *,
+    seed: int = 0,
+    perturbation: Perturbation | None = None,
+    feedback: bool = True,
 ) -> Replay:
     """Rollout k of perturbed(), by plain mj_step: the same states to the last bit, NaN once it has exploded.
 
     Args:
         plan: The plan.
-        twin: The MuJoCo model it is simulated in; the replay keeps it, with the errors in its motion alone.
+        compiled: The MuJoCo model it is simulated in; the replay keeps it, with the errors in its motion alone.
         k: Number of the rollout, e.g. one of Perturbed.worst.
         seed: That of the Monte Carlo.
         perturbation: That of the Monte Carlo; None for Perturbation.usual(plan.problem).
@@ -36,7 +43,7 @@ def replay_case(
     """
     k, seed = count("k", k, least=0), count("seed", seed, least=0)
     mujoco = load_mujoco()
-    with Rollouts(plan, twin, threads=1) as rollouts:
+    with Rollouts(plan, compiled, threads=1) as rollouts:
         errors = draw(perturbation or Perturbation.usual(plan.problem), seed, k, rollouts.nominal.sizes)
         batch, M = rollouts.batch([errors]), rollouts.steps
         piece, commands = rollouts.pieces(batch, MODES[feedback])
@@ -45,7 +52,7 @@ def replay_case(
         w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
         recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [model.nq, model.nq + model.nv])
+        set_state(model, data, w[0])
         for i in range(M):
             if i % piece == 0:
                 n, complaints = min(piece, M - i), _complaints(data)
@@ -57,12 +64,12 @@ def replay_case(
                 break
             data.ctrl[:] = ctrl[i]
             with rollouts.curves(batch):
-                recorder.look(i, data)
-                mujoco.mj_step(model, data)
-            w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
+                recorder.step(i, data)
+            w[i + 1] = state_of(data)
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
                 w[i + 1] = np.nan
                 break
+        warnings = warnings_of(data)
         if np.isfinite(w[M]).all():
             with rollouts.curves(batch):
                 recorder.look(M, data)
@@ -70,13 +77,13 @@ def replay_case(
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = CONTROL_STEPS * rollouts.substeps
         return Replay(
-            plan=plan, twin=twin, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act, ctrl=ctrl,
-            xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
-            contact_point=recorder.point, substeps=substeps, warnings=warnings_of(mujoco, data),
+            plan=plan, compiled=compiled, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act,
+            ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
+            contact_point=recorder.point, substeps=substeps, warnings=warnings,
             reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip
 
 
 def _complaints(data: Any) -> tuple[int, ...]:
-    """How often MuJoCo has warned, by kind."""
+    """Number of MuJoCo's warnings, by kind."""
     return tuple(warning.number for warning in data.warning)

@@ -1,7 +1,7 @@
-"""ContactHistory: what touches what while MuJoCo simulates, where, and with what force.
+"""ContactHistory: which shapes touch while MuJoCo simulates, where, and with what force.
 
-A step costs a forward pass beside the simulation, so that forces belong to the state of that instant and not to a stage
-of the last step. The sum over all contacts is kept at every step. Of single contacts a long simulation keeps means over
+Forces are those of the forward pass with which a step begins: of the state at that instant, not of a stage of the last
+step. The sum over all contacts is kept at every step. Of single contacts a long simulation keeps means over
 several steps, so that memory stays within bounds.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.refuse import named
+from planner.model.mjcf.survey import named
 
 MOST_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
 MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
@@ -37,7 +37,7 @@ class ContactHistory:
 
     @classmethod
     def none(cls) -> ContactHistory:
-        """Of a machine that touches nothing."""
+        """The history of a machine that touches nothing."""
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
@@ -45,20 +45,22 @@ class ContactRecorder:
     """Looks at the contacts of a simulation, step by step.
 
     Attributes:
+        touches: Whether there is anything to record.
         force: (M+1,) sum of the normal contact forces.
         point: (M+1, 3) where it acts; NaN without contact.
         first: The two geoms of the first contact and its step, or None.
     """
 
-    def __init__(self, model: Any, steps: int) -> None:
+    def __init__(self, model: Any, steps: int, touches: bool | None = None) -> None:
         """Nothing seen yet.
 
         Args:
             model: MuJoCo's.
             steps: M, of the simulation.
+            touches: False where nobody asks for contacts; by default, whether there could be any.
         """
         self._mujoco, self._model = load_mujoco(), model
-        self._probe = self._mujoco.MjData(model) if may_touch(model) else None
+        self.touches = may_touch(model) if touches is None else touches
         self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
         # Of each pair of geoms, by sample: the force's impulse (3,), the normal force, and its moment (3,).
         self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
@@ -66,17 +68,33 @@ class ContactRecorder:
         self.first: tuple[int, int, int] | None = None
 
     def look(self, i: int, data: Any) -> None:
-        """At the state that the simulation has at step i."""
-        if (probe := self._probe) is None:
-            return
+        """Record the contacts of step i, by a forward pass at the state that `data` has."""
+        if self.touches:
+            self._mujoco.mj_forward(self._model, data)
+            self._record(i, data)
+
+    def step(self, i: int, data: Any) -> None:
+        """Record the contacts of step i and take it: mj_step in its parts, so that one forward pass serves both."""
         mujoco, model = self._mujoco, self._model
-        probe.qpos[:], probe.qvel[:], probe.act[:], probe.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
-        probe.qacc_warmstart[:] = data.qacc_warmstart
-        mujoco.mj_forward(model, probe)
+        if not self.touches:
+            mujoco.mj_step(model, data)
+            return
+        mujoco.mj_checkPos(model, data)
+        mujoco.mj_checkVel(model, data)
+        self.look(i, data)
+        mujoco.mj_checkAcc(model, data)
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            mujoco.mj_RungeKutta(model, data, 4)
+        else:
+            mujoco.mj_Euler(model, data)
+
+    def _record(self, i: int, data: Any) -> None:
+        """The contacts that a forward pass has left in `data`."""
+        mujoco, model = self._mujoco, self._model
         total, moment, wrench = 0.0, np.zeros(3), np.zeros(6)
-        for c in range(probe.ncon):
-            contact = probe.contact[c]
-            mujoco.mj_contactForce(model, probe, c, wrench)
+        for c in range(data.ncon):
+            contact = data.contact[c]
+            mujoco.mj_contactForce(model, data, c, wrench)
             total += wrench[0]
             moment += wrench[0] * contact.pos
             one, other = (int(geom) for geom in contact.geom)

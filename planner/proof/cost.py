@@ -1,4 +1,4 @@
-"""What a plan costs where it is run: the cost reached in MuJoCo, which ranks plans that their own steps flatter."""
+"""The cost that a plan reaches in MuJoCo: it ranks plans whose own coarse steps make them look too cheap."""
 
 from __future__ import annotations
 

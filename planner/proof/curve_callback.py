@@ -68,7 +68,7 @@ def curves_acting(twin: Twin, *models: Any, factors: np.ndarray | None = None) -
 
 
 def _table(model: Any, curves: Sequence[ExponentialTorque], factors: Sequence[float]) -> list[Any]:
-    """Of each curve: where it acts, amplitude, constant, and (address in qpos, slope) pairs."""
+    """For each curve: its dof, amplitude, constant, and (address in qpos, slope) pairs."""
     kinds = load_mujoco().mjtJoint
     single = np.isin(model.jnt_type, [int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)])
     for curve in curves:

@@ -1,4 +1,4 @@
-"""Which number of a mechanism another model has otherwise: what a parity that fails is traced to.
+"""Find the numbers of a mechanism that differ in another model: the cause of a parity that fails.
 
 The other model is read as a mechanism too, and the two are compared joint by joint. Where their numbers agree, the
 difference is elsewhere, and `rigid_parity` says at which joint it is felt.
@@ -17,7 +17,7 @@ _MOST = 4  # differences named; further ones are counted
 
 
 def differences(ours: Mechanism, theirs: Mechanism) -> str:
-    """What differs, joint and term, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
+    """Name the joints and terms that differ, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
 
     Args:
         ours: The mechanism of the plan.
@@ -60,11 +60,14 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         for term, (one, other) in terms.items():
             if not _same(one[dof], other[dof], np.abs(one).max()):
                 yield f"{term} at {joint_of(ours, dof)}{_values(one[dof], other[dof])}"
+    balls = {
+        "stiffness": (ours.ball_stiffness, theirs.ball_stiffness),
+        "spring reference": (ours.ball_rest, theirs.ball_rest),
+    }
     for ball, (_, dof) in enumerate(ours.quaternions):
-        for term, name in (("stiffness", "ball_stiffness"), ("spring reference", "ball_rest")):
-            one, other = getattr(ours, name)[ball], getattr(theirs, name)[ball]
-            if not _same(one, other):
-                yield f"{term} at {joint_of(ours, dof)}{_values(one, other)}"
+        for term, (one, other) in balls.items():
+            if not _same(one[ball], other[ball]):
+                yield f"{term} at {joint_of(ours, dof)}{_values(one[ball], other[ball])}"
     a, b = ours.actuators, theirs.actuators
     terms = {
         "gear": (a.moment, b.moment), "gain": (a.gain, b.gain), "bias": (a.bias, b.bias),

@@ -26,6 +26,7 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.proof.rigid_parity import random_states, rigid_parity, rounded, unlimited
+from planner.proof.simulation import set_state
 
 _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
 
@@ -115,7 +116,7 @@ def _accelerations(model: Any, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     mujoco, result = load_mujoco(), np.empty((len(xs), model.nv))
     data = mujoco.MjData(model)
     for k, (x, u) in enumerate(zip(xs, us, strict=True)):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(x, [model.nq, model.nq + model.nv])
+        set_state(model, data, x)
         data.ctrl[:] = u
         mujoco.mj_forward(model, data)
         result[k] = data.qacc_smooth

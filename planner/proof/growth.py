@@ -1,4 +1,4 @@
-"""How errors grow along a plan, open loop and with its gains, and what replay error that predicts.
+"""Predict how errors grow along a plan, open loop and with its gains, and thus the errors of its replays.
 
 To first order a deviation obeys  dx(n+1) = A(n) dx(n) + d(n),  with the gains  (A(n) + B(n) K(n)) dx(n) + d(n):
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
-from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
-from planner.proof.replaying import MOST_STEPS, RUNAWAY, Replay, matching_model, unstable_at, warnings_of
+from planner.proof.replaying import Replay
+from planner.proof.simulation import MOST_STEPS, simulate
 
 BOUND = 0.01  # largest deviation over the last second, in rad, m, rad/s, m/s: what proofs ask of an end
 EQUILIBRIUM = 1e-3  # how far from the goal the nearest equilibrium may be, the same units: a tenth of the bound
@@ -112,7 +112,7 @@ def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.
 
 
 def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dt: float) -> None:
-    """That something stands still near enough: z = (dx, du) with drift + (A - 1) dx + B du = 0 and dx small."""
+    """Raise unless an equilibrium is near: drift + (A - 1) dx + B du = 0 with a small dx."""
     J = np.concatenate([A - np.eye(len(A)), B], axis=1)
     z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
     stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
@@ -141,7 +141,7 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What MuJoCo did after a replay, with a regulator acting at every step.
+    """MuJoCo's motion after a replay, with a regulator acting at every step.
 
     Attributes:
         hold: The regulator.
@@ -180,32 +180,17 @@ def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
     Raises:
         PlannerError: Too many steps, or a regulator of another machine.
     """
-    mujoco = load_mujoco()
     steps = round(number("seconds", seconds, above=0.0) / replay.timestep)
     if not 1 <= steps <= MOST_STEPS:
         raise PlannerError(f"{seconds:g} s are {steps} steps of the replay, expected 1 to {MOST_STEPS}.")
-    twin = replay.twin
     if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):
         raise PlannerError(f"the gains have shape {hold.K.shape}, expected those of the plan's machine.")
-    model = matching_model(twin, len(hold.K))
-    model.opt.timestep = replay.timestep
-    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{replay.integrator}")
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
-    data = mujoco.MjData(model)
-    w = np.full((steps + 1, model.nq + model.nv + model.na), np.nan)
-    ctrl = np.zeros((steps, model.nu))
-    w[0] = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])
-    data.qpos[:], data.qvel[:], data.act[:] = replay.qpos[-1], replay.qvel[-1], replay.act[-1]
-    for i in range(steps):
-        if not np.all(np.abs(w[i]) < RUNAWAY):
-            break
-        data.ctrl[:] = ctrl[i] = hold.control(twin.x_of(w[i]))
-        with curves_acting(twin, model):
-            mujoco.mj_step(model, data)
-        w[i + 1] = np.concatenate([data.qpos, data.qvel, data.act])
+    twin, model = replay.twin, replay.compiled.stepping(replay.timestep, replay.integrator)
+    t, ctrl = replay.t[-1] + replay.timestep * np.arange(steps + 1), np.zeros((steps, model.nu))
+    arrived = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])
+    with curves_acting(twin, model):
+        w, warnings = simulate(model, arrived, ctrl, control=lambda _, w: hold.control(twin.x_of(w)), start=float(t[0]))
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
-    t = replay.t[-1] + replay.timestep * np.arange(steps + 1)
-    warnings = (*unstable_at(model, w, replay.t[-1]), *warnings_of(mujoco, data))
     return Held(hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
 
 

@@ -1,4 +1,4 @@
-"""How far a motion is outside of its problem's limits: the plan's own, and what a replay made of it."""
+"""Measure how far a plan or its replay is outside of the problem's limits."""
 
 from __future__ import annotations
 
@@ -35,9 +35,8 @@ def limit_violations(
         for kind, word in KINDS.items():
             which = [h for h, own in enumerate(kinds) if own == kind]
             if which:
-                worst = (
-                    which[int(np.nanargmax(beyond[:, which].max(axis=0)))] if np.isfinite(beyond).all() else which[0]
-                )
+                finite = np.isfinite(beyond).all()
+                worst = which[int(beyond[:, which].max(axis=0).argmax())] if finite else which[0]
                 note = f"largest at the knots, {whose}: {problem.ranges.names[worst]}"
                 value = float(beyond[:, which].max())
                 measured.append(Measured(f"{word}_violation", value, "", tolerance if judged else None, note))

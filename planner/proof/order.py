@@ -1,4 +1,4 @@
-"""How a plan's replay changes as MuJoCo's step is halved: the practice of Roache's grid convergence index.
+"""Measure how a plan's replay changes as MuJoCo's step is halved, as in Roache's grid convergence index.
 
 The controls are held as planned and MuJoCo integrates with the plan's own method at the steps h, h/2, h/4, ...
 (P. J. Roache, "Perspective: a method for uniform reporting of grid refinement studies", J. Fluids Eng. 116, 1994;
@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from planner.base.measured import Measured, Section
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import curves_acting
-from planner.proof.replaying import Replay, matching_model
+from planner.proof.replaying import Replay
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, cost_scale
 
@@ -92,39 +91,33 @@ class Order:
         return Section("order, open loop", tuple(measured))
 
 
-def order(plan: Plan, problem: Problem, twin: Twin, run: Replay) -> Order:
+def order(problem: Problem, run: Replay) -> Order:
     """Replay a plan open loop at halved steps.
 
     Args:
-        plan: What to replay.
-        problem: Its problem.
-        twin: The model.
-        run: The refined replay, open loop.
-
-    Raises:
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+        problem: The plan's.
+        run: Its refined replay, open loop, whose model is taken.
     """
+    plan = run.plan
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
-    model = matching_model(twin, problem.dynamics.nu)
-    touches = may_touch(model)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [1 << k for k in range(LEVELS)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     with np.errstate(all="ignore"):
-        levels = [_level(plan, problem, twin, kind, count) for count in substeps]
+        levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
         while not refined_only and observed is not None and observed < nominal - ORDER_BOUND:
             if len(levels) == MOST_LEVELS:
                 break
             substeps.append(2 * substeps[-1])
-            levels.append(_level(plan, problem, twin, kind, substeps[-1]))
+            levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)
         ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
         factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
         step = plan.space.difference(ends[-1], ends[-2])
-    why = "contacts open and close: the order scatters" if touches else ""
+    why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
     return Order(
@@ -162,9 +155,9 @@ def _observed(changes: np.ndarray) -> float | None:
     return order if np.isfinite(order) else 0.0
 
 
-def _level(plan: Plan, problem: Problem, twin: Twin, integrator: str, substeps: int) -> tuple[np.ndarray, float]:
+def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tuple[np.ndarray, float]:
     """End state and cost of an open-loop replay with so many steps per stage."""
-    model = matching_model(twin, problem.dynamics.nu)
+    plan, twin, model = run.plan, run.twin, run.compiled.copy()
     advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space)
     assert advance is not None  # every integrator of NOMINAL has one
     xs = np.empty_like(plan.xs)

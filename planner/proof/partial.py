@@ -17,7 +17,7 @@ _FORMAT = "perturbed 1"
 
 
 def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
-    """Of all that the rollouts depend on; how many there are is not part of it."""
+    """Digest of all that a rollout depends on, which their number does not change."""
     plan, twin, problem = rollouts.plan, rollouts.twin, rollouts.plan.problem
     assert problem is not None  # Rollouts has checked
     version = load_mujoco().__version__

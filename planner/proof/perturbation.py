@@ -1,4 +1,4 @@
-"""What step 5 of a proof varies: by how much, how one rollout's errors are drawn, and a MuJoCo model that has them.
+"""The errors of step 5 of a proof: how large they are, how a rollout's are drawn, and a MuJoCo model that has them.
 
 A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
 is the same in any company, and switching one kind of error off leaves the others as they were.
@@ -20,6 +20,7 @@ from planner.model.mjcf.driven import HEAVY, driven_dofs
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.simulation import set_state
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _MOST_KNOTS = 200  # of the plan are asked for its largest forces
@@ -77,7 +78,7 @@ class Perturbation:
 
     @classmethod
     def usual(cls, problem: Problem | None, **changes: float) -> Perturbation:
-        """What is varied where a problem's own requirements have a say, but for `changes`."""
+        """The perturbation that a problem's requirements ask for, else the default; with `changes`."""
         own = None if problem is None else problem.requirements
         return cls(**{**({} if own is None else own.perturbation), **changes})
 
@@ -126,7 +127,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of what a rollout's errors are drawn for: nbody, nv and njnt are the model's, the others the plan's."""
+    """Sizes of the arrays of a Draw: nbody, nv and njnt are the model's, the others the plan's."""
 
     nbody: int
     nv: int
@@ -231,8 +232,7 @@ def _loads(model: Any, plan: Plan, twin: Twin) -> np.ndarray:
     mujoco = load_mujoco()
     data, loads = mujoco.MjData(model), np.zeros(model.nv)
     for n in np.unique(np.linspace(0, plan.N - 1, _MOST_KNOTS).round().astype(int)):
-        state = twin.sim_of(plan.xs[n])
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(state, [model.nq, model.nq + model.nv])
+        set_state(model, data, twin.sim_of(plan.xs[n]))
         data.ctrl[:] = plan.us[n]
         mujoco.mj_forward(model, data)
         loads = np.maximum(loads, np.maximum(np.abs(data.qfrc_bias), np.abs(data.qfrc_actuator)))

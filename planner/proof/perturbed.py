@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ import numpy as np
 from planner.base.arguments import count, number
 from planner.base.jsonable import finite
 from planner.base.measured import Measured, Section
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.partial import Partial, fingerprint
 from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
 from planner.proof.rollouts import MODES, OutOfTime, Rollouts
@@ -40,7 +40,7 @@ _USUAL = 0.3  # of the budget is what the estimate may fill, so that its error d
 
 @dataclass(frozen=True, eq=False)
 class Perturbed:
-    """What a Monte Carlo found. Modes are "open-loop" and "feedback".
+    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback".
 
     Attributes:
         perturbation: What was varied.
@@ -140,14 +140,36 @@ class Perturbed:
         }
 
 
+@dataclass(frozen=True)
+class Trials:
+    """The random machines of a Monte Carlo, and which of their motions count as successes.
+
+    Attributes:
+        rollouts: How many machines, in each mode; the k-th is the same whatever their number.
+        seed: Of the random numbers, at least 0.
+        perturbation: What is varied; None for Perturbation.usual() of the plan's problem.
+        tolerance: Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s.
+
+    Raises:
+        PlannerError: A number that cannot be.
+    """
+
+    rollouts: int = 512
+    seed: int = 0
+    perturbation: Perturbation | None = None
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        count("rollouts", self.rollouts)
+        count("seed", self.seed, least=0)
+        number("tolerance", self.tolerance, above=0.0)
+
+
 def perturbed(
     plan: Plan,
-    twin: Twin,
+    compiled: CompiledTwin,
+    trials: Trials | None = None,
     *,
-    rollouts: int = 512,
-    seed: int = 0,
-    perturbation: Perturbation | None = None,
-    tolerance: float = TOLERANCE,
     budget: float | None = None,
     partial: Path | None = None,
     progress: Callable[[int, int], object] | None = None,
@@ -155,15 +177,12 @@ def perturbed(
 ) -> Perturbed:
     """Simulate a plan many times with errors drawn at random, open loop and with its gains.
 
-    A rollout succeeds when it ends within `tolerance` of the plan's last state, or as the problem's requirements say.
+    A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say.
 
     Args:
         plan: A plan of a problem.
-        twin: The MuJoCo model it is simulated in.
-        rollouts: How many, in each mode; rollout k is the same whatever their number.
-        seed: Of the random numbers, at least 0.
-        perturbation: What is varied; None for Perturbation.usual(plan.problem).
-        tolerance: Largest component of the end state's deviation, rad, m, rad/s, m/s.
+        compiled: The MuJoCo model it is simulated in.
+        trials: How many rollouts, with which errors; by default Trials().
         budget: s; fewer rollouts where they would take too long, and an end when it is used up.
         partial: An .npz that keeps finished rollouts; those of this plan, seed and perturbation are not run again.
         progress: Called with (rollouts finished, all), those behind the margin included.
@@ -174,12 +193,11 @@ def perturbed(
         ModelError: MuJoCo refuses the model, or it does not fit the plan.
         FileError: `partial` cannot be read or written.
     """
-    asked = count("rollouts", rollouts)
-    seed = count("seed", seed, least=0)
-    tolerance = number("tolerance", tolerance, above=0.0)
-    perturbation = Perturbation.usual(plan.problem) if perturbation is None else perturbation
+    trials = trials or Trials()
+    asked, seed = trials.rollouts, trials.seed
+    perturbation = trials.perturbation or Perturbation.usual(plan.problem)
     deadline = math.inf if budget is None else time.monotonic() + number("budget", budget, above=0.0)
-    with Rollouts(plan, twin, threads) as simulator:
+    with Rollouts(plan, compiled, threads) as simulator:
         wanted = asked if budget is None else min(asked, _affordable(budget, simulator.seconds))
         per_level = int(np.clip(wanted // _SHARE, 5, _PER_LEVEL))
         notes = [] if wanted == asked else [f"{wanted} rollouts in place of {asked}, to keep within {budget:g} s."]
@@ -201,11 +219,12 @@ def perturbed(
             _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)
         except OutOfTime:
             notes.append(f"Stopped after {budget:g} s: how many rollouts there are depends on this computer.")
-        return _result(simulator, store, perturbation, seed, asked, wanted, per_level, tolerance, tuple(notes))
+        done = replace(trials, rollouts=wanted, perturbation=perturbation)
+        return replace(_result(simulator, store, done, per_level), asked=asked, notes=tuple(notes))
 
 
 def _affordable(budget: float, seconds: float, least: int = _FEWEST) -> int:
-    """How many rollouts, and those behind the margin with them, of so many seconds in one mode."""
+    """Number of rollouts, of `seconds` in each mode, that fit the budget together with those behind the margin."""
     return max(least, int(_USUAL * budget / (len(MODES) * seconds) / (1.0 + len(LEVELS) / _SHARE)))
 
 
@@ -237,7 +256,7 @@ def _run(
 
 
 def _following(simulator: Rollouts, follows: Callable[..., np.ndarray], xs: np.ndarray) -> np.ndarray:
-    """Which (K,) of states (K, T, nx) at the kept knots are successes; none that has exploded is."""
+    """(K,) successes among states (K, T, nx) at the kept knots; none that has exploded is one."""
     won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
     if sound.any():
         won[sound] = follows(xs[sound], simulator.plan.xs[simulator.knots], simulator.knots)
@@ -245,16 +264,15 @@ def _following(simulator: Rollouts, follows: Callable[..., np.ndarray], xs: np.n
 
 
 def _deviations(simulator: Rollouts, xs: np.ndarray) -> np.ndarray:
-    """Of states (K, T, nx) at the kept knots from the plan's (K, T, ndx), in single precision: they are for plots."""
+    """Deviations (K, T, ndx) of states (K, T, nx) at the kept knots, in single precision: they are for plots."""
     with np.errstate(all="ignore"):  # of what has exploded
         return simulator.plan.space.difference(xs, simulator.plan.xs[simulator.knots]).astype(np.float32)
 
 
-def _result(
-    simulator: Rollouts, store: Partial, perturbation: Perturbation, seed: int, asked: int, wanted: int,
-    per_level: int, tolerance: float, notes: tuple[str, ...],
-) -> Perturbed:  # fmt: skip
-    plan = simulator.plan
+def _result(simulator: Rollouts, store: Partial, trials: Trials, per_level: int) -> Perturbed:
+    """The successes and deviations of as many of the trials as the store has."""
+    plan, wanted, tolerance = simulator.plan, trials.rollouts, trials.tolerance
+    assert trials.perturbation is not None  # perturbed() has put the usual one there
     nothing = np.empty((0, len(MODES), plan.xs.shape[1]))
     ends = store.arrays.get("cases_end", nothing)[:wanted]
     levels = store.arrays.get("levels_end", nothing)
@@ -273,14 +291,14 @@ def _result(
     if any(_rule(plan, name) is not None for name in ("success", "follows")):
         tolerance = math.nan
     return Perturbed(
-        perturbation=perturbation, seed=seed, asked=asked, done=len(ends), step=simulator.step,
+        perturbation=trials.perturbation, seed=trials.seed, asked=wanted, done=len(ends), step=simulator.step,
         control_step=simulator.control_step, tolerance=tolerance, end_error=end_error, success=success, margin=margin,
-        per_level=per_level, t=plan.t[simulator.knots], fans=fans, notes=notes,
+        per_level=per_level, t=plan.t[simulator.knots], fans=fans,
     )  # fmt: skip
 
 
 def _rule(plan: Plan, name: str) -> Callable[..., np.ndarray] | None:
-    """How the machine says which rollouts are successes, by their ends or by their way; None where it does not."""
+    """The machine's own rule of success, by the "success" of ends or by what "follows" the plan; else None."""
     return None if plan.problem is None else getattr(plan.problem.requirements, name, None)
 
 

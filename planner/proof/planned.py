@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from planner.base.gl import load_mujoco
 from planner.proof.ranges import ranges_reached
-from planner.proof.replaying import Replay, knows_contacts, matching_model, stopped_dofs
+from planner.proof.replaying import Replay, knows_contacts, stopped_dofs
 
 
 def reached_by_plan(run: Replay) -> tuple[str, ...]:
-    """What of a replay's `reached` the plan's own knots reach too, one sentence each.
+    """The sentences of a replay's `reached` that the plan's own knots justify too.
 
     A replay that goes astray may reach anything, and that comes of its going astray.
 
@@ -18,7 +18,7 @@ def reached_by_plan(run: Replay) -> tuple[str, ...]:
     if not run.reached:
         return ()
     mujoco, plan = load_mujoco(), run.plan
-    model, w = matching_model(run.twin, plan.us.shape[1]), run.twin.sim_of(plan.xs)
+    model, w = run.compiled.model, run.twin.sim_of(plan.xs)
     ranges = ranges_reached(model, plan.t, w, plan.us, stopped_dofs(plan))
     if plan.problem is None or knows_contacts(plan):
         return ranges

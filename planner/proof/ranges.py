@@ -1,4 +1,4 @@
-"""Which ranges a replay reached. A plan knows no ranges but stops: where MuJoCo held one, the two machines differ."""
+"""Find the ranges that a replay reached. A plan knows only stops: where MuJoCo held a range, the machines differ."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.refuse import named
+from planner.model.mjcf.survey import named
 from planner.model.space import log_quaternion
+from planner.proof.simulation import set_state
 
 _ROUNDING = 1e-9  # as far beyond a range is still on it
 
@@ -18,7 +19,7 @@ _ROUNDING = 1e-9  # as far beyond a range is still on it
 def ranges_reached(
     model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray, stopped: Collection[int] = ()
 ) -> tuple[str, ...]:
-    """What a simulated motion asked of a model beyond its ranges, one sentence per joint or actuator and kind.
+    """Say where a simulated motion went beyond a model's ranges, one sentence per joint or actuator and kind.
 
     Args:
         model: MuJoCo's model.
@@ -71,7 +72,7 @@ def _forces(model: Any, w: np.ndarray, ctrl: np.ndarray, limits: str) -> tuple[n
     data = mujoco.MjData(free)
     forces, sums = np.empty((len(ctrl), model.nu)), np.empty((len(ctrl), model.nv))
     for i, u in enumerate(ctrl):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(w[i], [model.nq, model.nq + model.nv])
+        set_state(model, data, w[i])
         data.ctrl[:] = u
         mujoco.mj_fwdPosition(free, data)
         mujoco.mj_fwdVelocity(free, data)
@@ -81,7 +82,7 @@ def _forces(model: Any, w: np.ndarray, ctrl: np.ndarray, limits: str) -> tuple[n
 
 
 def _beyond(value: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """How far beyond its limits a value is; 0 within, and where it is not a number."""
+    """The excess of a value over its limits; 0 within, and where it is not a number."""
     beyond = np.maximum(limits[0] - value, value - limits[1])
     return np.where(beyond > _ROUNDING, beyond, 0.0)
 

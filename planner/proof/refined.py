@@ -13,15 +13,15 @@ from planner.proof.limits import limit_violations
 from planner.proof.replaying import Replay
 from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
 
+_NO_RANGES = "of joints, controls and forces: a plan knows none, MuJoCo holds them"
+_LARGEST = "largest component, rad, m, rad/s, m/s"
+
 
 def tracking(run: Replay, problem: Problem) -> Section:
-    """How far one replay is from the plan."""
+    """Compare one replay with the plan."""
     common = (
         Measured("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
-        Measured(
-            "ranges_reached", float(len(run.reached)), "", None,
-            " ".join(run.reached) or "of joints, controls and forces: a plan knows none, MuJoCo holds them",
-        ),
+        Measured("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
         *limit_violations(problem, run.xs[:: run.substeps], _controls(run), "of the replay", judged=False),
     )  # fmt: skip
     if problem.requirements is not None and problem.requirements.tracking is not None:
@@ -33,9 +33,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
     return Section(
         run.title,
         (
-            Measured(
-                "end_state_error", float(error[-1].max()), "", STATE_BOUND, "largest component, rad, m, rad/s, m/s"
-            ),
+            Measured("end_state_error", float(error[-1].max()), "", STATE_BOUND, _LARGEST),
             Measured("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
             *common,
             *_along_the_path(error, problem),

@@ -79,7 +79,7 @@ class Refinement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Where refine() arrived.
+    """The result of refine().
 
     Attributes:
         plan: The last plan that was proved.
@@ -183,7 +183,7 @@ def refine(
 
 
 def _done(proof: Proof, refinements: int, limit: int) -> str:
-    """Why a plan is the last one; "" when it is not."""
+    """The reason to end with this plan; "" to go on."""
     if proof.passed:
         return f"It passed after {_counted(refinements)}." if refinements else "It passed as it was."
     other = _from_discretisation(proof)
@@ -199,7 +199,7 @@ def _counted(refinements: int) -> str:
 
 
 def _from_discretisation(proof: Proof) -> str:
-    """Why a FAIL does not come from the plan's step, in a sentence; "" when it does.
+    """Say what else than the plan's step makes a proof FAIL; "" when the step does.
 
     It does where the plan is sound and its model MuJoCo's (steps 0 to 2), the plan itself gets where it should, and
     still MuJoCo does something else at a refined step: then only the steps differ.

@@ -8,36 +8,31 @@ integration error.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from planner.base.arguments import count, number, shown
-from planner.base.errors import ModelError, PlannerError
-from planner.base.gl import load_mujoco
-from planner.model.mjcf.refuse import named
-from planner.model.mjcf.text import is_text, model_tree
+from planner.base.errors import PlannerError
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import ContactHistory, ContactRecorder
 from planner.proof.curve_callback import curves_acting
 from planner.proof.ranges import ranges_reached
+from planner.proof.simulation import MOST_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
-MOST_STEPS = 5_000_000  # some minutes and 1 GB
-RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What MuJoCo did with a plan's controls, sampled at every simulator step.
+    """MuJoCo's motion under a plan's controls, sampled at every simulator step.
 
     Attributes:
         plan: The plan that was replayed.
-        twin: The model it was replayed in.
+        compiled: The model it was replayed in.
         feedback: Whether the plan's gains acted.
         integrator: MuJoCo's integrator.
         t: (M+1,) s; M = N * substeps.
@@ -56,7 +51,7 @@ class Replay:
     """
 
     plan: Plan
-    twin: Twin
+    compiled: CompiledTwin
     feedback: bool
     integrator: str
     t: np.ndarray
@@ -74,13 +69,18 @@ class Replay:
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
 
     @property
+    def twin(self) -> Twin:
+        """The text of the model, and the maps between its state and the plan's."""
+        return self.compiled.twin
+
+    @property
     def timestep(self) -> float:
         """The simulator's step, s."""
         return float(self.t[1])
 
     @property
     def title(self) -> str:
-        """What a section about this replay is called."""
+        """Title of the proof's section about this replay."""
         return "refined, feedback" if self.feedback else "refined, open loop"
 
     @property
@@ -97,49 +97,6 @@ class Replay:
         return self.plan.problem.cost.value(self.xs[:: self.substeps], us)
 
 
-def compile_model(mjcf: str, assets: dict[str, bytes] | None = None) -> Any:
-    """MuJoCo's model of an MJCF text and the files that it names.
-
-    Raises:
-        ModelError: MuJoCo refuses it; the message is MuJoCo's own, in one line.
-    """
-    mujoco = load_mujoco()
-    try:
-        return mujoco.MjModel.from_xml_string(mjcf, assets or {})
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split()) or "it does not say why"
-        stop = "" if reason.endswith((".", "!", "?")) else "."
-        raise ModelError(f"MuJoCo refuses the model: {reason}{stop}") from None
-
-
-def matching_model(twin: Twin, nu: int) -> Any:
-    """The twin's MuJoCo model, when it fits its maps and a control of size nu.
-
-    Raises:
-        ModelError: The model has other joints, activations or controls than the twin maps.
-    """
-    model = compile_model(twin.mjcf, twin.assets)
-    nw = twin.to_x.shape[1]
-    have = (model.nq + model.nv + model.na, model.nu)
-    if have != (nw, nu):
-        raise ModelError(
-            f"the model has nq + nv + na = {have[0]} states and {have[1]} controls, expected {nw} and {nu}: "
-            "it is not the machine that the plan was made for."
-        )
-    kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
-    model.actuator_dyntype[model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)] = int(kinds.mjDYN_FILTER)
-    return model
-
-
-def with_model(twin: Twin, mjcf: str | Path | None) -> Twin:
-    """A twin with another MJCF, a path or the XML text, in place of its own; with its own for None."""
-    if mjcf is None:
-        return twin
-    root, files = model_tree(mjcf, twin.assets if is_text(mjcf) else None)  # a path brings its own meshes
-    return replace(twin, mjcf=ElementTree.tostring(root, encoding="unicode"), assets=files)
-
-
-@np.errstate(all="ignore")  # a motion may run away, and then it says so
 def replay(
     plan: Plan,
     *,
@@ -166,75 +123,58 @@ def replay(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    return replay_in(CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator)
+
+
+@np.errstate(all="ignore")  # a motion may run away, and then it says so
+def replay_in(
+    compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None, integrator: str = "RK4"
+) -> Replay:
+    """replay() in a model that is compiled already."""
+    problem = problem_of(plan)
+    compiled.check(plan.us.shape[1])
+    dt = problem.dynamics.dt
+    if substeps is None:
+        step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
+        substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
+    n = count("substeps", substeps)
+    M = n * plan.N
+    if M > MOST_STEPS:
+        raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
+    twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
+    plan_xs, ctrl, recorder = plan.between_knots(n), np.repeat(plan.us, n, axis=0), ContactRecorder(model, M)
+
+    def with_gains(i: int, w: np.ndarray) -> np.ndarray:
+        asked = ctrl[i] + plan.K[i // n] @ plan.space.difference(twin.x_of(w), plan_xs[i])
+        return plan.within_bounds(i // n, asked)
+
+    start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
+    with curves_acting(twin, model):
+        w, warnings = simulate(model, start, ctrl, control=with_gains if feedback else None, recorder=recorder, every=n)
+    t = model.opt.timestep * np.arange(M + 1)
+    qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+    surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
+    return Replay(
+        plan=plan, compiled=compiled, feedback=feedback, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
+        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
+        substeps=n, warnings=warnings,
+        reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
+        contacts=recorder.history(t),
+    )  # fmt: skip
+
+
+def problem_of(plan: Plan) -> Problem:
+    """The problem of a plan that can be simulated.
+
+    Raises:
+        PlannerError: The plan comes without its problem or is not finite.
+    """
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
     for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
         if not np.isfinite(values).all():
             raise PlannerError(f"the plan has {name} that are not finite, expected finite numbers.")
-    model = matching_model(twin, plan.us.shape[1])
-    dt = plan.problem.dynamics.dt
-    if substeps is None:
-        step = number("the model's timestep", model.opt.timestep, above=0.0)
-        substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
-    n = count("substeps", substeps)
-    if n * plan.N > MOST_STEPS:
-        raise PlannerError(
-            f"the replay would take {n * plan.N} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}."
-        )
-    model.opt.timestep = dt / n
-    model.opt.integrator = getattr(load_mujoco().mjtIntegrator, f"mjINT_{integrator}")
-    with curves_acting(twin, model):
-        return _run(plan, twin, model, feedback, n)
-
-
-def _run(plan: Plan, twin: Twin, model: Any, feedback: bool, substeps: int) -> Replay:
-    mujoco = load_mujoco()
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that runs away is not to begin anew
-    data = mujoco.MjData(model)
-    nq, nv, M = model.nq, model.nv, plan.N * substeps
-    plan_xs = plan.between_knots(substeps)
-    w = np.full((M + 1, nq + nv + model.na), np.nan)
-    ctrl = np.repeat(plan.us, substeps, axis=0)
-    recorder = ContactRecorder(model, M)
-    assert plan.problem is not None  # replay has checked
-    w[0] = twin.sim_of(plan.problem.x0)  # the problem's start, not what the plan says of it
-    data.qpos[:], data.qvel[:], data.act[:] = np.split(w[0], [nq, nq + nv])
-    for i in range(M):
-        if feedback:
-            asked = ctrl[i] + plan.K[i // substeps] @ plan.space.difference(twin.x_of(w[i]), plan_xs[i])
-            ctrl[i] = plan.within_bounds(i // substeps, asked)
-        data.ctrl[:] = ctrl[i]
-        recorder.look(i, data)
-        mujoco.mj_step(model, data)
-        w[i + 1, :nq], w[i + 1, nq : nq + nv], w[i + 1, nq + nv :] = data.qpos, data.qvel, data.act
-        if i % substeps == 0 and not np.all(np.abs(w[i + 1]) < RUNAWAY):
-            break
-    unstable = unstable_at(model, w)
-    if not unstable:
-        recorder.look(M, data)
-    t = model.opt.timestep * np.arange(M + 1)
-    reached = ranges_reached(model, t, w, ctrl, stopped_dofs(plan))
-    surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
-    return Replay(
-        plan=plan, twin=twin, feedback=feedback, integrator=mujoco.mjtIntegrator(model.opt.integrator).name[6:],
-        t=t, qpos=w[:, :nq], qvel=w[:, nq : nq + nv], act=w[:, nq + nv :], ctrl=ctrl, xs=twin.x_of(w),
-        plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point, substeps=substeps,
-        warnings=(*unstable, *warnings_of(mujoco, data)), reached=(*reached, *([surprise] if surprise else [])),
-        contacts=recorder.history(t),
-    )  # fmt: skip
-
-
-def unstable_at(model: Any, w: np.ndarray, start: float = 0.0) -> tuple[str, ...]:
-    """Where and when the states w (M+1, nq + nv + na) ran away, in a sentence, and NaN from there; else nothing."""
-    with np.errstate(invalid="ignore"):
-        bad = ~(np.abs(w) < RUNAWAY)
-    if not bad.any():
-        return ()
-    first = int(np.argmax(bad.any(axis=1)))
-    w[first:] = np.nan
-    dofs = np.flatnonzero(bad[first, model.nq : model.nq + model.nv])
-    where = f" at {named(model, 'joint', int(model.dof_jntid[dofs[0]]))}" if len(dofs) else ""
-    return (f"MuJoCo's simulation became unstable{where} at t = {start + first * model.opt.timestep:.4g} s.",)
+    return plan.problem
 
 
 def knows_contacts(plan: Plan) -> bool:
@@ -247,13 +187,3 @@ def stopped_dofs(plan: Plan) -> frozenset[int]:
     """The degrees of freedom whose ends of range are part of a plan's dynamics."""
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
     return frozenset(stop.dof for stop in mechanism.stops) if mechanism is not None else frozenset()
-
-
-def warnings_of(mujoco: Any, data: Any) -> tuple[str, ...]:
-    """MuJoCo's own warnings, e.g. about an unstable simulation."""
-    kinds = mujoco.mjtWarning
-    names = [kinds(k).name[7:].lower() for k in range(int(kinds.mjNWARNING))]
-    return tuple(
-        f"MuJoCo warned of {name} {data.warning[k].number} times." for k, name in enumerate(names)
-        if data.warning[k].number
-    )  # fmt: skip

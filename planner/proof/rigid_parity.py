@@ -28,7 +28,7 @@ from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.joint_curves import curve_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.read import mechanism_of
-from planner.model.mjcf.refuse import found
+from planner.model.mjcf.refuse import unmodelled
 from planner.model.space import unit
 from planner.proof.differences import actuator_of, differences, joint_of
 
@@ -38,7 +38,7 @@ _HALVINGS = 20
 
 
 class _Terms(NamedTuple):
-    """What is compared, for K states."""
+    """The compared quantities, for K states."""
 
     mass: np.ndarray  # (K, nv, nv)
     rest: np.ndarray  # (K, nv) bias force without motion: gravity and springs
@@ -68,7 +68,7 @@ def rigid_parity(
         ModelError: The model has other joints or actuators.
     """
     _check_sizes(mechanism, model)
-    unmodelled = _unmodelled(mechanism, model)
+    left_out = _unmodelled(mechanism, model)
     named = differences(mechanism, mechanism_of(model))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
@@ -93,12 +93,12 @@ def rigid_parity(
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
         measured.append(Measured(names.get(term, f"{term}_error"), value, "", bound, note))
-    return Section("parity", (*measured, unmodelled) if unmodelled.passed else (unmodelled, *measured))
+    return Section("parity", (*measured, left_out) if left_out.passed else (left_out, *measured))
 
 
 def _unmodelled(mechanism: Mechanism, model: Any) -> Measured:
-    """What acts in the model and is none of the mechanism's. Contacts are no part of it: a replay says what touched."""
-    phrases = [one.phrase for one in found(model) if one.kind != "contacts"]
+    """Elements that act in the model and are none of the mechanism's, but for contacts: a replay says what touched."""
+    phrases = [one.phrase for one in unmodelled(model)]
     note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
     if phrases and mechanism.ignored:
         note += f" (the plan was made without {', '.join(mechanism.ignored)})"

@@ -22,12 +22,13 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import CALL, curves_acting
 from planner.proof.perturbation import Draw, Nominal
-from planner.proof.replaying import MOST_STEPS, RUNAWAY, matching_model
+from planner.proof.replaying import problem_of
+from planner.proof.simulation import MOST_STEPS, RUNAWAY
 
 MODES = ("open-loop", "feedback")
 CONTROL_STEPS = 4  # per stage
@@ -71,29 +72,24 @@ class Rollouts:
         knots: (T,) the stages at whose start (or end, the last) states are kept.
     """
 
-    def __init__(self, plan: Plan, twin: Twin, threads: int | None = None) -> None:
+    def __init__(self, plan: Plan, compiled: CompiledTwin, threads: int | None = None) -> None:
         """Prepare the model.
 
         Raises:
             PlannerError: The plan is not finite, comes without its problem, or takes too many steps.
             ModelError: MuJoCo refuses the model, or it does not fit the plan.
         """
-        if plan.problem is None:
-            raise PlannerError("the plan comes without its problem, expected one of planner.cases or one just solved.")
-        if not (np.isfinite(plan.xs).all() and np.isfinite(plan.us).all() and np.isfinite(plan.K).all()):
-            raise PlannerError("the plan has states or controls that are not finite, expected a finite plan.")
-        mujoco = load_mujoco()
-        model = matching_model(twin, plan.us.shape[1])
-        self.plan, self.twin, self.control_step = plan, twin, plan.problem.dynamics.dt / CONTROL_STEPS
+        self._problem = problem_of(plan)
+        compiled.check(plan.us.shape[1])
+        mujoco, model, twin = load_mujoco(), compiled.model, compiled.twin
+        self.plan, self.twin, self.control_step = plan, twin, self._problem.dynamics.dt / CONTROL_STEPS
         own = number("the model's timestep", model.opt.timestep, above=0.0)
         finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
         # Only contacts, and parts that the plan does not know of, ask for the model's own step.
         self.substeps = finest if may_touch(model) or twin.to_x.shape != (plan.xs.shape[1],) * 2 else min(finest, 2)
         if self.steps > MOST_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
-        model.opt.timestep = self.step
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what explodes would start anew
+        model = compiled.stepping(self.step)
         self.nominal = Nominal.of(model, plan, twin)
         self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
         self._plan_xs = plan.between_knots(CONTROL_STEPS)
@@ -121,7 +117,7 @@ class Rollouts:
 
     @property
     def steps(self) -> int:
-        """Of the simulator, per rollout."""
+        """Number of simulator steps of a rollout."""
         return self.plan.N * CONTROL_STEPS * self.substeps
 
     @property
@@ -132,7 +128,7 @@ class Rollouts:
 
     @property
     def seconds(self) -> float:
-        """What a rollout costs in one mode, s, as far as the sizes tell; of no particular machine."""
+        """Estimate of what a rollout takes in one mode, s, from the sizes alone."""
         own = 0.5 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
         return self.steps * (own + (4.0 * CALL if self.twin.curves else 0.0))  # at each stage of RK4
 
@@ -146,9 +142,8 @@ class Rollouts:
     def batch(self, draws: Sequence[Draw]) -> Batch:
         """The machines with these errors."""
         plan = self.plan
-        assert plan.problem is not None  # checked at the start
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
-        x0 = plan.problem.x0
+        x0 = self._problem.x0
         return Batch(
             models=[self.nominal.with_errors(draw, self._scratch) for draw in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, draw.start)) for draw in draws]),
@@ -158,7 +153,7 @@ class Rollouts:
         )
 
     def curves(self, batch: Batch) -> AbstractContextManager[None]:
-        """In which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
+        """A context in which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
@@ -199,7 +194,7 @@ class Rollouts:
         return xs
 
     def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
-        """How many simulator steps run at a time, and (step i, n, states w (K, nw)) -> the next controls (K, n, nu)."""
+        """Number of steps that run at a time, and the function (step i, n, w (K, nw)) -> their controls (K, n, nu)."""
         if mode == "open-loop":
             return self._segment, lambda i, n, w: self._held(batch, i, n)
         return self.substeps, _Feedback(self, batch)

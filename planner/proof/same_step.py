@@ -18,12 +18,13 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mjcf.driven import driven_dofs
-from planner.model.space import StateSpace
+from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.curve_callback import curves_acting
-from planner.proof.replaying import matching_model
+from planner.proof.simulation import set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14
@@ -37,7 +38,7 @@ Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Advance = Callable[[np.ndarray, np.ndarray, int], Iterator[np.ndarray]]
 
 
-def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
+def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's.
 
     Raises:
@@ -48,8 +49,8 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
     mechanism = getattr(problem.dynamics, "mechanism", None)
     if mechanism is not None and (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
         return Section("same step", not_applicable=_LIMIT)
-    space = plan.space
-    model = matching_model(twin, problem.dynamics.nu)
+    compiled.check(problem.dynamics.nu)
+    space, twin, model = plan.space, compiled.twin, compiled.copy()
     integrator = getattr(problem.dynamics, "integrator", "")
     found = stage_function(integrator, problem.dynamics.dt, model, twin, space, driven_dofs(problem.dynamics))
     if found is None:
@@ -78,7 +79,7 @@ def same_step(plan: Plan, problem: Problem, twin: Twin) -> Section:
 
 
 def rounding_amplification(A: np.ndarray) -> float:
-    """How large independent errors of size 1 in every state after each stage become, where A (N, ndx, ndx) leads."""
+    """Largest size that independent errors of 1, made in every state after each stage A (N, ndx, ndx), grow to."""
     covariance, largest = np.zeros(A.shape[1:]), 1.0
     for step in A:
         covariance = step @ covariance @ step.T + np.eye(len(step))
@@ -89,12 +90,12 @@ def rounding_amplification(A: np.ndarray) -> float:
 def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = ()
 ) -> tuple[str, Stage] | None:
-    """One stage in MuJoCo: what does it, in words, and the function (x, u) -> x at its end.
+    """One stage in MuJoCo: its method in words, and the function (x, u) -> x at its end.
 
     Args:
         integrator: The plan's.
         dt: Length of the stage, s.
-        model: MuJoCo's.
+        model: MuJoCo's; changed.
         twin: The maps between its state and the plan's.
         space: Of the plan's states.
         driven: Degrees of freedom whose accelerations, the last controls, are met to rounding.
@@ -105,20 +106,20 @@ def stage_function(
     # A plan's Euler takes damping at the stage's start like every other force.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 
-    def set_state(x: np.ndarray, u: np.ndarray) -> None:
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(twin.sim_of(x), [model.nq, model.nq + model.nv])
+    def begin(x: np.ndarray, u: np.ndarray) -> None:
+        set_state(model, data, twin.sim_of(x))
         data.ctrl[:] = u
         if len(driven):
             mujoco.mj_forward(model, data)
             data.ctrl[-len(driven) :] += u[-len(driven) :] - data.qacc[driven]
 
     def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        set_state(x, u)
+        begin(x, u)
         mujoco.mj_step(model, data)
-        return twin.x_of(np.concatenate([data.qpos, data.qvel, data.act]))
+        return twin.x_of(state_of(data))
 
     def rates(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        set_state(x, u)
+        begin(x, u)
         mujoco.mj_forward(model, data)
         w = np.concatenate([data.qvel, data.qacc, data.act_dot])
         return w if space.quaternions else twin.to_x @ w
@@ -151,11 +152,11 @@ def advancing(integrator: str, step: float, model: Any, twin: Twin, space: State
 
     def native(x: np.ndarray, us: np.ndarray, steps: int) -> Iterator[np.ndarray]:
         data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(twin.sim_of(x), [model.nq, model.nq + model.nv])
+        set_state(model, data, twin.sim_of(x))
         for u in us:
             data.ctrl[:] = u
             mujoco.mj_step(model, data, steps)
-            yield twin.x_of(np.concatenate([data.qpos, data.qvel, data.act]))
+            yield twin.x_of(state_of(data))
 
     return own if how == ACCELERATIONS else native
 
@@ -175,7 +176,7 @@ def munthe_kaas(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, d
     def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         result = np.zeros_like(a)
         for _, j in space.quaternions:
-            result[j : j + 3] = np.cross(a[j : j + 3], b[j : j + 3])
+            result[j : j + 3] = cross(a[j : j + 3], b[j : j + 3])
         return result
 
     k1 = dt * rates(x, u)

@@ -1,4 +1,4 @@
-"""What errors of a replay are measured against."""
+"""Bounds and scales of the errors of a replay."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ COST_BOUND = 1.0  # %
 
 
 def cost_of_deviation(quadratic: Quadratic) -> float:
-    """What every state off by STATE_BOUND would cost: a cost far below that is as good as zero."""
+    """The cost of every state off by STATE_BOUND: a cost far below that is as good as zero."""
     weights = np.abs(np.diagonal(quadratic.Q, axis1=1, axis2=2))
     return float(0.5 * STATE_BOUND**2 * weights.sum())
 
 
 def cost_scale(plan: Plan, problem: Problem) -> float:
-    """What an error of the cost is a part of: the plan's cost, or where that is about zero, a deviation's."""
+    """The cost that errors are relative to: the plan's, or that of a deviation where the plan's is about zero."""
     return max(abs(plan.cost), cost_of_deviation(problem.cost.quadratize(plan.xs, plan.us)), np.finfo(float).tiny)

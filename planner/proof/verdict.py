@@ -1,4 +1,4 @@
-"""prove(): what an independent engine says of a plan, step by step, with every figure beside its bound.
+"""prove(): an independent engine judges a plan step by step, every figure beside its bound.
 
     0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
     1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
@@ -34,12 +34,12 @@ from planner.proof.consistency import consistency
 from planner.proof.goal import goal
 from planner.proof.growth import Growth, growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
-from planner.proof.models_agree import parity
+from planner.proof.model_parity import parity_in
 from planner.proof.order import Order, order
 from planner.proof.perturbation import Perturbation
-from planner.proof.perturbed import Perturbed, perturbed
+from planner.proof.perturbed import Perturbed, Trials, perturbed
 from planner.proof.refined import tracking
-from planner.proof.replaying import Replay, replay
+from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
 
@@ -48,7 +48,7 @@ ROLLOUTS = 512
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What the simulator says of a plan.
+    """The simulator's judgement of a plan, step by step.
 
     Attributes:
         verdict: "PASS" or "FAIL".
@@ -66,11 +66,11 @@ class Proof:
         perturbed: Step 5.
         replay: The replay in the mode that passed, else open loop.
         replays: Mode -> replay.
-        errors: What `growth` was read from.
-        convergence: What `order` was read from; None where the plan has no order.
-        held: What `hold` was read from, or None.
-        monte_carlo: What `perturbed` was read from, or None.
-        asked: What proves the same again: the arguments of prove(), without another model.
+        errors: The growth of errors behind `growth`.
+        convergence: The replays at halved steps behind `order`.
+        held: The motion behind `hold`, or None.
+        monte_carlo: The rollouts behind `perturbed`, or None.
+        asked: The arguments of prove() that prove the same again, without another model.
     """
 
     verdict: str
@@ -199,11 +199,11 @@ def prove(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
-    twin = another_model(problem, twin, mjcf)
-    runs = {mode: replay(plan, twin=twin, feedback=mode == "feedback") for mode in MODES}
-    first = (consistency(plan, problem), parity(problem, twin=twin, seed=seed), same_step(plan, problem, twin))
+    compiled = another_model(problem, twin, mjcf)
+    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback") for mode in MODES}
+    first = (consistency(plan, problem), parity_in(compiled, problem, seed), same_step(plan, problem, compiled))
     errors = growth(plan, problem, runs)
-    convergence = order(plan, problem, twin, runs["open-loop"])
+    convergence = order(problem, runs["open-loop"])
     steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in first)
@@ -232,7 +232,7 @@ def prove(
             "rollouts": rollouts,
             "hold_seconds": hold_seconds,
             "perturbation": None,
-            "another_model": twin is not plan.twin,
+            "another_model": compiled.twin is not plan.twin,
         },
     )
     if hold_seconds:
@@ -255,13 +255,9 @@ def with_rollouts(
     progress: Callable[[int, int], object] | None = None,
 ) -> Proof:
     """A proof with step 5 added; the arguments are those of prove()."""
-    run = proof.replay
-    perturbation = perturbation or Perturbation.usual(run.plan.problem)
-    found = perturbed(
-        run.plan, run.twin, rollouts=rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
-        progress=progress,
-    )  # fmt: skip
-    asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(perturbation)}
+    run, trials = proof.replay, Trials(rollouts, seed, perturbation)
+    found = perturbed(run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress)
+    asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(found.perturbation)}
     return replace(proof, perturbed=found.section, monte_carlo=found, asked=asked)
 
 

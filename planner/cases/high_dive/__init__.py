@@ -1,1 +1,1 @@
-"""The high dive: the diver, the cost, and how turns are counted."""
+"""The case high-dive: the problem, the flight (cost and count of turns) and the diver."""

@@ -1,9 +1,11 @@
-"""The diver of the case high-dive: the model for a person's mass and height, take-off and flight.
+"""The diver: the model for a person's mass and height, the take-off and the time of flight.
 
-number                          from
-masses, lengths, inertias       Winter, see anthropometry.py
-ranges of the joints            ours: usual ranges of motion, rounded
-straight                        ours: arms overhead, everything else zero
+number                       value             from
+masses, lengths, inertias    shares of M, H    Winter, see anthropometry.py
+ranges of the joints         RANGES            ours: usual ranges of motion, rounded
+straight body                arms overhead     ours: all other joint angles are zero
+
+The frames of the bodies are those of anthropometry.py.
 """
 
 from __future__ import annotations
@@ -24,9 +26,8 @@ RANGES = {
     "waist": (-0.4, 1.0), "waist_side": (-0.5, 0.5), "shoulder": (-0.8, 3.3), "shoulder_side": (-0.5, 1.1),
     "elbow": (0.0, 2.5), "hip": (-0.3, 2.2), "hip_side": (-0.2, 0.7), "knee": (0.0, 2.4),
 }  # fmt: skip
-"""rad, of the joints of both sides, in the signs of the model; the arms overhead are pi at the shoulder. An arm
-stretched sideways would spin freely about itself, since there the two axes of the shoulder lie in one plane with it: so
-its range to the side ends before."""
+"""rad, of the joints of both sides, with the signs of the model; arms overhead are pi at the shoulder. The range of the
+shoulder to the side ends before the arm points sideways: there it is singular and the arm spins freely about itself."""
 
 FILE_HEIGHT = 1.75  # m, of the person that mjcf/high_dive/high_dive.xml is written for
 _MOST = 1e6  # of speeds and heights
@@ -55,36 +56,23 @@ class Diver:
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """The model, read from the very text that a replay uses."""
+        """The model, read from the same text that the replay uses."""
         return Mechanism.from_mjcf(self.text)
 
     @property
     def text(self) -> str:
         """The MJCF text: the file with this person's masses and lengths, on this tower."""
-        bodies = winter.segments(self.mass, self.height)
         root = ElementTree.fromstring(model_text(model_path("high_dive") / "scene.xml"))
         pelvis = next(body for body in root.iter("body") if body.get("name") == "pelvis")
-        for element in pelvis.iter():
-            for key in ("pos", "fromto", "size") if element.tag != "inertial" else ():
-                if key in element.attrib:
-                    sizes = map(float, element.attrib[key].split())
-                    element.set(key, _text(*(self.height / FILE_HEIGHT * value for value in sizes)))
-        for body in pelvis.iter("body"):
-            name = body.attrib["name"].removeprefix("left_").removeprefix("right_")
-            segment, inertial = bodies[name], body.find("inertial")
-            assert inertial is not None  # every moving body of the file has one
-            inertial.attrib.update(
-                pos=_text(*segment.com), mass=written(segment.mass), diaginertia=_text(*segment.inertia)
-            )
-        text = ElementTree.tostring(root, encoding="unicode")
+        winter.fit(pelvis, winter.segments(self.mass, self.height), self.height / FILE_HEIGHT)
         keys = {"start": (self.standing, (1.0, 0.0, 0.0, 0.0)), "goal": (self.reach, (0.0, 0.0, 1.0, 0.0))}
         edits = {
-            f"keyframe/key[@name='{name}']": {"qpos": _text(0.0, 0.0, z, *turn, *straight(root))}
+            f"keyframe/key[@name='{name}']": {"qpos": written(0.0, 0.0, z, *turn, *straight(root))}
             for name, (z, turn) in keys.items()
         }
-        edits["option"] = {"gravity": _text(0.0, 0.0, -self.gravity)}
-        edits[".//body[@name='tower']"] = {"pos": _text(0.0, 0.0, self.tower)}
-        return edited(text, edits)
+        edits["option"] = {"gravity": written(0.0, 0.0, -self.gravity)}
+        edits[".//body[@name='tower']"] = {"pos": written(0.0, 0.0, self.tower)}
+        return edited(ElementTree.tostring(root, encoding="unicode"), edits)
 
     @property
     def standing(self) -> float:
@@ -94,17 +82,16 @@ class Diver:
     @property
     def reach(self) -> float:
         """From the hips to the finger tips of raised arms, m: the hips' height when the hands touch the water."""
-        return (
-            winter.SHOULDER_HEIGHT - winter.HIP_HEIGHT + winter.UPPER_ARM + winter.FOREARM + winter.HAND
-        ) * self.height
+        trunk = winter.SHOULDER_HEIGHT - winter.HIP_HEIGHT
+        return (trunk + winter.UPPER_ARM + winter.FOREARM + winter.HAND) * self.height
 
     def take_off(self, up: float, ahead: float, rate: float) -> np.ndarray:
-        """The state (nx,) at take-off: straight, turning like a rigid body about its centre of mass.
+        """The state (nx,) at take-off: a straight body that turns like a rigid body about its centre of mass.
 
         Args:
-            up: Speed of the centre of mass, m/s.
-            ahead: The same, horizontally.
-            rate: Of the somersault, rad/s, positive forward.
+            up: Upward speed of the centre of mass, m/s.
+            ahead: Forward speed of the centre of mass, m/s.
+            rate: Rate of the somersault, rad/s, positive forward.
         """
         x = self.mechanism.keyframe("start")
         nq = self.mechanism.nq
@@ -115,26 +102,18 @@ class Diver:
         return x
 
     def flight(self, up: float) -> float:
-        """How long, in s, until the hands of a straight diver touch the water, head down."""
+        """Time until the hands of a straight diver, head down, touch the water, s."""
         x = self.mechanism.keyframe("start")
         above = center_of_mass(self.mechanism, x[: self.mechanism.nq])[2] - self.standing  # the hips
         fall = self.standing + above - (self.reach - above)
         return float((up + np.sqrt(up**2 + 2.0 * self.gravity * fall)) / self.gravity)
 
     def ranges(self) -> np.ndarray:
-        """(nv - 6, 2) of the joints in their order, rad."""
-        return np.array([RANGES[_sideless(name)] for name in self.mechanism.joint_names[1:]])
+        """(nv - 6, 2) lowest and highest angle of each joint, rad."""
+        return np.array([RANGES[winter.sideless(name)] for name in self.mechanism.joint_names[1:]])
 
 
 def straight(root: ElementTree.Element) -> list[float]:
     """The joint angles of a straight body with the arms overhead, in the order of the model's hinges."""
     names = [joint.attrib["name"] for joint in root.find("worldbody").iter("joint")]  # type: ignore[union-attr]
-    return [np.pi if _sideless(name) == "shoulder" else 0.0 for name in names]
-
-
-def _sideless(joint: str) -> str:
-    return joint.removeprefix("left_").removeprefix("right_")
-
-
-def _text(*values: float) -> str:
-    return " ".join(written(value) for value in values)
+    return [np.pi if winter.sideless(name) == "shoulder" else 0.0 for name in names]

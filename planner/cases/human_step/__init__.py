@@ -1,1 +1,1 @@
-"""The human step: who walks, the model, its cost, the robot, and what it came to."""
+"""The case human-step: the problem, the person, the normal gait, the cost, the robot, measures and pictures."""

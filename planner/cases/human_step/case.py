@@ -4,16 +4,16 @@ A person is suspended over a treadmill, a robot moves the pelvis, the legs are p
 the swing alone, in four hours, by splines; stance and swing together did not converge, and it hopes that SLQ would.
 
     number               value             from
-    u                    six accelerations of the pelvis: place x, y, z, then tilt, list, rotation       the paper's:
-                                           hybrid dynamics, the pelvis' motion is given, the legs follow
+    u                    six accelerations of the pelvis: place x, y, z, then tilt, list, rotation
+                                           paper: hybrid dynamics, the legs follow the given motion of the pelvis
     body, passive joints 70 kg, 1.75 m     ours, see walker.py; the paper gives none
     normal gait          cycle of 1.2 s    OpenSim's data, see gait.py
     swing                .62 to 1 of the cycle, dt 4 ms: N = 114      ours
     cycle                dt 5 ms: N = 240  ours
-    cost                 see step_cost.py  ours; the paper's is the distance from the normal gait, too
-    start                on the normal gait
+    cost                 see cost.py       ours; the paper's is a distance from the normal gait, too
+    start                normal gait       ours
 
-It finds what the paper found: the swinging hip is lifted, which clears the foot, and turned forward.
+The plan does what the paper found: it lifts the swinging hip, which clears the foot, and turns it forward.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from planner.cases.human_step.drive import Pelvis, Sparing, drive
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.pictures import step_pictures
-from planner.cases.human_step.step import SWING, Step
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
@@ -48,16 +48,16 @@ Brace = Literal["ankle"]
 Passive = Literal["table", "riener-edrich"]
 
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
-LONGEST_STAGE = 0.02  # s, over which contact is still resolved
+LONGEST_STAGE = 0.02  # s, that still resolves contact
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
 MOST_CYCLES, MOST_STAGES = 20, 100_000
 HIGHEST = 0.2  # m, of a foot over the belt
-PROMISED = 0.01  # m: who asks for less clearance is not held to any
+PROMISED = 0.01  # m, least wanted clearance that the proof checks
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
-"""Tendons of the scene: the robot, which the ghost is drawn without."""
+"""Tendons of the scene that show the robot; the ghost is drawn without them."""
 TOLERANCE = {"swing": 3e-6, "cycle": 1e-4, "gait": 3e-6}
-"""Of a solve, promised or gained: the last percent of the cost of a cycle takes half of the iterations, at the kinks of
-touch-downs. A gait needs it nevertheless: where it should begin is what the cost at its minimum says."""
+"""Relative decrease, predicted or achieved, that ends a solve. In a cycle the last percent of the cost takes half of
+the iterations, at the kinks of touch-downs. A gait needs it, because the minimum decides where it begins."""
 
 
 def human_step(
@@ -73,30 +73,30 @@ def human_step(
     Args:
         phase: "swing" (one leg from toe-off to heel strike), "cycle" (both legs and the belt, from the normal gait) or
             "gait" (a cycle that ends as it began, which is solved by solve_periodic).
-        cycles: How many, one after the other.
-        mass: Of the person, kg.
-        height: Of the person, m.
-        cadence: Steps per minute; a cycle is two.
-        leg_mass: Of the legs, times the table's share of the mass: less where muscles have wasted.
-        stiffness: Of the passive joints, times that of `passive`.
-        damping: Of the passive joints, times the table's.
+        cycles: Number of cycles.
+        mass: Mass of the person, kg.
+        height: Height of the person, m.
+        cadence: Steps per minute; a cycle has two.
+        leg_mass: Factor of the legs' share of the mass: less than 1 where muscles have wasted.
+        stiffness: Factor of the stiffness of the passive joints.
+        damping: Factor of the damping of the passive joints.
         brace: "ankle" for an orthosis that holds the feet.
-        passive: What hips, knees and ankles bend and stretch against: "table" (springs, and a stop of the knee) or
+        passive: Passive moments of hips, knees and ankles: "table" (springs, and a stop of the knee) or
             "riener-edrich" (double exponentials that couple neighbouring joints, Riener and Edrich 1999).
         cost: "default", or "study" for the numbers with which the case was first solved.
         pelvis: "motion" (controls are accelerations of the pelvis) or "force" (forces and moments of the robot).
-        effort: Weight of the controls, times that of the cost: more makes a gentler robot and a worse gait.
+        effort: Factor of the weight of the controls: more makes a gentler robot and a worse gait.
         jerk: Weight of the rates of the pelvis' accelerations, 0 for none: with it these rates are the controls, and
-            the robot is a smoother one.
-        force: Weight of the robot's forces and moments beside its accelerations, 0 for none; it takes seconds.
+            the robot moves more smoothly.
+        force: Weight of the robot's forces and moments beside its accelerations, 0 for none; the solve takes seconds.
         clearance: Wanted height of a swinging foot, m, 0 for none; by default that of the cost.
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
-        ends: Of a gait: the states where it begins and that its end is drawn to, (2, nx), as solve_periodic finds
-            them; by default those of the normal gait.
-        angles: What the file of `reference` said, as Gait.to_dict() gives it: in a plan, which needs the file no more.
+        ends: Start state and goal state of a gait, (2, nx), as solve_periodic finds them; by default those of the
+            normal gait.
+        angles: The gait in the file `reference`, from Gait.to_dict(), so that a plan does not need the file.
 
     Raises:
         PlannerError: A parameter that is not finite, out of range or not a person's, or a file that is not a gait.
@@ -144,7 +144,7 @@ def human_step(
 
 
 def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | None, person: dict[str, Any]) -> Step:
-    """Checked."""
+    """The checked step."""
     swings = choice("phase", phase, get_args(Phase)) == "swing"
     cycles = count("cycles", cycles, most=MOST_CYCLES)
     if swings and cycles != 1:
@@ -163,7 +163,7 @@ def _step(phase: str, cycles: int, cadence: float, gait: Gait, horizon: int | No
 
 
 def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The state at the start, and the one that the end is drawn to."""
+    """The start state and the goal state of the end."""
     if ends is None:
         return step.states[0], step.states[-1]
     if phase != "gait":
@@ -173,7 +173,7 @@ def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
-    """The person on the belt, seen from the side of the leg that is planned and from ahead, beside the normal gait."""
+    """The person on the belt beside the normal gait, seen from the right and from ahead."""
     names = step.walker.mechanism.joint_names
     duration = step.N * step.dt
 

@@ -1,16 +1,16 @@
-"""The drive of a step: what the robot at the pelvis commands, and what it is sparing of.
+"""The drive of a step: the controls of the robot at the pelvis, and their cost.
 
-    pelvis="motion"                 u = accelerations of the pelvis; effort weighs them, each by a tolerance of the cost
-    pelvis="motion", jerk > 0       u = their rates; accelerations are states, weighed by effort as before
-    pelvis="motion", force > 0      u = accelerations; the forces that they take are weighed beside them
-    pelvis="force"                  u = forces and moments on a free pelvis; effort weighs them
+    pelvis="motion"                 u = accelerations of the pelvis, weighted by effort over the tolerances of the cost
+    pelvis="motion", jerk > 0       u = rates of the accelerations; the accelerations are states, weighted by effort
+    pelvis="motion", force > 0      u = accelerations; the robot's forces and moments are weighted too
+    pelvis="force"                  u = forces and moments on a free pelvis, weighted by effort
 
     tolerance            value                             from
-    of an acceleration   5 m/s^2, 40 rad/s^2               see step_cost.py
-    of its rate          the same in CHANGE                ours: of the size of the jerk of a plan that spares none
+    of an acceleration   5 m/s^2, 40 rad/s^2               ours, see cost.py
+    of its rate          the same in CHANGE                ours: about the jerk of a plan without a cost of jerk
     of a force           FORCE and MOMENT, with the body   ours
 
-A robot that carries the weight is spared what it does beyond that.
+The cost of forces counts from those that carry the weight.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.cases.human_step.cost import Wishes
 from planner.cases.human_step.measures import robot_wrench
-from planner.cases.human_step.step import Step
+from planner.cases.human_step.phase import Step
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.drive import DriveCost
@@ -38,19 +38,12 @@ LEAST_WEIGHT = 1e-3  # times the usual
 
 @dataclass(frozen=True)
 class Sparing:
-    """What a robot commands and how much it is spared. Checked.
+    """The controls of a robot and the weights of their cost, with checked values."""
 
-    Attributes:
-        pelvis: "motion" or "force".
-        effort: Weight of the controls, or of accelerations that are states, times the usual.
-        jerk: The same of the rates of accelerations; 0 for none.
-        force: The same of forces that are no controls; 0 for none.
-    """
-
-    pelvis: str = "motion"
-    effort: float = 1.0
-    jerk: float = 0.0
-    force: float = 0.0
+    pelvis: str = "motion"  # or "force"
+    effort: float = 1.0  # of the controls, or of accelerations that are states, times the usual
+    jerk: float = 0.0  # of the rates of accelerations; 0 for none
+    force: float = 0.0  # of forces that are not controls; 0 for none
 
     def __post_init__(self) -> None:
         choice("pelvis", self.pelvis, get_args(Pelvis))
@@ -62,7 +55,7 @@ class Sparing:
                 raise PlannerError(f"{name} is {value:g}, expected 0 or at least {LEAST_WEIGHT:g}.")
             if value and self.pelvis != "motion":
                 raise PlannerError(
-                    f"{name} is {value:g} with pelvis={self.pelvis!r}, expected 0: there effort weighs the forces."
+                    f"{name} is {value:g} with pelvis={self.pelvis!r}, expected 0: effort weighs the forces there."
                 )
         if self.jerk and self.force:
             raise PlannerError(f"jerk is {self.jerk:g} and force is {self.force:g}, expected one of the two to be 0.")
@@ -70,27 +63,18 @@ class Sparing:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Of a robot, in what the cost is made of.
-
-    Attributes:
-        dynamics: Of the person with it.
-        us: (N, 6) first guess: the pelvis moves as in the normal gait.
-        control: (6,) controls that cost nothing.
-        tolerances: (6,) of the controls.
-        acceleration: (6,) tolerances of accelerations that are states, or infinite.
-        forces: The cost of forces that are no controls, or None.
-    """
+    """A robot: the dynamics with it, the first guess, and the parts of its cost."""
 
     dynamics: RigidBodyDynamics
-    us: np.ndarray
-    control: np.ndarray
-    tolerances: np.ndarray
-    acceleration: Any = np.inf
-    forces: DriveCost | None = None
+    us: np.ndarray  # (N, 6) first guess: the pelvis moves as in the normal gait
+    control: np.ndarray  # (6,) controls without cost
+    tolerances: np.ndarray  # (6,) of the controls
+    acceleration: Any = np.inf  # (6,) tolerances of accelerations that are states
+    forces: DriveCost | None = None  # cost of forces that are not controls
 
 
 def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
-    """The robot of a step whose walker has the motors that its sparing asks for.
+    """The robot of a step, whose walker has the motors that `sparing` needs.
 
     Raises:
         PlannerError: No such integrator.
@@ -115,14 +99,14 @@ def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
 
 
 def weight(walker: Walker) -> float:
-    """Of all that the pelvis carries, N."""
+    """Weight of the whole person, N."""
     mechanism = walker.mechanism
     carried = mechanism.mass.sum() - (mechanism.mass[0] if walker.belt else 0.0)
     return float(carried * np.linalg.norm(mechanism.gravity))
 
 
 def forces_of(step: Step, accelerations: np.ndarray) -> np.ndarray:
-    """(N, 6) N and N m at the pelvis that give it these accelerations (N, 6) from the start, the legs hanging along."""
+    """Forces and moments (N, 6) at the pelvis that give it accelerations (N, 6) while the legs hang; N and N m."""
     carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
     xs = np.empty((step.N + 1, carried.nx))
     xs[0] = step.states[0]

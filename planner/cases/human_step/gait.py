@@ -1,23 +1,23 @@
-"""Normal gait: joint angles over a cycle as Fourier series, and the pelvis that carries them over a belt.
+"""Normal gait: joint angles over a cycle as Fourier series, and the motion of the pelvis over a belt.
 
-A cycle goes from one right heel strike to the next; t is the fraction of it. Every angle is a series to six harmonics,
+A cycle goes from one right heel strike to the next; t is a fraction of it. Every angle is a series of six harmonics,
 
     angle(t) = c_0 + sum_k (c_2k-1 cos 2 pi k t + c_2k sin 2 pi k t),          k = 1 .. 6,
 
-so its rates are exact and a longer cycle is the same series over more seconds. Left and right legs do the same half a
-cycle apart. Then the pelvis has a symmetry too: what changes side (list, rotation) has odd harmonics alone, what does
-not (tilt) has even ones, and the terms of a series that break it are not used.
+so its rates are exact and a longer cycle is the same series over more seconds. The left leg does the same as the right
+one, half a cycle later. By this symmetry list and rotation of the pelvis have only odd harmonics and its tilt has only
+even ones; other terms of these series are ignored.
 
-The angles say nothing about where the pelvis is. Its height is what puts the lowest point of both feet a little into
-the belt, of which the mean and the second harmonic are kept (two steps a cycle); it sways to the leg that stands, and
-stays where it is along the belt, whose speed is that of the standing foot.
+The place of the pelvis follows from the feet. Its height puts the lowest point of both feet a little into the belt; the
+mean and the second harmonic of this height are kept (two steps a cycle). The pelvis sways to the standing leg and does
+not move along the belt, whose speed is that of the standing foot.
 
     number                  value    from
     series                           OpenSim's data of normal gait; signs are OpenSim's: flexion of hip and ankle,
                                      adduction and inner rotation of the hip positive, flexion of the knee negative
     sway                    0.02 m   ours, on the side of the right leg at t = 0.3, the middle of its stance
     sink                    0.003 m  ours: how deep the lowest point of the feet is in the belt
-    stance                  0.08-0.5 of the cycle, over which the right ankle's mean speed is the belt's
+    stance                  0.08-0.5 ours, part of the cycle in which the right ankle moves with the belt
 
 On the body of 70 kg and 1.75 m with a cycle of 1.2 s the pelvis is at z = 0.9093 - 0.00842 cos 4 pi t
 - 0.00677 sin 4 pi t and the belt runs at 1.055 m/s.
@@ -41,24 +41,24 @@ LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee", "ankle")
 ANGLES = (*PELVIS, *LEG)
 COLUMNS = ("pelvis_x", "pelvis_y", "pelvis_z", *(f"pelvis_{name}" for name in PELVIS),
            *(f"{side}_{name}" for side in ("right", "left") for name in LEG))  # fmt: skip
-"""What the columns of q are."""
+"""Columns of q."""
 SWAY, SINK = 0.02, 0.003  # m
 MIDSTANCE = 0.3  # of the cycle, where the pelvis is farthest over the right leg
 STANCE = (0.08, 0.5)  # of the cycle, where the right foot moves with the belt
-SAMPLES = 200  # over a cycle, of what the height and the belt's speed are found from
-HIGHEST = 180.0  # deg, of any coefficient: no joint turns farther
+SAMPLES = 200  # over a cycle, from which height and belt speed are computed
+HIGHEST = 180.0  # deg, of any coefficient
 
-_ORDER = np.r_[0, np.repeat(np.arange(1, HARMONICS + 1), 2)]  # the harmonic that each coefficient belongs to
+_ORDER = np.r_[0, np.repeat(np.arange(1, HARMONICS + 1), 2)]  # harmonic of each coefficient
 _USED = {"tilt": _ORDER % 2 == 0, "list": _ORDER % 2 == 1, "rotation": _ORDER % 2 == 1}
 
 
 def used(name: str) -> np.ndarray:
-    """(13,) bool: the coefficients of an angle that the symmetry of left and right leaves."""
+    """Whether each coefficient (13,) of an angle agrees with the symmetry of left and right."""
     return _USED.get(name, np.ones(COEFFICIENTS, dtype=bool))
 
 
 def basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The thirteen functions of a series at t (K,), fractions of the cycle, and two derivatives by t: (K, 13) each."""
+    """The thirteen functions of a series at fractions t (K,) of the cycle and their two derivatives: (K, 13) each."""
     w = 2.0 * np.pi * _ORDER
     phase = np.asarray(t)[:, None] * w
     odd = np.arange(COEFFICIENTS) % 2 == 1  # the cosines; the mean is sin(0) + 1
@@ -72,28 +72,20 @@ def basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 class Gait:
     """Angles of a symmetric walk as Fourier series, thirteen coefficients (deg) each: mean, cos 1, sin 1, ... sin 6.
 
-    Attributes:
-        tilt: Of the pelvis about -y (to the right): backward positive.
-        list: Of the pelvis about x (ahead).
-        rotation: Of the pelvis about z (up).
-        hip_flexion: Of the right leg; the left has the same half a cycle later.
-        hip_adduction: The same.
-        hip_rotation: The same; inward positive.
-        knee: The same; flexion negative.
-        ankle: The same; dorsiflexion positive.
+    The angles of the leg are those of the right one; the left leg has the same half a cycle later.
 
     Raises:
         PlannerError: Not thirteen finite numbers between -180 and 180.
     """
 
-    tilt: tuple[float, ...]
-    list: tuple[float, ...]
-    rotation: tuple[float, ...]
+    tilt: tuple[float, ...]  # of the pelvis about -y (to the right), backward positive
+    list: tuple[float, ...]  # of the pelvis about x (ahead)
+    rotation: tuple[float, ...]  # of the pelvis about z (up)
     hip_flexion: tuple[float, ...]
     hip_adduction: tuple[float, ...]
-    hip_rotation: tuple[float, ...]
-    knee: tuple[float, ...]
-    ankle: tuple[float, ...]
+    hip_rotation: tuple[float, ...]  # inward positive
+    knee: tuple[float, ...]  # flexion negative
+    ankle: tuple[float, ...]  # dorsiflexion positive
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -109,7 +101,7 @@ class Gait:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Gait:
-        """What to_dict made.
+        """The gait that to_dict() wrote.
 
         Raises:
             PlannerError: Not a table of the eight angles.
@@ -119,14 +111,10 @@ class Gait:
         return cls(**table)
 
     def angles(self, t: np.ndarray, duration: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angles, rates and accelerations at fractions t (K,) of a cycle: (K, 8) each, columns as ANGLES.
-
-        Args:
-            t: Any numbers: the series repeat.
-            duration: Of a cycle, s.
+        """Angles, rates and accelerations at fractions t (K,) of a cycle of a duration in s.
 
         Returns:
-            rad, rad/s, rad/s^2.
+            (K, 8) each, rad, rad/s, rad/s^2, columns as ANGLES; t beyond 0 .. 1 repeats the cycle.
         """
         series = np.radians([np.where(used(name), getattr(self, name), 0.0) for name in ANGLES]).T
         value, slope, curvature = (part @ series for part in basis(t))
@@ -143,26 +131,20 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Reference:
-    """A gait on a body: what pelvis and legs do over a belt, at any time.
-
-    Attributes:
-        gait: The angles.
-        duration: Of a cycle, s.
-        sway: Of the pelvis to each side, m.
-        height: Of the pelvis, m: mean, and cosine and sine of the second harmonic.
-        belt_speed: Backward, m/s.
-    """
+    """A gait on a body: the motion of pelvis and legs over a belt."""
 
     gait: Gait
-    duration: float
-    sway: float
-    height: tuple[float, float, float]
-    belt_speed: float
+    duration: float  # s, of a cycle
+    sway: float  # m, of the pelvis to each side
+    height: tuple[float, float, float]  # m, of the pelvis: mean, cosine and sine of the second harmonic
+    belt_speed: float  # m/s, backward
 
     def at(self, t: np.ndarray) -> Motion:
-        """The Motion at fractions t (K,) of the cycle; they may be beyond 0 .. 1."""
+        """The Motion at fractions t (K,) of the cycle; t may be beyond 0 .. 1."""
         t = np.asarray(t, dtype=float)
-        motion = _angles_in_columns(self.gait, t, self.duration)
+        right, left = self.gait.angles(t, self.duration), self.gait.angles(t + 0.5, self.duration)
+        place = np.zeros((len(t), 3))
+        motion = Motion(*(np.hstack([place, a, b[:, len(PELVIS) :]]) for a, b in zip(right, left, strict=True)))
         w = 2.0 * np.pi / self.duration
         c, s = np.cos(2.0 * np.pi * (t - MIDSTANCE)), np.sin(2.0 * np.pi * (t - MIDSTANCE))
         for part, wave in zip(motion, (c, -w * s, -(w**2) * c), strict=True):
@@ -179,15 +161,15 @@ def reference(
     gait: Gait, foot_points: Callable[[np.ndarray], np.ndarray], duration: float, *, sway: float = SWAY,
     sink: float = SINK,
 ) -> Reference:  # fmt: skip
-    """Put a gait on a body: the height of its pelvis and the speed of the belt follow from where its feet are.
+    """Fit a gait to a body: compute the height of the pelvis and the speed of the belt from the places of the feet.
 
     Args:
         gait: The angles.
-        foot_points: q (K, 16), columns as COLUMNS -> (K, 6, 3) m: where ankle, heel and toe of the right foot and
-            of the left are. LegChain.foot_points is one; kinematics of a mechanism another.
-        duration: Of a cycle, s.
-        sway: Of the pelvis to each side, m. That of a normal body; scale it with the height.
-        sink: How deep the lowest point of the feet is in the belt on average, m.
+        foot_points: Function of q (K, 16), columns as COLUMNS, that returns the places (K, 6, 3) of ankle, heel and toe
+            of the right foot, then of the left, m.
+        duration: Time of a cycle, s.
+        sway: Amplitude of the pelvis to each side, m; scale it with the height of the body.
+        sink: Mean depth of the lowest point of the feet in the belt, m.
 
     Raises:
         PlannerError: A number out of range, or points of another shape.
@@ -203,13 +185,6 @@ def reference(
     stance = (t > STANCE[0]) & (t < STANCE[1])
     speed = -np.polyfit(duration * t[stance], points[stance, 0, 0], 1)[0]
     return Reference(gait, duration, sway, height, float(speed))
-
-
-def _angles_in_columns(gait: Gait, t: np.ndarray, duration: float) -> Motion:
-    """A Motion whose pelvis stays at the origin."""
-    right, left = gait.angles(t, duration), gait.angles(t + 0.5, duration)
-    place = np.zeros((len(t), 3))
-    return Motion(*(np.hstack([place, a, b[:, len(PELVIS) :]]) for a, b in zip(right, left, strict=True)))
 
 
 NORMAL_GAIT = Gait(

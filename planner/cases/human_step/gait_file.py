@@ -1,12 +1,12 @@
-"""A gait from a file of measured angles: CSV with a header line, one row per instant, one cycle.
+"""Read a gait from measured angles: a CSV file of one cycle, with a header line and a row per instant.
 
     percent, tilt_deg, list_deg, rotation_deg, hip_flexion_deg, hip_adduction_deg, hip_rotation_deg, knee_deg, ankle_deg
     0, -1.5, -0.6, ...
     2, ...
 
-The first column says when: `percent` of the cycle (0 is the right heel strike), or `time` in seconds, of which the file
-then holds one cycle from its first row, a right heel strike, to its last, the next one. The others are the pelvis and
-the right leg, with the signs of planner.cases.human_step.gait and names with or without a unit:
+The column of times is `percent` of the cycle (0 is the right heel strike) or `time` in seconds; with `time` the first
+row is a right heel strike and the last row the next one. The other columns are angles of the pelvis and the right leg,
+with the signs of planner.cases.human_step.gait and names with or without a unit:
 
     name             also                                       sign
     tilt             pelvis_tilt                                backward positive
@@ -19,9 +19,9 @@ the right leg, with the signs of planner.cases.human_step.gait and names with or
                      knee_flexion, knee_flexion_r               flexion positive
     ankle            ankle_r, ankle_angle_r, ankle_angle, ankle_dorsiflexion, ankle_flexion     dorsiflexion positive
 
-A name may end in _deg or _rad, then all must; without, the values tell: no joint turns more than three radians, and no
-walk's knee less than five degrees. Other columns are left alone. The angles are fitted by least squares to the six
-harmonics of a Gait, of which it keeps what the symmetry of left and right leaves.
+Either all names of angles end in _deg or _rad or none does. Without a unit the values decide: no joint turns by more
+than three radians, and the knee of a walk turns by at least five degrees. Other columns are ignored. The six harmonics
+of a Gait are fitted to the angles by least squares; terms that break the symmetry of left and right are dropped.
 """
 
 from __future__ import annotations
@@ -49,24 +49,21 @@ ALSO = {
     "ankle": ("ankle_r", "ankle_angle_r", "ankle_angle", "ankle_dorsiflexion", "ankle_flexion"),
 }
 UNITS = {"deg": 1.0, "rad": math.degrees(1.0)}
-LEAST_ROWS = 20  # thirteen coefficients, and some to tell that they fit
-WIDEST_GAP = 1.0 / (2 * HARMONICS)  # of the cycle: what lies between rows farther apart is anybody's guess
-LARGEST_RADIANS, LEAST_DEGREES = 3.0, 5.0  # of the largest angle of a walk: what is between may be either
-LARGEST_JUMP = 5.0  # deg, from the end of a cycle to its beginning: two strides differ by as much
-LARGEST_MISFIT = 3.0  # deg rms, of a column from its series: a walk's own harmonics beyond the sixth are below one
+LEAST_ROWS = 20  # thirteen coefficients, and some more to check the fit
+WIDEST_GAP = 1.0 / (2 * HARMONICS)  # of the cycle: rows farther apart do not determine the harmonics
+LARGEST_RADIANS, LEAST_DEGREES = 3.0, 5.0  # of the largest angle of a walk; a value in between may be either
+LARGEST_JUMP = 5.0  # deg, between end and beginning of a cycle: the difference of two strides
+LARGEST_MISFIT = 3.0  # deg rms, of a column from its series; the higher harmonics of a walk are below one
 LARGEST_EXTENSION = 30.0  # deg, of a knee
 
 
 def read_gait(path: str | Path) -> Gait:
-    """A Gait from a CSV file of one cycle; see above for its columns.
-
-    Args:
-        path: The file.
+    """Read a Gait from a CSV file of one cycle; the columns are listed above.
 
     Raises:
-        FileError: It cannot be read, has no such columns or not numbers in them, too few rows, rows that do not cover a
-            cycle or do not come back to where they began, angles whose unit or sign is not clear, or that do not look
-            like one cycle of a walk.
+        FileError: The file cannot be read, a column is missing or holds other things than numbers, the rows are too
+            few, do not cover a cycle or do not end where they began, the unit or sign of the angles is not clear, or
+            the angles are not one cycle of a walk.
     """
     what = f"the gait {printable(path)}"
     header, rows = _rows(read_text(path, "the gait"), what)
@@ -94,7 +91,7 @@ def _rows(text: str, what: str) -> tuple[list[str], list[list[str]]]:
 
 
 def _columns(header: list[str], what: str) -> tuple[int, list[int], list[str], np.ndarray]:
-    """Where the column of times is; and of each angle where, in which unit ("" for none said), and its sign."""
+    """The column of times, and for each angle its column, unit ("" for none) and sign."""
     when = [header.index(name) for name in WHEN if name in header]
     found: dict[str, tuple[int, str, str]] = {}
     for i, name in enumerate(header):
@@ -137,7 +134,7 @@ def _numbers(rows: list[list[str]], header: list[str], columns: list[int], what:
 
 
 def _fractions(times: np.ndarray, name: str, what: str) -> np.ndarray:
-    """When the rows are, in fractions of the cycle."""
+    """Times of the rows, fractions of the cycle."""
     if not np.all(np.diff(times) > 0.0):
         i = int(np.argmin(np.diff(times) > 0.0))
         raise FileError(f"{what} has {times[i + 1]:g} after {times[i]:g} in {name}, expected values that rise.")
@@ -165,7 +162,7 @@ def _factor(units: list[str], values: np.ndarray, what: str) -> float:
 
 
 def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
-    """That rows at t (K,) are close enough, and that angles (K, 8) are a cycle of a walk."""
+    """Check that the rows at t (K,) are close enough and that the angles (K, 8) are a cycle of a walk."""
     gap = float(np.diff(t).max())
     if gap > WIDEST_GAP:
         raise FileError(
@@ -175,7 +172,7 @@ def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
     largest = float(np.abs(degrees).max())
     if largest > HIGHEST:
         raise FileError(f"{what} has an angle of {largest:.4g} deg, expected at most {HIGHEST:g}.")
-    # Where the last row is not the next heel strike, an angle may go on as fast as it ever does.
+    # Between the last row and the next heel strike an angle may change as fast as it does anywhere in the cycle.
     allowed = LARGEST_JUMP + np.abs(np.diff(degrees, axis=0) / np.diff(t)[:, None]).max(axis=0) * (t[0] + 1.0 - t[-1])
     jump = np.abs(degrees[-1] - degrees[0])
     if np.any(jump > allowed):
@@ -193,7 +190,7 @@ def _check_cycle(t: np.ndarray, degrees: np.ndarray, what: str) -> None:
 
 
 def _fitted(name: str, t: np.ndarray, degrees: np.ndarray, what: str) -> tuple[float, ...]:
-    """The thirteen coefficients of an angle (K,) at t (K,)."""
+    """Fit the thirteen coefficients to an angle (K,) at t (K,)."""
     functions = basis(t)[0]
     series = np.linalg.lstsq(functions, degrees, rcond=None)[0]
     misfit = float(np.sqrt(np.mean((functions @ series - degrees) ** 2)))

@@ -1,19 +1,19 @@
-"""Pictures of a step: what the paper's Fig. 5 shows, and its numbers beside the normal gait's.
+"""Pictures of a step: poses as in the paper's Fig. 5, and its numbers beside those of the normal gait.
 
-Of a leg everything is drawn over its own cycle, from its heel strike on, so that left and right lie on each other and
-on one normal gait; several cycles do, too. Of the pelvis it is the right leg's cycle.
+The curves of a leg run over its own cycle, from its heel strike, so that left, right and several cycles lie on the same
+normal gait. The curves of the pelvis run over the cycle of the right leg.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.cases.human_step.gait import COLUMNS
 from planner.cases.human_step.measures import height, normal_height, robot_wrench, vertical_force
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import frame_pose
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
 POSES = 9
+Motions = list[tuple[str, np.ndarray, np.ndarray]]  # label ("" for the plan), times in cycles (K,), states (K, nx)
 SAMPLES = 201  # of the normal gait over a cycle
 IN_MUJOCO, NORMAL = "in MuJoCo", "normal gait"
 PLACES, TURNS = ("x", "y", "z"), ("tilt", "list", "rotation")
@@ -35,16 +36,16 @@ def step_pictures(
     """Poses, measures and the path of the pelvis.
 
     Args:
-        step: What was planned.
-        tolerances: Joint of a leg -> rad, by which the cost lets it differ from the normal gait.
-        plan: Of the step.
-        replay: Of the plan, which is drawn beside it; None for none.
+        step: The step.
+        tolerances: Tolerances of the cost by joint of a leg, rad.
+        plan: The plan.
+        replay: The replay to draw beside it, or None.
     """
     return poses(step, plan), measured(step, tolerances, plan, replay), pelvis_path(step, plan, replay)
 
 
 def poses(step: Step, plan: Plan) -> StickFigures:
-    """As in the paper's Fig. 5: the optimized motion solid, the normal one dashed."""
+    """Stick figures as in the paper's Fig. 5: optimized motion solid, normal gait dashed."""
     frames, sticks = ["right_hip", "left_hip"], [Stick((0, 1))]
     for hue, side in enumerate(step.walker.legs):
         first = len(frames)
@@ -63,18 +64,18 @@ def poses(step: Step, plan: Plan) -> StickFigures:
 
 
 def pelvis_path(step: Step, plan: Plan, replay: Replay | None) -> Paths:
-    """Where the pelvis goes, between the hips."""
+    """The path of the point between the hips."""
     start = step.walker.mechanism.joint(PELVIS[0]).start
     place = slice(start, start + 3)
     traces = [Trace("optimized", plan.xs[:, place]), Trace(NORMAL, step.states[:, place], dashed=True)]
-    if replay is not None and step.walker.motors:  # a pelvis of given motion is where it is planned to be
+    if replay is not None and step.walker.motors:  # a prescribed pelvis moves as planned
         traces.insert(1, Trace(IN_MUJOCO, _finite(replay)[1][:, place]))
     return Paths("The path of the pelvis, where the hips are; a dot is where it begins", traces, "Path of the pelvis")
 
 
 def measured(step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None) -> Charts:
-    """Joints, heights, forces, the pelvis and the robot's wrench."""
-    motions = [("", step.t, plan.xs)]
+    """Charts of joints, heights, forces, the pelvis and the robot's wrench."""
+    motions: Motions = [("", step.t, plan.xs)]
     if replay is not None:
         seconds, xs = _finite(replay)
         motions.append((IN_MUJOCO, step.begin + seconds / step.duration, xs))
@@ -88,14 +89,14 @@ def measured(step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Re
     charts += _pelvis(step, motions)
     charts += _wrench(step, plan)
     return Charts(
-        "Joint angles beside the normal gait, heights of hip and foot, forces of the belt, the pelvis, and what the "
-        "robot does to it", 100.0 * grid, charts, "cycle from heel strike (%)", "The step in numbers",
+        "Joint angles beside the normal gait, heights of hip and foot, forces of the belt, motion of the pelvis, and "
+        "forces of the robot on it", 100.0 * grid, charts, "cycle from heel strike (%)", "The step in numbers",
         "swing" if whole else "",
     )  # fmt: skip
 
 
 def by_cycle(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Percent of the cycle and values, of values (K,) at t (K,) cycles, with a gap where the next cycle begins."""
+    """Percent of the cycle and values, from values (K,) at t (K,) cycles, with a gap where the next cycle begins."""
     whole = np.floor(t + 1e-9)
     percent = 100.0 * (t - whole)
     ends = np.flatnonzero(np.diff(whole) > 0)
@@ -106,52 +107,45 @@ def by_cycle(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.insert(percent, at, np.tile([100.0, 100.0, 0.0], len(ends))), np.insert(values, at, gap)
 
 
-def _joint(
-    step: Step, joint: str, tolerance: float, motions: list[tuple[str, np.ndarray, np.ndarray]], normal: np.ndarray
-) -> Chart:
-    curves = []
-    for label, t, xs in motions:
-        for side in step.walker.legs:
-            i = step.walker.mechanism.joint(f"{side}_{joint}").start
-            curves.append(_of_leg(side, label, t, np.degrees(xs[:, i])))
+def _joint(step: Step, joint: str, tolerance: float, motions: Motions, normal: np.ndarray) -> Chart:
+    columns = {side: step.walker.mechanism.joint(f"{side}_{joint}").start for side in step.walker.legs}
+    curves = _of_legs(step, motions, lambda side, t, xs: np.degrees(xs[:, columns[side]]))
     mean = np.degrees(normal[:, COLUMNS.index(f"right_{joint}")])
     band = Band("normal gait, \N{PLUS-MINUS SIGN} the cost's tolerance", mean, tolerance)
     return Chart(joint.replace("_", " ").capitalize(), "angle, deg", curves, band, _swing(step))
 
 
-def _hip_height(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> Chart:
+def _hip_height(step: Step, motions: Motions) -> Chart:
     """Hip hiking."""
-    curves = []
-    for label, t, xs in motions:
-        for side in step.walker.legs:
-            site = f"{side}_hip"
-            normal = np.interp(t, step.t, normal_height(step, site))
-            curves.append(_of_leg(side, label, t, 1e3 * (height(step, _q(step, xs), site) - normal)))
-    return Chart("Hip over the normal gait's", "height, mm", curves, None, _swing(step))
+
+    def lift(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
+        normal = np.interp(t, step.t, normal_height(step, f"{side}_hip"))
+        return 1e3 * (height(step, _q(step, xs), f"{side}_hip") - normal)
+
+    return Chart("Hip over the normal gait's", "height, mm", _of_legs(step, motions, lift), None, _swing(step))
 
 
-def _foot_height(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]], grid: np.ndarray) -> Chart:
-    curves = []
-    for label, t, xs in motions:
-        for side in step.walker.legs:
-            curves.append(_of_leg(side, label, t, 1e3 * _lowest(step, xs, side)))
+def _foot_height(step: Step, motions: Motions, grid: np.ndarray) -> Chart:
+    def lowest(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
+        return 1e3 * np.minimum(*(height(step, _q(step, xs), f"{side}_{end}_point") for end in ("heel", "toe")))
+
     feet = step.feet(step.normal.at(grid).q)
     band = Band(NORMAL, 1e3 * feet[:, 1:3, 2].min(axis=1), 0.0)
+    curves = _of_legs(step, motions, lowest)
     return Chart("Foot, the lower of heel and toe", "height, mm", curves, band, _swing(step))
 
 
-def _foot_force(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> Chart:
+def _foot_force(step: Step, motions: Motions) -> Chart:
     m = step.walker.mechanism
-    curves = []
-    for label, t, xs in motions:
-        for side in step.walker.legs:
-            upward = vertical_force(step, xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], side)
-            curves.append(_of_leg(side, label, t, upward))
-    return Chart("Belt on a foot, upwards", "force, N", curves, None, _swing(step))
+
+    def upward(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
+        return vertical_force(step, xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], side)
+
+    return Chart("Belt on a foot, upwards", "force, N", _of_legs(step, motions, upward), None, _swing(step))
 
 
-def _pelvis(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> list[Chart]:
-    """Its place, from the mean of the normal gait, and its turn."""
+def _pelvis(step: Step, motions: Motions) -> list[Chart]:
+    """Place of the pelvis, from the mean of the normal gait, and its turn."""
     first = step.walker.mechanism.joint(PELVIS[0]).start
     charts = []
     for title, unit, names, offset, scale in (
@@ -170,8 +164,8 @@ def _pelvis(step: Step, motions: list[tuple[str, np.ndarray, np.ndarray]]) -> li
 
 
 def _wrench(step: Step, plan: Plan) -> list[Chart]:
-    """What the robot does to the pelvis."""
-    assert plan.problem is not None  # pictures are a stage's, which is a problem's
+    """Forces and moments of the robot on the pelvis."""
+    assert plan.problem is not None  # the pictures belong to a problem
     dynamics = plan.problem.dynamics
     assert isinstance(dynamics, RigidBodyDynamics)
     wrench = robot_wrench(dynamics, plan.xs, plan.us)
@@ -186,17 +180,20 @@ def _wrench(step: Step, plan: Plan) -> list[Chart]:
     return charts
 
 
-def _of_leg(side: str, label: str, t: np.ndarray, values: np.ndarray) -> Curve:
-    percent, values = by_cycle(t + (0.0 if side == "right" else 0.5), values)
-    return Curve(label or side, values, bool(label), side if label else "", percent)
+def _of_legs(
+    step: Step, motions: Motions, values: Callable[[str, np.ndarray, np.ndarray], np.ndarray]
+) -> list[Curve]:  # fmt: skip
+    """A curve of every motion and leg over the leg's cycle; `values` of (side, t, xs) are its (K,) values."""
+    curves = []
+    for label, t, xs in motions:
+        for side in step.walker.legs:
+            percent, ys = by_cycle(t + (0.0 if side == "right" else 0.5), values(side, t, xs))
+            curves.append(Curve(label or side, ys, bool(label), side if label else "", percent))
+    return curves
 
 
 def _swing(step: Step) -> tuple[tuple[float, float], ...]:
     return ((100.0 * SWING[0], 100.0 * SWING[1]),) if step.walker.belt else ()
-
-
-def _lowest(step: Step, xs: np.ndarray, side: str) -> np.ndarray:
-    return np.minimum(*(height(step, _q(step, xs), f"{side}_{end}_point") for end in ("heel", "toe")))
 
 
 def _q(step: Step, xs: np.ndarray) -> np.ndarray:
@@ -204,13 +201,13 @@ def _q(step: Step, xs: np.ndarray) -> np.ndarray:
 
 
 def _points(step: Step, xs: np.ndarray, frames: list[str]) -> np.ndarray:
-    """(K, P, 3) m."""
+    """Places (K, P, 3) of frames, m."""
     q = _q(step, xs)
     return np.stack([frame_pose(step.walker.mechanism, q, frame)[:, :3, 3] for frame in frames], axis=1)
 
 
 def _finite(replay: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """Times (K,) s and states (K, nx) at the plan's knots, of those before a replay ran away."""
+    """Times (K,), s, and states (K, nx) at the plan's knots, up to where the replay diverged."""
     t, xs = replay.t[:: replay.substeps], replay.xs[:: replay.substeps]
     finite = np.isfinite(xs).all(axis=1)
     known = len(xs) if finite.all() else int(np.argmin(finite))

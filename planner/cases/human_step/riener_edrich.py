@@ -8,13 +8,13 @@ moments in the same directions,
            + exp(2.220 - .150 k)
     ankle  exp(2.1016 - .0843 a - .0176 k) - exp(-7.9763 + .1949 a + .0008 k) - 1.792
 
-We had no access to the paper: the numbers were written from memory and compared with a second source, a public set of
-MATLAB functions (rienerEdrich1999PassiveHipMoment, ...KneeMoment, ...AnkleMoment; "used by Miller et al. 2012"). It has
-every number above, signs included, but one: its last exponential of the knee is exp(2.220 - 1.50 k). The .150 stays,
-since this term is the end of a stretched knee: with 1.50, bending back by five degrees would take 17 kN m instead of 20
-N m. Moments of the same form of other subjects, in nag92/LegMuscleModel, have exp(2.5 - .25 k) there.
+    number          from
+    all but one     memory, without access to the paper, and the same in a second source: public MATLAB functions
+                    (rienerEdrich1999PassiveHipMoment, ...KneeMoment, ...AnkleMoment; "used by Miller et al. 2012")
+    .150 k          memory; the second source has 1.50, with which bending a straight knee back by five degrees takes
+                    17 kN m instead of 20 N m; nag92/LegMuscleModel has exp(2.5 - .25 k) there, for other subjects
 
-Here a lifted foot and a stretched knee are positive, so k and a change their signs, with their moments.
+Our signs: a lifted foot and a stretched knee are positive, so k, a and their moments change their signs.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import numpy as np
 from planner.model.joint_curves import ExponentialTorque
 
 CURVED = ("hip_flexion", "knee", "ankle")
-SIGNS = {"hip_flexion": 1.0, "knee": -1.0, "ankle": -1.0}  # of the paper's angles and moments in ours
+SIGNS = {"hip_flexion": 1.0, "knee": -1.0, "ankle": -1.0}  # of our angles and moments, relative to the paper's
 
-# Of each joint: sign, constant, slopes by hip, knee and ankle per degree.
+# Exponentials of each joint: sign, constant, slopes by hip, knee and ankle per degree.
 TERMS: dict[str, tuple[tuple[float, float, tuple[float, float, float]], ...]] = {
     "hip_flexion": ((1.0, 1.4655, (-0.0750, -0.0034, 0.0)), (-1.0, 1.3403, (0.0305, -0.0226, 0.0))),
     "knee": (
@@ -42,13 +42,7 @@ CONSTANTS = {"hip_flexion": 8.072, "knee": -4.820, "ankle": -1.792}  # N m
 
 
 def curves(dofs: Mapping[str, int], joints: Collection[str], factor: float = 1.0) -> Iterator[ExponentialTorque]:
-    """The moments on some joints of one leg.
-
-    Args:
-        dofs: The degrees of freedom of CURVED.
-        joints: Those that the moments act on.
-        factor: Of all moments.
-    """
+    """The moments on some joints of one leg, times a factor; `dofs` are the degrees of freedom of CURVED."""
     for joint in joints:
         turned = factor * SIGNS[joint]
         for sign, constant, slopes in TERMS[joint]:

@@ -1,18 +1,18 @@
-"""The walker of the case human-step: a person over a treadmill, whose legs are passive, as a model.
+"""The walker: the model of a person with passive legs over a treadmill.
 
     number                          value                                   from
     masses, lengths, radii          parts of mass and height                Winter, see anthropometry.py
     inertia along a limb            shares of that across it                ours
-    hip joints                      half of Winter's hip breadth apart      ours: the breadth is that of the outside
-    foot                            HEEL behind the ankle, TOE ahead of it  ours: the toe point is between ball and
-                                    tip, since a foot of one piece would dig its tip in
+    hip joints                      half of Winter's hip breadth apart      ours: Winter measures the outside
+    foot                            heel 0.055 m behind the ankle, toe      ours: the toe point is between ball and tip,
+                                    0.165 m ahead, at 1.75 m                because a rigid foot would dig its tip in
     pelvis, trunk, arms, head       .678 of the mass, one rigid body        Winter; its inertia is ours
-    passive joints                  PASSIVE: spring, damper, angle at rest  ours: of the size of pendulum tests
-    or, of the joints of CURVED     exponentials instead of springs         Riener and Edrich, see riener_edrich.py
-    knee                            stops where it is straight              ours; with exponentials it needs no stop
+    passive joints                  PASSIVE: spring, damper, angle at rest  ours: similar to pendulum tests
+    or, for the joints in CURVED    exponentials instead of springs         Riener and Edrich, see riener_edrich.py
+    knee                            stops where it is straight              ours; exponentials need no stop
 
-x is ahead, y to the left, z up; angles have the signs of OpenSim's gait models. All angles zero is standing. The feet
-touch the belt at z = 0.
+x is ahead, y left, z up; angles have the signs of OpenSim's gait models and are zero in standing. The feet touch the
+belt at z = 0.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from planner.base.arguments import choice, number
 from planner.base.errors import PlannerError
 from planner.cases import anthropometry as winter
 from planner.cases.anthropometry import Segment
+from planner.cases.human_step.gait import COLUMNS, LEG
 from planner.cases.human_step.riener_edrich import CURVED, curves
 from planner.dynamics.algorithms import jacobian, mass_matrix
 from planner.model.contact.laws import ContactLaw, Law
@@ -37,11 +38,8 @@ from planner.problem.costs.jerk import driven_by_jerk
 
 FILE_MASS, FILE_HEIGHT = 70.0, 1.75  # kg, m, of the person that mjcf/human_step/human_step.xml is written for
 SIDES = ("right", "left")
-PELVIS = ("pelvis_x", "pelvis_y", "pelvis_z", "pelvis_tilt", "pelvis_list", "pelvis_rotation")
-LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee", "ankle")
+PELVIS = COLUMNS[: -2 * len(LEG)]
 
-HIPS_APART = 0.5 * winter.HIP_WIDTH  # H
-HEEL, TOE = 0.055 / FILE_HEIGHT, 0.165 / FILE_HEIGHT  # H, of the ankle
 ABOVE_MASS, ABOVE_COM = 0.678, 0.15 / FILE_HEIGHT  # M and H, of pelvis and all above it
 ABOVE_INERTIA = (1.5, 1.5, 0.6)  # kg m^2, of the person in the file
 
@@ -53,55 +51,40 @@ PASSIVE = {  # N m/rad, N m s/rad, rad at rest
     "ankle": (15.0, 0.5, np.radians(-5.0)),
 }
 RESISTANCES = ("table", "riener-edrich")
-BRACES = {"ankle": (40.0, 0.5, 0.0)}  # the same, of a joint in an orthosis
+BRACES = {"ankle": (40.0, 0.5, 0.0)}  # the same for a joint in an orthosis
 
 TOUCH = ContactLaw(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_damping=150.0, friction=0.6, bend=0.75)
-"""Of heel and toe on the belt: so soft that a touch-down takes several stages, and a light stance sinks in by mm. With
-this bend of friction stages of 10, 5 and 2.5 ms lead to the same minimum of a cycle; with less some lead to others, 4 %
-higher."""
-IMPRATIO = 1000.0  # of MuJoCo's, at which its friction is that of TOUCH
-POINT = 5e-4  # m, radius of the spheres at heel and toe, points but for MuJoCo
+"""Contact of heel and toe with the belt. It is so soft that a touch-down takes several stages, and a light stance sinks
+in by mm. With this bend of friction, stages of 10, 5 and 2.5 ms lead to the same minimum of a cycle; with a smaller one
+some lead to other minima, 4 % higher."""
+IMPRATIO = 1000.0  # MuJoCo's friction is then that of TOUCH
 STOP = Law(stiffness=1e3, damping=20.0, ramp=0.03, force_ramp=0.1)
-"""Of a straight knee: 200 N m/rad let it bend backwards by 7 degrees. It damps only while it pushes, so it needs twice
-the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""
+"""Stop of a straight knee: with 200 N m/rad it bends backwards by 7 degrees. The stop damps only while it pushes, so it
+needs twice the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""
 KNEE_RANGE = (-2.6, 0.0)  # rad
 
 LIGHTEST, HEAVIEST = 20.0, 300.0  # kg
 SHORTEST, TALLEST = 1.0, 2.5  # m
-LEANEST, STOUTEST = 8.0, 80.0  # kg/m^2, body mass indices beyond what is known of people
+LEANEST, STOUTEST = 8.0, 80.0  # kg/m^2, beyond the known body mass indices of people
 STIFFEST = 20.0  # times PASSIVE
 LEGS = (0.3, 3.0)  # times Winter's
 
 
 @dataclass(frozen=True)
 class Walker:
-    """A person, what his joints resist with, and what of him and the treadmill is modelled. Checked.
+    """A person with passive joints, and the modelled parts of him and the treadmill, with checked values."""
 
-    Attributes:
-        mass: kg.
-        height: m.
-        stiffness: Of the passive joints, times PASSIVE.
-        damping: The same.
-        brace: A joint in an orthosis, of BRACES, or None.
-        passive: What the passive joints resist with, of RESISTANCES.
-        legs: Some of SIDES.
-        belt: Whether there is a belt and contact with it.
-        motors: Whether the pelvis has six motors, of forces.
-        leg_mass: Of the legs, times Winter's share of the mass: less where muscles have wasted.
-        jerked: Whether the accelerations of the pelvis are states, which its motors change.
-    """
-
-    mass: float = FILE_MASS
-    height: float = FILE_HEIGHT
-    stiffness: float = 1.0
-    damping: float = 1.0
-    brace: str | None = None
-    passive: str = "table"
+    mass: float = FILE_MASS  # kg
+    height: float = FILE_HEIGHT  # m
+    stiffness: float = 1.0  # of the passive joints, times PASSIVE
+    damping: float = 1.0  # of the passive joints, times PASSIVE
+    brace: str | None = None  # a joint in an orthosis, one of BRACES
+    passive: str = "table"  # resistance of the passive joints, one of RESISTANCES
     legs: tuple[str, ...] = SIDES
-    belt: bool = True
-    motors: bool = False
-    leg_mass: float = 1.0
-    jerked: bool = False
+    belt: bool = True  # with contact of the feet
+    motors: bool = False  # six motors at the pelvis, whose controls are forces
+    leg_mass: float = 1.0  # times Winter's share of the mass: less where muscles have wasted
+    jerked: bool = False  # accelerations of the pelvis are states, and their rates are controls
 
     def __post_init__(self) -> None:
         ranges = {
@@ -122,22 +105,22 @@ class Walker:
 
     @property
     def scale(self) -> float:
-        """Lengths over those of the person in the file."""
+        """Height over that of the person in the file: factor of all lengths."""
         return self.height / FILE_HEIGHT
 
     @property
     def leg_length(self) -> float:
-        """Of a straight leg from hip to ankle, m."""
+        """Length of a straight leg from hip to ankle, m."""
         return (winter.THIGH + winter.SHANK) * self.height
 
     @property
     def curved(self) -> tuple[str, ...]:
-        """The joints of a leg whose springs are exponentials; an orthosis has one of its own."""
+        """The joints of a leg with exponentials instead of a spring; an orthosis keeps its own spring."""
         return () if self.passive == "table" else tuple(joint for joint in CURVED if joint != self.brace)
 
     @property
     def springs(self) -> dict[str, tuple[float, float, float]]:
-        """Of the joints of a leg: N m/rad, N m s/rad, rad at rest."""
+        """Stiffness, damping and angle at rest of the joints of a leg: N m/rad, N m s/rad, rad."""
         own = {
             joint: (0.0 if joint in self.curved else self.stiffness * k, self.damping * b, rest)
             for joint, (k, b, rest) in PASSIVE.items()
@@ -146,7 +129,7 @@ class Walker:
 
     @property
     def segments(self) -> dict[str, Segment]:
-        """The bodies by name: pelvis (with all above it), thigh, shank, foot."""
+        """The bodies by name: pelvis (with trunk, arms and head), thigh, shank, foot."""
         bulk = self.mass * self.height**2 / (FILE_MASS * FILE_HEIGHT**2)
         ix, iy, iz = (bulk * inertia for inertia in ABOVE_INERTIA)
         above = Segment(ABOVE_MASS * self.mass, (0.0, 0.0, ABOVE_COM * self.height), (ix, iy, iz))
@@ -154,7 +137,7 @@ class Walker:
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """The model, read from the very text that a replay uses; exponentials, which no text holds, beside it."""
+        """The model, read from the same text that the replay uses; MJCF has no exponentials, so they are added here."""
         machine = Mechanism.from_mjcf(self.text)
         legs = [{joint: machine.joint(f"{side}_{joint}").start for joint in CURVED} for side in self.legs]
         machine = machine.with_curves(curve for leg in legs for curve in curves(leg, self.curved, self.stiffness))
@@ -164,8 +147,7 @@ class Walker:
     def text(self) -> str:
         """The MJCF text: the file with this person's masses, lengths and joints, without keyframes.
 
-        What MuJoCo makes of the numbers of a contact or stop depends on the inertia of the whole machine: so these are
-        written last.
+        MuJoCo scales the numbers of a contact or stop by the inertia of the whole machine, so these are written last.
         """
         text = ElementTree.tostring(self._root(), encoding="unicode")
         bare = Mechanism.from_mjcf(text, contacts="off")
@@ -174,18 +156,20 @@ class Walker:
         for side in self.legs:
             knee = stop_attributes(STOP.stiffness, STOP.damping, weights.of_joint(f"{side}_knee"))
             if "knee" not in self.curved:
-                edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": _text(*stop_range())}
+                # MuJoCo's plain spring begins where the smooth stop reaches the same force
+                bent, straight = KNEE_RANGE[0] - STOP.lift, KNEE_RANGE[1] + STOP.lift
+                edits[f".//joint[@name='{side}_knee']"] = {**knee, "range": written(bent, straight)}
             for end in ("heel", "toe") if self.belt else ():
                 edits[f"contact/pair[@geom2='{side}_{end}']"] = contact_attributes(
                     TOUCH.stiffness, TOUCH.damping, TOUCH.slip_damping, TOUCH.friction,
                     weights.of_joint("belt") + weights.of_body(f"{side}_foot"), IMPRATIO,
                 )  # fmt: skip
         for name, law, more in (("contact_ramp", TOUCH, [TOUCH.bend]), ("stop_ramp", STOP, [])):
-            edits[f"custom/numeric[@name='{name}']"] = {"data": _text(law.ramp, law.force_ramp or 0.0, *more)}
+            edits[f"custom/numeric[@name='{name}']"] = {"data": written(law.ramp, law.force_ramp or 0.0, *more)}
         return edited(text, edits)
 
     def _root(self) -> ElementTree.Element:
-        """The file's root with masses, lengths and springs of this person, and without what is not modelled."""
+        """The file's root with masses, lengths and springs of this person, without the parts that are not modelled."""
         root = ElementTree.fromstring(model_text(model_path("human_step") / "scene.xml"))
         contact = root.find("contact")
         assert contact is not None  # the file has one
@@ -199,60 +183,32 @@ class Walker:
                 contact.remove(pair)
         for section in root.findall("keyframe") + ([] if self.motors else root.findall("actuator")):
             root.remove(section)
-        pelvis, segments = named["pelvis"][1], self.segments
-        for element in pelvis.iter():
-            point = element.get("class") == "contact"  # whose radius is no length of the person
-            for key in ("pos",) if point else ("pos", "fromto", "size"):
-                if key in element.attrib and element.tag != "inertial":
-                    sizes = map(float, element.attrib[key].split())
-                    element.set(key, _text(*(self.scale * size for size in sizes)))
-        for body in pelvis.iter("body"):
-            segment, inertial = segments[_sideless(body.attrib["name"])], body.find("inertial")
-            assert inertial is not None  # every moving body of the file has one
-            numbers = {"pos": _text(*segment.com), "diaginertia": _text(*segment.inertia)}
-            inertial.attrib.update(numbers, mass=written(segment.mass))
+        pelvis = named["pelvis"][1]
+        winter.fit(pelvis, self.segments, self.scale)
         for joint in pelvis.iter("joint"):
-            spring = self.springs.get(_sideless(joint.attrib["name"]))
+            spring = self.springs.get(winter.sideless(joint.attrib["name"]))
             if spring is not None:
                 values = zip(("stiffness", "damping", "springref"), spring, strict=True)
                 joint.attrib.update({key: written(value) for key, value in values})
         return root
 
 
-def stop_range() -> tuple[float, float]:
-    """Of the knee for MuJoCo, rad: its plain spring begins where the smooth stop has come to the same force."""
-    return KNEE_RANGE[0] - STOP.lift, KNEE_RANGE[1] + STOP.lift
-
-
-def belt_height() -> float:
-    """Of the belt for MuJoCo, m: the smooth contact of points begins at 0."""
-    return -TOUCH.lift - POINT
-
-
 class _InverseWeights:
-    """MuJoCo's body_invweight0 and dof_invweight0 of a mechanism: what a unit force does where the file puts it."""
+    """MuJoCo's body_invweight0 and dof_invweight0 of a mechanism: accelerations by a unit force at qpos0."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.q = mechanism, mechanism.qpos0
         self.inverse = np.linalg.inv(mass_matrix(mechanism, self.q))
 
     def of_joint(self, name: str) -> float:
-        """Of a hinge or slide."""
+        """Inverse inertia felt by a hinge or slide."""
         i = self.mechanism.joint(name).start
         return float(self.inverse[i, i])
 
     def of_body(self, name: str) -> float:
-        """Of its centre of mass, the mean over the three directions."""
+        """Inverse inertia felt at the centre of mass of a body, mean over three directions."""
         link = self.mechanism.frame(name).link
         T = np.eye(4)
         T[:3, 3] = self.mechanism.com[link]
         J = jacobian(self.mechanism, self.q, Frame(link, T))[:3]
         return float(np.trace(J @ self.inverse @ J.T)) / 3.0
-
-
-def _sideless(name: str) -> str:
-    return name.removeprefix("left_").removeprefix("right_")
-
-
-def _text(*values: float) -> str:
-    return " ".join(written(value) for value in values)

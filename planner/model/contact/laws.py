@@ -1,4 +1,4 @@
-"""What pushes a mechanism from outside its joints: spheres that touch planes, and stops at the ends of joints. Data.
+"""Forces from outside a mechanism's joints: spheres that touch planes, and stops at the ends of joints. Data.
 
 One smooth one-sided law serves both. With the penetration e, the speed v_n at which it opens, and the sliding
 velocity v_t,
@@ -64,7 +64,7 @@ class Law:
 
     @property
     def lift(self) -> float:
-        """How much the law's surface is raised, so that the force deep inside is stiffness times the depth."""
+        """M or rad by which the law's surface is raised, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 
 

@@ -15,21 +15,15 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.contact.between_bodies import Capsule
 from planner.model.contact.laws import ALONG, Plane
+from planner.model.mjcf.survey import Survey
 
 
-def at_home(model: Any) -> Any:
-    """MuJoCo's data of the model as its file describes it, in which planes are looked up."""
-    data = load_mujoco().MjData(model)
-    load_mujoco().mj_kinematics(model, data)
-    return data
-
-
-def plane_of(model: Any, home: Any, geom: int) -> Plane | None:
+def plane_of(survey: Survey, geom: int) -> Plane | None:
     """The plane that a geom is to a sphere: a plane, or the uppermost face of a box as one without end.
 
     None where it is neither, and where it moves, but on a slide along itself (a treadmill's belt).
     """
-    mujoco = load_mujoco()
+    mujoco, model, home = load_mujoco(), survey.model, survey.home
     axes, at = home.geom_xmat[geom].reshape(3, 3).T, home.geom_xpos[geom]
     if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_PLANE):
         normal = axes[2]
@@ -74,32 +68,25 @@ def spheres_of(model: Any, geom: int) -> list[Sphere]:
 
 
 def part_name(of: str, spheres: list[Sphere], k: int) -> str:
-    """What the k-th of the spheres of a geom is called."""
+    """Name of the k-th of the spheres of a geom."""
     return {1: of, 2: f"{of} end {k + 1}"}.get(len(spheres), f"{of} corner {k + 1}")
 
 
-def plane_and_spheres(model: Any, home: Any, geoms: tuple[int, int]) -> tuple[Plane, list[Sphere]] | None:
+def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, list[Sphere]] | None:
     """The plane of two geoms and the spheres that meet it, where they are that."""
     for flat, other in (geoms, geoms[::-1]):
-        plane, spheres = plane_of(model, home, flat), spheres_of(model, other)
+        plane, spheres = plane_of(survey, flat), spheres_of(survey.model, other)
         if plane is not None and spheres:
             return plane, spheres
     return None
 
 
-def capsule_of(model: Any, geom: int, links: np.ndarray, poses: np.ndarray) -> Capsule:
-    """A sphere or capsule as a part of a contact of two bodies.
-
-    Args:
-        model: Compiled.
-        geom: Which.
-        links: (nbody,) of each body, -1 for the world.
-        poses: (ngeom, 4, 4) of the geoms in those links.
-    """
+def capsule_of(survey: Survey, geom: int) -> Capsule:
+    """A sphere or capsule as a part of a contact of two bodies."""
+    model, T = survey.model, survey.geoms[geom]
     long = model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
     radius, half = float(model.geom_size[geom][0]), float(model.geom_size[geom][1]) if long else 0.0
-    T = poses[geom]
-    return Capsule(int(links[model.geom_bodyid[geom]]), T[:3, 3], half * T[:3, 2], radius)
+    return Capsule(int(survey.carriers[0][model.geom_bodyid[geom]]), T[:3, 3], half * T[:3, 2], radius)
 
 
 def are_capsules(model: Any, geoms: tuple[int, int]) -> bool:

@@ -1,4 +1,4 @@
-"""What an MJCF text may come to, and that a stored one names nothing but what it carries.
+"""Limit how large an MJCF text may become, and check that a stored one names only files that it carries.
 
 A few lines can ask for more than a machine has (includes of includes, replicas of replicas), and MuJoCo's compiler
 tries it: its time grows with the square of the number of bodies, and a model that attaches itself ends the process.
@@ -26,7 +26,7 @@ _COPIED = ("replicate", "composite", "flexcomp")
 
 @dataclass
 class Budget:
-    """What the files of one model have come to, together."""
+    """Count of the files and elements of one model."""
 
     files: int = 0
     elements: int = 0
@@ -112,7 +112,7 @@ def check_stored(text: str, files: dict[str, bytes]) -> None:
 
 
 def _made(root: ElementTree.Element, files: dict[str, bytes], sizes: dict[str, int | None]) -> int:
-    """How many elements the compiler makes of a model; `sizes` has the attached ones, None while they are counted."""
+    """Number of elements that the compiler makes of a model; `sizes` has the attached ones, None while counted."""
     largest = 0
     for file, content in _attached(root, files):
         if file not in sizes:
@@ -157,5 +157,5 @@ def _by_name(files: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def _base(file: str) -> str:
-    """What MuJoCo knows a file in memory by: without its folder, whatever its case."""
+    """The name by which MuJoCo finds a file in memory: without its folder, in lower case."""
     return re.split(r"[/\\]", file)[-1].lower()

@@ -17,38 +17,33 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
-from planner.model.contact.shapes import at_home
-from planner.model.mjcf.contacts import CONTACT_RAMP, Pair, contact_attributes, pairs, shapes_fit
-from planner.model.mjcf.refuse import named
+from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, phrase_of, shapes_fit
+from planner.model.mjcf.survey import Survey
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
-def give_law(root: ElementTree.Element, model: Any, touch: ContactLaw) -> list[str]:
+def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> list[str]:
     """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
 
     Args:
         root: Of the file, includes resolved; changed.
-        model: What the root compiles to.
+        survey: Of what the root compiles to.
         touch: The law. Of an infinite impratio becomes IMPRATIO.
 
     Raises:
         ModelError: Geoms that are not elements of the file itself.
     """
-    all_of_them = pairs(model)
-    if not all_of_them:
+    if not survey.pairs:
         return []
-    home = at_home(model)
+    model = survey.model
     impratio = touch.impratio if np.isfinite(touch.impratio) else IMPRATIO
     body_names, geom_names = _names(root, model)
-    for section in root.findall("contact"):
-        for element in section.findall("pair"):
-            section.remove(element)
-    section, left_out = ElementTree.SubElement(root, "contact"), []
-    for pair in all_of_them:
+    section, left_out = _in_place_of_pairs(root), []
+    for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
-        if not shapes_fit(model, home, pair):
+        if not shapes_fit(survey, pair):
             left_out.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue
@@ -59,28 +54,25 @@ def give_law(root: ElementTree.Element, model: Any, touch: ContactLaw) -> list[s
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     _say_smoothing(root, touch)
-    return [_phrase(model, left_out)] if left_out else []
+    return [phrase_of(model, left_out)] if left_out else []
 
 
-def keep_law(root: ElementTree.Element, model: Any, weights: np.ndarray, still: np.ndarray) -> None:
+def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
     """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
 
     Args:
         root: Of the file, includes resolved; changed.
-        model: What the root compiles to, with the law in it.
+        survey: Of what the root compiles to, with the law in it.
         weights: (nbody,) body_invweight0[:, 0] of the model with the other inertias, 1/kg.
         still: (nbody,) bodies that no force moves: what touches between two of them is excluded.
 
     Raises:
         ModelError: Geoms that are not elements of the file itself.
     """
+    model = survey.model
     body_names, geom_names = _names(root, model)
-    all_of_them = pairs(model)
-    for section in root.findall("contact"):
-        for element in section.findall("pair"):
-            section.remove(element)
-    section = ElementTree.SubElement(root, "contact")
-    for pair in all_of_them:
+    section = _in_place_of_pairs(root)
+    for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         if np.all(still[bodies]):
             _exclude(root, section, *(body_names[body] for body in bodies))
@@ -96,10 +88,12 @@ def keep_law(root: ElementTree.Element, model: Any, weights: np.ndarray, still: 
         ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
 
 
-def _phrase(model: Any, left_out: list[Pair]) -> str:
-    first = " and ".join(named(model, "geom", i) for i in left_out[0].geoms)
-    more = "" if len(left_out) == 1 else f" and {len(left_out) - 1} more pairs"
-    return f"contacts of {first}{more}"
+def _in_place_of_pairs(root: ElementTree.Element) -> ElementTree.Element:
+    """A new section for contacts, when all <pair>s are taken out of the old ones."""
+    for section in root.findall("contact"):
+        for element in section.findall("pair"):
+            section.remove(element)
+    return ElementTree.SubElement(root, "contact")
 
 
 def _say_smoothing(root: ElementTree.Element, touch: ContactLaw) -> None:

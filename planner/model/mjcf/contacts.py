@@ -18,8 +18,8 @@ be left out, and without any there is no smoothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +28,9 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import BEND, Contact, ContactLaw, Law, Stop
-from planner.model.contact.shapes import are_capsules, at_home, capsule_of, part_name, plane_and_spheres
-from planner.model.mjcf.refuse import Refusal, contact_pairs, disabled, named
+from planner.model.contact.shapes import are_capsules, capsule_of, part_name, plane_and_spheres
+from planner.model.mjcf.refuse import Refusal
+from planner.model.mjcf.survey import Pair, Survey, disabled, named
 
 SOFT = 1e-4  # the impedance d, the least that MuJoCo knows
 SOFTEST = 1e-3  # up to here R is still a thousand times A, and the forces differ by less than a percent
@@ -93,59 +94,15 @@ def _text(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-class Pair(NamedTuple):
-    """Two geoms that may touch, and how, as MuJoCo's compiler has it."""
-
-    geoms: tuple[int, int]
-    condim: int
-    friction: np.ndarray  # (5,)
-    solref: np.ndarray  # (2,)
-    solreffriction: np.ndarray  # (2,) zeros where it is solref's
-    solimp: np.ndarray  # (5,)
-    margin: float
-
-
-def pairs(model: Any) -> list[Pair]:
-    """Every pair that MuJoCo would test, with its parameters: those of <pair>, or both geoms' combined."""
-    explicit = {}
-    for k in range(model.npair):
-        geoms = (int(model.pair_geom1[k]), int(model.pair_geom2[k]))
-        explicit[frozenset(geoms)] = Pair(
-            geoms, int(model.pair_dim[k]), model.pair_friction[k], model.pair_solref[k], model.pair_solreffriction[k],
-            model.pair_solimp[k], float(model.pair_margin[k] + model.pair_gap[k]),
-        )  # fmt: skip
-    return [explicit.get(frozenset(geoms)) or _combined(model, *geoms) for geoms in contact_pairs(model)]
-
-
-def _combined(model: Any, first: int, second: int) -> Pair:
-    """MuJoCo's mj_contactParam."""
-    a, b = first, second
-    margin = float(max(model.geom_margin[a], model.geom_margin[b]) + max(model.geom_gap[a], model.geom_gap[b]))
-    higher = np.sign(int(model.geom_priority[a]) - int(model.geom_priority[b]))
-    mix = {1: 1.0, -1: 0.0}.get(int(higher), _mix(float(model.geom_solmix[a]), float(model.geom_solmix[b])))
-    solref = mix * model.geom_solref[a] + (1.0 - mix) * model.geom_solref[b]
-    condim, friction = max(model.geom_condim[a], model.geom_condim[b]), np.maximum(*model.geom_friction[[a, b]])
-    if higher:
-        one = a if higher > 0 else b
-        condim, friction = model.geom_condim[one], model.geom_friction[one]
-    elif np.any(model.geom_solref[[a, b], 0] <= 0.0):  # of direct formats the lesser numbers
-        solref = np.minimum(*model.geom_solref[[a, b]])
-    solimp = mix * model.geom_solimp[a] + (1.0 - mix) * model.geom_solimp[b]
-    return Pair((a, b), int(condim), friction[[0, 0, 1, 2, 2]], solref, np.zeros(2), solimp, margin)
-
-
-def _mix(a: float, b: float) -> float:
-    return a / (a + b) if a + b > 0.0 else 0.5
-
-
-def shapes_fit(model: Any, home: Any, pair: Pair) -> bool:
+def shapes_fit(survey: Survey, pair: Pair) -> bool:
     """Whether the shapes of a pair are modelled, whatever their force."""
-    return bool(plane_and_spheres(model, home, pair.geoms)) or are_capsules(model, pair.geoms)
+    return bool(plane_and_spheres(survey, pair.geoms)) or are_capsules(survey.model, pair.geoms)
 
 
-def _reason(model: Any, home: Any, pair: Pair) -> str:
-    """Why a pair is not modelled; "" where it is."""
-    if shapes_fit(model, home, pair):
+def _reason(survey: Survey, pair: Pair) -> str:
+    """The reason why a pair is not modelled; "" where it is."""
+    model = survey.model
+    if shapes_fit(survey, pair):
         return _law_reason(model, pair)
     kinds = load_mujoco().mjtGeom
     shapes = [kinds(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower() for g in pair.geoms]
@@ -155,7 +112,7 @@ def _reason(model: Any, home: Any, pair: Pair) -> str:
 
 
 def _law_reason(model: Any, pair: Pair) -> str:
-    """Why MuJoCo's force is not a law of ours; "" where it is."""
+    """The reason why MuJoCo's force is not a law of ours; "" where it is."""
     if pair.condim not in (1, 3):
         return f"condim {pair.condim}, expected 1 or 3"
     if pair.margin != 0.0:
@@ -183,49 +140,43 @@ def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
     return ""
 
 
-def contact_refusals(model: Any) -> Iterator[Refusal]:
-    """The contacts that are not modelled, in one phrase."""
-    home = at_home(model)
-    wrong = [(pair, reason) for pair in pairs(model) if (reason := _reason(model, home, pair))]
-    if wrong:
-        first = " and ".join(named(model, "geom", i) for i in wrong[0][0].geoms)
-        more = "" if len(wrong) == 1 else f" and {len(wrong) - 1} more pairs"
-        yield Refusal("contacts", f"contacts of {first}{more} ({wrong[0][1]})")
+def contact_refusals(survey: Survey, all_of_them: bool = False) -> Iterator[Refusal]:
+    """The contacts that are not modelled, or all of them, in one phrase."""
+    reasons = [(pair, _reason(survey, pair)) for pair in survey.pairs] if not all_of_them else []
+    wrong = [(pair, reason) for pair, reason in reasons if reason]
+    if all_of_them and survey.pairs:
+        yield Refusal("contacts", phrase_of(survey.model, survey.pairs))
+    elif wrong:
+        yield Refusal("contacts", f"{phrase_of(survey.model, [pair for pair, _ in wrong])} ({wrong[0][1]})")
 
 
-def read_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[Contact, ...]:
-    """The contacts of a model with planes but for those that are not modelled.
+def phrase_of(model: Any, pairs: Sequence[Pair]) -> str:
+    """Contacts for a sentence: the first by name, the others by their number."""
+    first = " and ".join(named(model, "geom", i) for i in pairs[0].geoms)
+    return f"contacts of {first}" + ("" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs")
 
-    Args:
-        model: Compiled.
-        links: (nbody,) of each body, -1 for the world.
-        geoms: (ngeom, 4, 4) the geoms' poses in those links.
-    """
-    found, home = [], at_home(model)
-    for pair in pairs(model):
-        match = plane_and_spheres(model, home, pair.geoms)
-        if match is None or _law_reason(model, pair):
+
+def read_contacts(survey: Survey) -> tuple[tuple[Contact, ...], tuple[BodyContact, ...]]:
+    """The contacts of a model with planes, and of spheres and capsules with each other, that are modelled."""
+    model, links = survey.model, survey.carriers[0]
+    with_planes, of_bodies = [], []
+    for pair in survey.pairs:
+        if _reason(survey, pair):
+            continue
+        touch = _touch(model, pair)
+        match = plane_and_spheres(survey, pair.geoms)
+        if match is None:
+            name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
+            first, second = (capsule_of(survey, geom) for geom in pair.geoms)
+            of_bodies.append(BodyContact(first, second, touch, name))
             continue
         plane, spheres = match
-        touch = _touch(model, pair)
-        for number_, sphere in enumerate(spheres):
-            name = part_name(named(model, "geom", sphere.geom), spheres, number_)
-            centre = (geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
+        for k, sphere in enumerate(spheres):
+            name = part_name(named(model, "geom", sphere.geom), spheres, k)
+            centre = (survey.geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
             link = int(links[model.geom_bodyid[sphere.geom]])
-            found.append(Contact(link, centre, sphere.radius, plane, touch, name))
-    return tuple(found)
-
-
-def read_body_contacts(model: Any, links: np.ndarray, geoms: np.ndarray) -> tuple[BodyContact, ...]:
-    """The contacts of spheres and capsules of a model with each other, with the arguments of read_contacts."""
-    found, home = [], at_home(model)
-    for pair in pairs(model):
-        if plane_and_spheres(model, home, pair.geoms) or _reason(model, home, pair):
-            continue
-        first, second = (capsule_of(model, geom, links, geoms) for geom in pair.geoms)
-        name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
-        found.append(BodyContact(first, second, _touch(model, pair), name))
-    return tuple(found)
+            with_planes.append(Contact(link, centre, sphere.radius, plane, touch, name))
+    return tuple(with_planes), tuple(of_bodies)
 
 
 def _touch(model: Any, pair: Pair) -> ContactLaw:
@@ -259,10 +210,10 @@ def read_stops(model: Any) -> tuple[Stop, ...]:
 
 
 def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
-    """What the file's numeric of that name says: a ramp, one of the force or None, and of a contact its bend.
+    """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend.
 
     Raises:
-        ModelError: It is none of that.
+        ModelError: Its numbers cannot be these.
     """
     mujoco = load_mujoco()
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)

@@ -29,9 +29,7 @@ from planner.base.gl import load_mujoco
 from planner.model.joint_curves import ExponentialTorque
 from planner.model.mechanism import BALL, DIRECT, Actuators, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
-from planner.model.mjcf.contacts import pairs
-from planner.model.mjcf.read import compile_tree
-from planner.model.mjcf.refuse import disabled
+from planner.model.mjcf.survey import Survey, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
 from planner.model.twin import Twin
 
@@ -58,7 +56,7 @@ def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
     names = in_order(mechanism, prescribed)
     known = _twins.setdefault(mechanism, {})
     if names not in known:
-        text = driven(mechanism.mjcf, mechanism.assets, names)
+        text = driven(mechanism.mjcf, mechanism.assets, compile_model(mechanism.mjcf, mechanism.assets), names)
         curves = _felt(mechanism, prescribed_dofs(mechanism, names))
         known[names] = replace(Twin.of(mechanism), mjcf=text, source=mechanism.mjcf, curves=curves)
     return known[names]
@@ -69,23 +67,21 @@ def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, 
     return tuple(curve for curve in mechanism.curves if curve.dof not in driven)
 
 
-def as_driven(twin: Twin, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
+def as_driven(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
     """A twin with another text, whose prescribed joints are driven; the twin itself where they are already.
 
     Args:
         twin: With a model of the mechanism's kind in it.
+        model: What its text compiles to.
         mechanism: The plan's.
         prescribed: Names of joints.
 
     Raises:
         ModelError: As for twin_of.
     """
-    if not prescribed:
+    if not prescribed or model.nu != mechanism.nu:
         return twin
-    model = compile_tree(parsed(twin.mjcf, "the model"), twin.assets, "the model")
-    if model.nu != mechanism.nu:
-        return twin
-    return replace(twin, mjcf=driven(twin.mjcf, twin.assets, in_order(mechanism, prescribed)))
+    return replace(twin, mjcf=driven(twin.mjcf, twin.assets, model, in_order(mechanism, prescribed)))
 
 
 def in_order(mechanism: Mechanism, prescribed: Collection[str]) -> tuple[str, ...]:
@@ -112,19 +108,19 @@ def driven_dofs(dynamics: Any) -> np.ndarray:
     return prescribed_dofs(dynamics.mechanism, prescribed) if prescribed else np.zeros(0, dtype=int)
 
 
-def driven(mjcf: str, assets: dict[str, bytes], prescribed: Collection[str]) -> str:
+def driven(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collection[str]) -> str:
     """An MJCF text with some of its joints driven by accelerations.
 
     Args:
         mjcf: The text, includes resolved.
         assets: Files that it names.
+        model: What they compile to.
         prescribed: Names of joints, in the order of qvel.
 
     Raises:
         ModelError: There is no such joint, joints are not elements of the file itself, or its actuators are off.
     """
-    root = parsed(mjcf, "the model")
-    model = compile_tree(root, assets, "the model")
+    root, survey = parsed(mjcf, "the model"), Survey(model)
     _check(model, prescribed)
     joints = [int(model.joint(name).id) for name in prescribed]
     elements = joints_of(root, model)
@@ -133,10 +129,10 @@ def driven(mjcf: str, assets: dict[str, bytes], prescribed: Collection[str]) -> 
     _silence(root, model, joints)
     _add_motors(root, model, joints)
     # The same file, but for inertias and what does not move them: it says how soft the contacts have become.
-    heavy = compile_tree(root, assets, "the model with its prescribed joints driven")
+    heavy = compile_model(root, assets, "the model with its prescribed joints driven")
     _keep_stops(elements, model, heavy)
-    if pairs(model):
-        keep_law(root, model, heavy.body_invweight0[:, 0], _still(model, joints))
+    if survey.pairs:
+        keep_law(root, survey, heavy.body_invweight0[:, 0], _still(model, joints))
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -218,7 +214,7 @@ def _add_motors(root: ElementTree.Element, model: Any, joints: list[int]) -> Non
 
 
 def _motor(joint: str, axis: int, dofs: int) -> str:
-    """What is called so in MuJoCo's complaints and in a parity's."""
+    """Name of the motor in MuJoCo's warnings and in reports of parity."""
     return f"acceleration of {joint}" + (f" {axis + 1}" if dofs > 1 else "")
 
 
@@ -255,17 +251,15 @@ def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     moment, free = np.where(silent[:, None], 0.0, a.moment), np.tile([-np.inf, np.inf], (n, 1))
     links = {name: mechanism.joint(name) for name in in_order(mechanism, prescribed)}
     sizes = {name: part.stop - part.start for name, part in links.items()}
+    motors = {
+        "moment": HEAVY * np.eye(mechanism.nv)[dofs], "gain": np.ones(n), "bias": np.zeros((n, 3)),
+        "dynamics": np.full(n, DIRECT), "activation": np.full(n, -1), "time_constant": np.ones(n),
+        "control_range": free, "force_range": free, "activation_range": free,
+    }  # fmt: skip
+    own = vars(a) | {"moment": moment}
     actuators = Actuators(
         names=(*a.names, *(_motor(name, axis, size) for name, size in sizes.items() for axis in range(size))),
-        moment=np.concatenate([moment, HEAVY * np.eye(mechanism.nv)[dofs]]),
-        gain=np.concatenate([a.gain, np.ones(n)]),
-        bias=np.concatenate([a.bias, np.zeros((n, 3))]),
-        dynamics=np.concatenate([a.dynamics, np.full(n, DIRECT)]),
-        activation=np.concatenate([a.activation, np.full(n, -1)]),
-        time_constant=np.concatenate([a.time_constant, np.ones(n)]),
-        control_range=np.concatenate([a.control_range, free]),
-        force_range=np.concatenate([a.force_range, free]),
-        activation_range=np.concatenate([a.activation_range, free]),
+        **{name: np.concatenate([own[name], more]) for name, more in motors.items()},
     )
     balls = given[mechanism.kind == BALL]
     return replace(

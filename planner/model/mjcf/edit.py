@@ -1,4 +1,4 @@
-"""What is not modelled taken out of the XML, so that a replay simulates what was planned with."""
+"""Take what is not modelled out of the XML, so that a replay simulates the machine that was planned with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.model.mjcf.refuse import actuator_refusals, field
+from planner.model.mjcf.refuse import Refusal
+from planner.model.mjcf.survey import field
 
 # What the flags and options take out.
 _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
@@ -29,18 +30,19 @@ _ATTRIBUTES = {
 _NO_TENDON = {"stiffness": "0", "damping": "0", "frictionloss": "0", "limited": "false"}
 
 
-def take_out(root: ElementTree.Element, kinds: Collection[str], model: Any) -> None:
-    """Edit the XML so that what `found` says of these kinds is no more.
+def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: Any) -> None:
+    """Edit the XML so that nothing of these refusals' kinds acts any more.
 
     Args:
         root: Of the file, includes resolved; changed.
-        kinds: Of refusals that `model` has.
+        refusals: All that `model` has of some kinds.
         model: What the root compiles to.
 
     Raises:
         ModelError: Actuators that are not elements of the file itself.
     """
     # Settings that come later replace earlier ones, whatever sections the file has.
+    kinds = {one.kind for one in refusals}
     options, flags = {}, {}
     for kind in kinds:
         option, flag = _OPTIONS.get(kind, ({}, {}))
@@ -63,17 +65,16 @@ def take_out(root: ElementTree.Element, kinds: Collection[str], model: Any) -> N
             if np.any(field(model, "tendon_armature", 0)):  # older releases do not know the attribute
                 tendon.set("armature", "0")
     if "actuator" in kinds:
-        _take_actuators_out(root, model)
+        _take_actuators_out(root, model, [one.index for one in refusals if one.kind == "actuator"])
 
 
-def _take_actuators_out(root: ElementTree.Element, model: Any) -> None:
-    """Remove unmodelled actuators, their numbers in keyframes and what refers to them."""
+def _take_actuators_out(root: ElementTree.Element, model: Any, out: list[int]) -> None:
+    """Remove actuators, their numbers in keyframes and what refers to them."""
     n = len(model.actuator_trntype)
     elements = [(section, child) for section in root.findall("actuator") for child in section]
     names = [model.actuator(i).name for i in range(n)]
     if [child.get("name", "") for _, child in elements] != names:
         raise ModelError("the model's actuators are not all its own (<attach>, <replicate>), so none is taken out.")
-    out = [i for i in range(n) if any(refusal.kind == "actuator" for refusal in actuator_refusals(model, i))]
     for i in out:
         elements[i][0].remove(elements[i][1])
     first = model.actuator_ctrladr if hasattr(model, "actuator_ctrladr") else np.arange(n)

@@ -20,10 +20,12 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
-from planner.model.mjcf import refuse as refusals
 from planner.model.mjcf.contact_edits import give_law
-from planner.model.mjcf.contacts import contact_refusals, read_body_contacts, read_contacts, read_stops
+from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
 from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.meshes import coarsen_visual_meshes
+from planner.model.mjcf.refuse import KINDS, Refusal, actuator_disabled, adheres_to_nothing, unmodelled
+from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
 from planner.model.mjcf.text import model_tree
 from planner.model.space import unit
 
@@ -39,7 +41,7 @@ def read(
 
     Args:
         model: A path, or the XML text itself.
-        ignore: Kinds to take out, of mechanism_refusals.KINDS; those that the file does not have do nothing.
+        ignore: Kinds to take out, of mechanism_KINDS; those that the file does not have do nothing.
         contacts: "on", "off" or a law.
         assets: Files that the text names, by that name.
 
@@ -47,61 +49,40 @@ def read(
         ModelError: See Mechanism.from_mjcf.
     """
     if not isinstance(ignore, Collection | None):
-        raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(refusals.KINDS)}.")
+        raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
-        choice("ignore", kind, refusals.KINDS)
+        choice("ignore", kind, KINDS)
     off = not isinstance(contacts, ContactLaw) and choice("contacts", contacts, ("on", "off")) == "off"
     out = {*ignored, *(["contacts"] if off else [])}
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
     root, files = model_tree(model, assets)
-    compiled = compile_tree(root, files, name)
-    left_out: list[str] = []
-    if isinstance(contacts, ContactLaw):
-        left_out = give_law(root, compiled, contacts)
-        compiled = compile_tree(root, files, name)
-    found = _found(compiled, off)
+    survey = Survey(compile_model(root, files, name))
+    if coarsen_visual_meshes(root, files, survey.model):
+        survey = Survey(compile_model(root, files, name))
+    law = contacts if isinstance(contacts, ContactLaw) else None
+    left_out = [] if law is None else give_law(root, survey, law)
+    found = [*unmodelled(survey.model), *(contact_refusals(survey, all_of_them=off) if law is None else ())]
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
-        take_out(root, {refusal.kind for refusal in found}, compiled)
-        compiled = compile_tree(root, files, name)
-        _refuse(_found(compiled, False), name)
+        take_out(root, found, survey.model)
+    if found or (law and survey.pairs):  # the edits have made another text, which may not do what they meant
+        survey = Survey(compile_model(root, files, name))
+        _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
-    return _mechanism(compiled, text, files, (*phrases, *left_out), name)
+    return _mechanism(survey, text, files, (*phrases, *left_out), name)
 
 
-def _found(compiled: Any, all_contacts: bool) -> list[refusals.Refusal]:
-    """What is not modelled; of contacts all, or those whose force is none of ours."""
-    found = refusals.found(compiled)
-    if all_contacts:
-        return found
-    return [one for one in found if one.kind != "contacts"] + list(contact_refusals(compiled))
-
-
-def compile_tree(root: ElementTree.Element, files: dict[str, bytes], name: str) -> Any:
-    """MuJoCo's model of an XML tree and the files that it names.
-
-    Raises:
-        ModelError: MuJoCo cannot load it; the message calls it by `name`.
-    """
-    mujoco = load_mujoco()
-    try:
-        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"), files)
-    except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split()).removesuffix(".")
-        raise ModelError(f"MuJoCo cannot load {name}: {reason}.") from None
-
-
-def _refuse(found: list[refusals.Refusal], name: str) -> None:
+def _refuse(found: list[Refusal], name: str) -> None:
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
-    options = [repr(kind) for kind in kinds if kind in refusals.KINDS]
+    options = [repr(kind) for kind in kinds if kind in KINDS]
     ways = [f"ignore=({', '.join(options)}{',' if len(options) == 1 else ''})"] if options else []
     ways += ["contacts='off'"] if "contacts" in kinds else []
-    firm = [kind for kind in kinds if kind not in refusals.KINDS and kind != "contacts"]
+    firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
     advice = f"; {' and '.join(ways)} loads it without" if ways and not firm else ""
     if firm:
         advice = f"; nothing takes a {' or '.join(firm)} out"
@@ -110,18 +91,19 @@ def _refuse(found: list[refusals.Refusal], name: str) -> None:
 
 
 def mechanism_of(model: Any) -> Mechanism:
-    """What of a compiled model a mechanism can hold, whatever else acts in it; without its text.
+    """Convert an MjModel to a Mechanism and ignore unsupported elements; `mjcf` stays empty.
 
     Raises:
         ModelError: The model has no joints, or numbers that a mechanism cannot have.
     """
-    return _mechanism(model, "", {}, (), "the model")
+    return _mechanism(Survey(model), "", {}, (), "the model")
 
 
-def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:
+def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tuple[str, ...], name: str) -> Mechanism:
+    model = survey.model
     if model.nv == 0:
         raise ModelError(f"{name} has no joints, expected at least one.")
-    links, poses = _carriers(model)
+    links, poses = survey.carriers
     screws = _screws(model)
     parent = np.array(model.dof_parentid, dtype=np.int64)
     kind = screws["kind"]
@@ -129,96 +111,47 @@ def _mechanism(model: Any, text: str, files: dict[str, bytes], ignored: tuple[st
     for body in np.flatnonzero(model.body_dofnum):
         first = model.body_dofadr[body]
         if model.jnt_type[model.body_jntadr[body]] != load_mujoco().mjtJoint.mjJNT_FREE:  # where qpos says it is
-            T_home[first] = poses[model.body_parentid[body]] @ _pose(model.body_pos[body], model.body_quat[body])
+            T_home[first] = poses[model.body_parentid[body]] @ pose(model.body_pos[body], model.body_quat[body])
     base = parent.copy()
     for i in np.flatnonzero(kind == BALL_NEXT):
         base[i] = base[i - 1]
     balls = np.flatnonzero(kind == BALL)
-    springs = not refusals.disabled(model, "spring", "passive")
+    springs = not disabled(model, "spring", "passive")
     stiffness = model.jnt_stiffness[model.dof_jntid] * springs
     rest = np.where(kind == SCREW, model.qpos_spring[screws["q_address"]], 0.0)
     armature, damping = _armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
-    names = _names(model, "joint", model.njnt)
+    contacts, body_contacts = read_contacts(survey)
+    sites = {
+        site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
+        for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
+        if site
+    }
+    keyframes = {
+        key: np.concatenate([model.key_qpos[i], model.key_qvel[i], model.key_act[i]])
+        for i, key in enumerate(_names(model, "key", model.nkey))
+        if key
+    }
     return Mechanism(
-        nq=int(model.nq),
-        parent=parent,
-        base=base,
-        **screws,
-        T_home=T_home,
-        qpos0=np.array(model.qpos0),
-        **_masses(model, links, poses),
-        armature=armature,
-        damping=damping,
-        stiffness=np.where(kind == SCREW, stiffness, 0.0),
-        spring_rest=rest,
-        ball_stiffness=stiffness[balls],
+        nq=int(model.nq), parent=parent, base=base, **screws, T_home=T_home, qpos0=np.array(model.qpos0),
+        **_masses(model, links, poses), armature=armature, damping=damping,
+        stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not refusals.disabled(model, "gravity")),
-        actuators=_actuators(model),
-        joint_names=names,
+        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=_actuators(model),
+        joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
-        joint_range=_joint_ranges(model),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=read_contacts(model, links, _geoms(model, poses)),
-        body_contacts=read_body_contacts(model, links, _geoms(model, poses)),
-        stops=read_stops(model),
-        sites={
-            site: Frame(
-                int(links[model.site_bodyid[i]]),
-                poses[model.site_bodyid[i]] @ _pose(model.site_pos[i], model.site_quat[i]),
-            )
-            for i, site in enumerate(_names(model, "site", model.nsite))
-            if site
-        },
-        keyframes={
-            key: np.concatenate([model.key_qpos[i], model.key_qvel[i], model.key_act[i]])
-            for i, key in enumerate(_names(model, "key", model.nkey))
-            if key
-        },
-        mjcf=text,
-        assets=files,
-        ignored=ignored,
-    )
+        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
+        mjcf=text, assets=files, ignored=ignored,
+    )  # fmt: skip
 
 
 def _names(model: Any, kind: str, count: int) -> tuple[str, ...]:
     mujoco = load_mujoco()
     objects = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
     return tuple(mujoco.mj_id2name(model, objects, i) or "" for i in range(count))
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    matrix = np.empty(9)
-    load_mujoco().mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
-
-
-def _pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = _rotation(quaternion), position
-    return T
-
-
-def _carriers(model: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Each body's link (nbody,), -1 for the world, and pose (nbody, 4, 4) in that link's frame."""
-    links, poses = np.full(model.nbody, -1, dtype=np.int64), np.tile(np.eye(4), (model.nbody, 1, 1))
-    for body in range(1, model.nbody):
-        if model.body_dofnum[body]:
-            links[body] = model.body_dofadr[body] + model.body_dofnum[body] - 1
-        else:
-            above = model.body_parentid[body]
-            links[body] = links[above]
-            poses[body] = poses[above] @ _pose(model.body_pos[body], model.body_quat[body])
-    return links, poses
-
-
-def _geoms(model: Any, poses: np.ndarray) -> np.ndarray:
-    """Poses (ngeom, 4, 4) of the geoms in the links that carry their bodies."""
-    local = [_pose(model.geom_pos[i], model.geom_quat[i]) for i in range(model.ngeom)]
-    return poses[model.geom_bodyid] @ np.array(local).reshape(-1, 4, 4)
 
 
 def _screws(model: Any) -> dict[str, Any]:
@@ -247,7 +180,7 @@ def _screws(model: Any) -> dict[str, Any]:
 def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     """Mass, centre and inertia of every link: its bodies together, by the parallel axis theorem."""
     mass, com, inertia = np.zeros(model.nv), np.zeros((model.nv, 3)), np.zeros((model.nv, 3, 3))
-    frames = poses @ np.array([_pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])
+    frames = poses @ np.array([pose(model.body_ipos[b], model.body_iquat[b]) for b in range(model.nbody)])
     for link in np.unique(links[links >= 0]):
         bodies = np.flatnonzero(links == link)
         m, centres = model.body_mass[bodies], frames[bodies, :3, 3]
@@ -262,16 +195,16 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Of the joints and, where this release of MuJoCo has it, of the actuators that drive them."""
+    """Armature and damping (nv,) of the joints, with that of their actuators where this MuJoCo has it."""
     armature, damping = np.array(model.dof_armature), np.array(model.dof_damping)
     n = len(model.actuator_trntype)
     for own, total in (("armature", armature), ("damping", damping)):
-        values = refusals.field(model, f"actuator_{own}", n)
+        values = field(model, f"actuator_{own}", n)
         for i in map(int, np.flatnonzero(values)):
             joint = model.actuator_trnid[i, 0]
             scalar = np.count_nonzero(model.dof_jntid == joint) == 1
             total[model.dof_jntid == joint] += values[i] * (_gear(model, i)[0] ** 2 if scalar else 1.0)
-    return armature, damping * (not refusals.disabled(model, "damper", "passive"))
+    return armature, damping * (not disabled(model, "damper", "passive"))
 
 
 def _gear(model: Any, actuator: int) -> np.ndarray:
@@ -285,7 +218,7 @@ def _ranges(limited: np.ndarray, ranges: np.ndarray) -> np.ndarray:
 
 def _joint_ranges(model: Any) -> np.ndarray:
     """(nv, 2) of hinges and slides; the first of a ball has that of its angle."""
-    limited = model.jnt_limited * (not refusals.disabled(model, "constraint", "limit"))
+    limited = model.jnt_limited * (not disabled(model, "constraint", "limit"))
     ranges = _ranges(limited, model.jnt_range)
     result = np.tile([-np.inf, np.inf], (model.nv, 1))
     result[model.jnt_dofadr] = ranges
@@ -299,14 +232,14 @@ def _actuators(model: Any) -> Actuators:
     dynamics, time_constant = np.full(nu, DIRECT, dtype=np.int64), np.ones(nu)
     force_range = _ranges(model.actuator_forcelimited, model.actuator_forcerange)
     for i in range(nu):
-        off = refusals.actuator_disabled(model, i)
+        off = actuator_disabled(model, i)
         if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
             dynamics[i] = INTEGRATOR
         elif model.actuator_actadr[i] >= 0:
             dynamics[i], time_constant[i] = FILTER, max(model.actuator_dynprm[i, 0], mujoco.mjMINVAL)
         if off and dynamics[i] != DIRECT:  # MuJoCo leaves the activation where it is
             dynamics[i], time_constant[i] = FILTER, np.inf
-        if off or refusals.adheres_to_nothing(model, i):
+        if off or adheres_to_nothing(model, i):
             continue
         moment[i] = _moment(model, i)
         gain[i] = model.actuator_gainprm[i, 0]
@@ -314,24 +247,18 @@ def _actuators(model: Any) -> Actuators:
             bias[i] = model.actuator_biasprm[i, :3]
         target = model.actuator_trnid[i, 0]
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
-            if refusals.field(model, "tendon_actfrclimited", model.ntendon)[target]:
+            if field(model, "tendon_actfrclimited", model.ntendon)[target]:
                 low, high = model.tendon_actfrcrange[target]
                 force_range[i] = max(low, force_range[i, 0]), min(high, force_range[i, 1])
         elif model.jnt_type[target] == mujoco.mjtJoint.mjJNT_FREE:
             bias[i, 1] = 0.0  # a free joint has no length
-    clamped = not refusals.disabled(model, "clampctrl")
+    clamped = not disabled(model, "clampctrl")
     return Actuators(
-        names=_names(model, "actuator", nu),
-        moment=moment,
-        gain=gain,
-        bias=bias,
-        dynamics=dynamics,
-        activation=np.array(model.actuator_actadr, dtype=np.int64),
-        time_constant=time_constant,
-        control_range=_ranges(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
-        force_range=force_range,
+        names=_names(model, "actuator", nu), moment=moment, gain=gain, bias=bias, dynamics=dynamics,
+        activation=np.array(model.actuator_actadr, dtype=np.int64), time_constant=time_constant,
+        control_range=_ranges(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange), force_range=force_range,
         activation_range=_ranges(model.actuator_actlimited, model.actuator_actrange),
-    )
+    )  # fmt: skip
 
 
 def _moment(model: Any, actuator: int) -> np.ndarray:

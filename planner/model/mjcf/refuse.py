@@ -1,7 +1,4 @@
-"""What a model has that changes its motion and is not modelled, by name.
-
-It is found in MuJoCo's compiled model, where defaults, flags and replicas are settled: what counts is what would act.
-"""
+"""Find by name what changes the motion of a compiled model and is not modelled."""
 
 from __future__ import annotations
 
@@ -12,54 +9,33 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.survey import disabled, field, flag_bit, named
 
 # What `ignore` may name.
 KINDS = (
-    "frictionloss",
-    "equality",
-    "tendon",
-    "fluid",
-    "gravcomp",
-    "actuator",
-    "actearly",
-    "polynomial",
-    "plasticity",
-    "mocap",
-    "sleep",
-)
+    "frictionloss", "equality", "tendon", "fluid", "gravcomp", "actuator", "actearly", "polynomial", "plasticity",
+    "mocap", "sleep",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """One thing that is not modelled: its kind ("contacts", one of KINDS, or what nothing takes out) and its name."""
+    """One thing that is not modelled.
+
+    Attributes:
+        kind: "contacts", one of KINDS, or another kind that nothing takes out.
+        phrase: Its name for a sentence.
+        index: Of an actuator; -1 for other things.
+    """
 
     kind: str
     phrase: str
-
-
-def named(model: Any, kind: str, index: int) -> str:
-    """An element for a sentence: "joint 'hip'", or its place where it has no name."""
-    name = load_mujoco().mj_id2name(model, getattr(load_mujoco().mjtObj, f"mjOBJ_{kind.upper()}"), index)
-    return f"{kind} {name!r}" if name else f"{kind} number {index}"
-
-
-def disabled(model: Any, *names: str) -> bool:
-    """Whether the file's <flag> disables any of these."""
-    return any(model.opt.disableflags & _bit("Disable", "DSBL", name) for name in names)
+    index: int = -1
 
 
 def passive_off(model: Any) -> bool:
     """Whether passive forces of all kinds are disabled: since MuJoCo 3.4 by two flags, before by one."""
     return disabled(model, "passive") or (disabled(model, "spring") and disabled(model, "damper"))
-
-
-def _bit(group: str, prefix: str, name: str) -> int:
-    return int(getattr(getattr(load_mujoco(), f"mjt{group}Bit"), f"mj{prefix}_{name.upper()}", 0))
-
-
-def field(model: Any, name: str, count: int) -> np.ndarray:
-    """A field of the compiled model, zeros where this release of MuJoCo does not have it."""
-    return np.asarray(getattr(model, name, np.zeros(count)))
 
 
 def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
@@ -68,12 +44,8 @@ def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
     return np.any(values != 0.0, axis=tuple(range(1, values.ndim)))
 
 
-def found(model: Any) -> list[Refusal]:
-    """Everything in a compiled model that acts and is not modelled, in a fixed order."""
-    return list(_all(model))
-
-
-def _all(model: Any) -> Iterator[Refusal]:
+def unmodelled(model: Any) -> Iterator[Refusal]:
+    """Everything in a compiled model but its contacts that acts and is not modelled, in a fixed order."""
     yield from _joints(model)
     yield from _bodies(model)
     yield from _tendons(model)
@@ -81,16 +53,11 @@ def _all(model: Any) -> Iterator[Refusal]:
         for i in np.flatnonzero(model.eq_active0):
             yield Refusal("equality", named(model, "equality", int(i)))
     for i in range(len(model.actuator_trntype)):
-        yield from actuator_refusals(model, i)
-    if model.opt.enableflags & _bit("Enable", "ENBL", "sleep"):
+        yield from _actuators(model, i)
+    if model.opt.enableflags & flag_bit("Enable", "ENBL", "sleep"):
         yield Refusal("sleep", "the sleep of what rests")
     for i in range(model.nflex):
         yield Refusal("flex", named(model, "flex", i))
-    pairs = contact_pairs(model)
-    if pairs:
-        first = " and ".join(named(model, "geom", i) for i in pairs[0])
-        more = "" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs"
-        yield Refusal("contacts", f"contacts of {first}{more}")
 
 
 def _joints(model: Any) -> Iterator[Refusal]:
@@ -161,7 +128,7 @@ def adheres_to_nothing(model: Any, i: int) -> bool:
     return model.actuator_trntype[i] == load_mujoco().mjtTrn.mjTRN_BODY and disabled(model, "contact", "constraint")
 
 
-def actuator_refusals(model: Any, i: int) -> Iterator[Refusal]:
+def _actuators(model: Any, i: int) -> Iterator[Refusal]:
     """An actuator's refusals. One that is disabled keeps its control, if it has one control and one state at most."""
     mujoco = load_mujoco()
     n = len(model.actuator_trntype)
@@ -186,7 +153,7 @@ def actuator_refusals(model: Any, i: int) -> Iterator[Refusal]:
     if _nonzero(model, "actuator_dampingpoly", n)[i]:
         yield Refusal("polynomial", f"polynomial damping of {name}")
     if reasons:
-        yield Refusal("actuator", f"{name} ({', '.join(reasons)})")
+        yield Refusal("actuator", f"{name} ({', '.join(reasons)})", i)
     elif model.actuator_actearly[i] and not actuator_disabled(model, i):
         yield Refusal("actearly", f"actearly of {name}")
 
@@ -218,7 +185,7 @@ def _force(model: Any, i: int) -> Iterator[str]:
 
 
 def _transmission(model: Any, i: int) -> Iterator[str]:
-    """Why an actuator's moment is not a constant row, or its length not that row times the joints."""
+    """Reasons why an actuator's moment is not a constant row, or its length not that row times the joints."""
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
@@ -238,24 +205,3 @@ def _transmission(model: Any, i: int) -> Iterator[str]:
 
 def _has_length(model: Any, i: int) -> bool:
     return model.actuator_biastype[i] == load_mujoco().mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
-
-
-def contact_pairs(model: Any) -> list[tuple[int, int]]:
-    """The pairs of geoms that MuJoCo would test for contact, wherever they are: its own filters, without positions."""
-    if disabled(model, "contact", "constraint"):
-        return []
-    weld = model.body_weldid[model.geom_bodyid]
-    above = model.body_weldid[model.body_parentid[weld]]
-    masks, others = model.geom_contype, model.geom_conaffinity
-    may = (masks[:, None] & others) | (others[:, None] & masks) != 0
-    may &= weld[:, None] != weld
-    if not disabled(model, "filterparent"):
-        family = (weld[:, None] == above) | (above[:, None] == weld)
-        may &= ~(family & (weld[:, None] != 0) & (weld != 0))
-    for signature in model.exclude_signature:
-        first = model.geom_bodyid == signature >> 16
-        second = model.geom_bodyid == signature & 0xFFFF
-        may &= ~(np.outer(first, second) | np.outer(second, first))
-    pairs = {(int(i), int(j)) for i, j in np.argwhere(np.triu(may, 1))}
-    explicit = zip(model.pair_geom1, model.pair_geom2, strict=True)
-    return sorted(pairs | {(int(i), int(j)) for i, j in explicit if weld[i] or weld[j]})

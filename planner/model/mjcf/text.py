@@ -1,6 +1,6 @@
 """MJCF files: those of the package, text with includes resolved and the files it names, edits by path.
 
-Pure XML: MuJoCo itself is asked only by mechanism_reader, replay and render.
+Pure XML: nothing here asks MuJoCo.
 """
 
 from __future__ import annotations
@@ -205,6 +205,6 @@ def edited(text: str, edits: dict[str, dict[str, str]]) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def written(value: float) -> str:
-    """A number as MJCF text, to the last bit."""
-    return re.sub(r"\.0$", "", repr(float(value)))
+def written(*values: float) -> str:
+    """Numbers as MJCF text, exact to the last bit."""
+    return " ".join(re.sub(r"\.0$", "", repr(float(value))) for value in values)

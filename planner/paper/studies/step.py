@@ -22,7 +22,7 @@ from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import Measures, measures, normal_height, robot_wrench, vertical_force
 from planner.cases.human_step.measures import height as height_of
-from planner.cases.human_step.step import SWING, Step
+from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import PELVIS, Walker
 from planner.paper.methods.control_spline import solve_by_splines
 from planner.paper.studies.records import descent_record, plan_record

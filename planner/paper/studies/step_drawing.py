@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.step import SWING
+from planner.cases.human_step.phase import SWING
 from planner.paper.studies.step import CYCLE_TIME, FRAMES
 from planner.problem.pictures import Motion, Stick, StickFigures
 from planner.view.plots.stick_figures import draw_stick_figures

@@ -17,8 +17,8 @@ from PIL import Image
 
 from planner.base import gl
 from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance
-from planner.proof.replaying import compile_model
 from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.shapes import Paint, Shapes, without_shadow

@@ -1,0 +1,32 @@
+"""Duration and number of stages of a case, checked, and the limits that the cases share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from planner.base.arguments import count, number
+from planner.base.errors import PlannerError
+
+LARGEST = 1e6  # of sizes, weights and seconds
+MOST_STAGES = 100_000
+
+
+def stages(duration: Any, horizon: Any, per_second: float = 100.0, least: int = 1) -> tuple[float, int]:
+    """The checked duration, s, and the number of stages N.
+
+    Args:
+        duration: t_f, s.
+        horizon: N; None for `per_second` stages a second, but no fewer than `least`.
+        per_second: Stages a second without a horizon.
+        least: Stages of a short motion without a horizon.
+
+    Raises:
+        PlannerError: Not positive, or more than MOST_STAGES stages.
+    """
+    duration = number("duration", duration, above=0.0, most=LARGEST)
+    if horizon is not None:
+        return duration, count("horizon", horizon, most=MOST_STAGES)
+    if per_second * duration > MOST_STAGES:
+        longest = MOST_STAGES / per_second
+        raise PlannerError(f"duration is {duration:g} s, expected at most {longest:g} s without a horizon.")
+    return duration, max(least, round(per_second * duration))

@@ -1,0 +1,98 @@
+"""Meshes that are only seen, at the resolution of a picture: their files are most of what a model weighs.
+
+A mesh is only seen where none of its geoms can touch anything and none gives its body a mass. Its box is divided in
+GRID cells along its longest side, the vertices of a cell become one at their mean, and faces without area go. No mass,
+no inertia and no contact depends on it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.survey import pose
+
+GRID = 200
+"""Cells along the longest side of a mesh: where a link fills a film of 720 lines, one is some three pixels wide."""
+LARGE = 100_000
+"""Bytes; smaller files stay as they are."""
+
+
+def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], model: Any) -> bool:
+    """Replace large files of meshes that are only seen; returns whether there were any.
+
+    Args:
+        root: The model's XML, changed in place: such a mesh becomes an OBJ without scale or reference pose.
+        files: The files that it names, changed in place.
+        model: What MuJoCo compiled of both.
+    """
+    elements = [mesh for mesh in root.iterfind("asset/mesh") if len(files.get(mesh.get("file", ""), b"")) >= LARGE]
+    if not elements:
+        return False
+    mujoco, seen, done = load_mujoco(), _only_seen(root, model), False
+    for mesh in elements:
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, mesh.get("name", ""))
+        if index not in seen:
+            continue
+        old, name = mesh.get("file", ""), f"{mesh.get('name')}.coarse.obj"
+        content = _coarse_obj(model, index)
+        if len(content) < len(files[old]):
+            files[name] = content
+            for key in set(mesh.attrib) - {"name", "class", "smoothnormal"}:
+                del mesh.attrib[key]
+            mesh.set("file", name)
+            done = True
+    used = {element.get("file") for element in root.iter()}
+    for name in [name for name in files if name.endswith((".obj", ".stl", ".msh")) and name not in used]:
+        del files[name]
+    return done
+
+
+def _only_seen(root: ElementTree.Element, model: Any) -> set[int]:
+    """Meshes whose geoms neither touch nor weigh anything, and have no texture."""
+    mujoco = load_mujoco()
+    by_geoms = any(compiler.get("inertiafromgeom") == "true" for compiler in root.iterfind("compiler"))
+    weighed = [] if by_geoms else [body.get("name") for body in root.iter("body") if body.find("inertial") is not None]
+    bodies = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in weighed if name} | {0}
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    geoms: dict[int, list[int]] = {}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        geoms.setdefault(int(model.geom_dataid[geom]), []).append(int(geom))
+
+    def seen(geom: int) -> bool:
+        material = int(model.geom_matid[geom])
+        plain = material < 0 or not np.any(model.mat_texid[material] >= 0)
+        still = not (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired)
+        return plain and still and int(model.geom_bodyid[geom]) in bodies
+
+    return {mesh for mesh, uses in geoms.items() if all(map(seen, uses))}
+
+
+def _coarse_obj(model: Any, index: int) -> bytes:
+    """A compiled mesh on the grid, as the text of an OBJ in the frame of the mesh's file."""
+    first, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
+    face, faces = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    T = pose(model.mesh_pos[index], model.mesh_quat[index])  # the compiler moved the mesh to its principal axes
+    vertices = model.mesh_vert[first : first + count] @ T[:3, :3].T + T[:3, 3]
+    size = float(np.ptp(vertices, axis=0).max())
+    cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
+    _, place, members = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    place = place.reshape(-1)
+    means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
+    corners = place[model.mesh_face[face : face + faces]]
+    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    corners = np.unique(_rolled(corners[whole]), axis=0)
+    digits = max(0, 4 - math.floor(math.log10(size)))  # a ten-thousandth of the mesh
+    lines = [" ".join(["v", *(f"{number:.{digits}f}" for number in row)]) for row in means]
+    lines += [" ".join(["f", *map(str, row)]) for row in (corners + 1).tolist()]
+    return "\n".join(lines).encode()
+
+
+def _rolled(corners: np.ndarray) -> np.ndarray:
+    """Faces with their least corner first, their orientation kept."""
+    first = np.argmin(corners, axis=1)[:, None]
+    return np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)

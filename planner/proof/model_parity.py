@@ -1,0 +1,124 @@
+"""Step 1 of a proof: the plan's dynamics and MuJoCo's, at random states where the two models are the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Measured, Section
+from planner.model.mechanism import Mechanism
+from planner.model.twin import Twin
+from planner.problem.problem import Problem, Requirements
+from planner.proof.another_model import another_model, with_model
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.curve_callback import curves_acting
+from planner.proof.driven_parity import driven_parity
+from planner.proof.rigid_parity import rigid_parity
+from planner.proof.simulation import set_state
+
+STATES = 256
+BOUND = 1e-10  # relative; rounding is 1e-13
+
+_NOTHING = Section("parity", not_applicable="the problem names no states at which the two models are the same")
+
+
+def parity(
+    machine: Problem | Mechanism, mjcf: str | Path | None = None, *, twin: Twin | None = None, seed: int = 0
+) -> Section:
+    """Compare a machine's dynamics with MuJoCo's at random states, before or after planning.
+
+    A mechanism is compared term by term (mass matrix, bias force, actuator force, acceleration), and a term that
+    differs names its joint; where joints are prescribed, see planner.proof.driven_parity. Other dynamics are compared
+    by dx/dt where the problem's requirements say so.
+
+    Args:
+        machine: A mechanism, or a problem.
+        mjcf: Another MJCF, a path or the XML text, in place of the machine's own.
+        twin: Another MuJoCo model in place of the problem's own.
+        seed: Of the random states.
+
+    Raises:
+        PlannerError: There is no MuJoCo model to compare with.
+        ModelError: MuJoCo refuses the model, or it has other joints, actuators or states.
+    """
+    if isinstance(machine, Mechanism):
+        return _of_mechanism(machine, None, CompiledTwin(with_model(twin or Twin.of(machine), mjcf)), seed)
+    if not isinstance(machine, Problem):
+        raise PlannerError(f"parity() was given {shown(machine)}, expected a Mechanism or a Problem.")
+    twin = twin or machine.twin
+    if twin is None:
+        if _nothing_to_compare(machine):
+            return _NOTHING
+        raise PlannerError("the problem has no MuJoCo model to be compared with, expected a twin.")
+    prescribed = getattr(machine.dynamics, "prescribed", ())
+    compiled = another_model(machine, twin, mjcf) if prescribed else CompiledTwin(with_model(twin, mjcf))
+    return parity_in(compiled, machine, seed)
+
+
+def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Section:
+    """parity() of a problem in a model that is compiled already."""
+    if _nothing_to_compare(problem):
+        return _NOTHING
+    requirements, dynamics = problem.requirements, problem.dynamics
+    mechanism, prescribed = getattr(dynamics, "mechanism", None), getattr(dynamics, "prescribed", ())
+    if requirements is not None and requirements.rates is not None:
+        return _of_rates(problem, requirements, compiled, seed)
+    assert isinstance(mechanism, Mechanism)  # else there is nothing to compare
+    if not prescribed:
+        return _of_mechanism(mechanism, dynamics, compiled, seed)
+    model = compiled.copy()
+    with curves_acting(compiled.twin, model):
+        return driven_parity(mechanism, prescribed, model, STATES, BOUND, seed)
+
+
+def _nothing_to_compare(problem: Problem) -> bool:
+    mechanism, requirements = getattr(problem.dynamics, "mechanism", None), problem.requirements
+    return not isinstance(mechanism, Mechanism) and (requirements is None or requirements.rates is None)
+
+
+def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, seed: int) -> Section:
+    model = compiled.copy()
+    with curves_acting(compiled.twin, model):
+        return rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
+
+
+def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:
+    """Parity of dx/dt at the states that the problem's requirements name."""
+    mujoco = load_mujoco()
+    compiled.check(problem.dynamics.nu)
+    twin, model = compiled.twin, compiled.model
+    data = mujoco.MjData(model)
+    assert requirements.equal_states is not None  # a case gives both
+    assert requirements.rates is not None
+    rng = np.random.default_rng(seed)
+    ws = requirements.equal_states(rng, STATES)
+    us = rng.normal(size=(STATES, problem.dynamics.nu))
+    ours = requirements.rates(twin.x_of(ws), us)
+    theirs = np.empty_like(ours)
+    for i, w in enumerate(ws):
+        set_state(model, data, w)
+        data.ctrl[:] = us[i]
+        with curves_acting(twin, model):
+            mujoco.mj_forward(model, data)
+        theirs[i] = twin.to_x @ np.concatenate([data.qvel, data.qacc, data.act_dot])
+    error = np.abs(theirs - ours).max(axis=0) / np.maximum(np.abs(ours).max(axis=0), 1e-300)
+    note = f"dx/dt at {STATES} random states (seed {seed}), relative to the largest"
+    measured = (Measured("rate_error", float(error.max()), "", BOUND, note),)
+    start = (_start(problem, twin, model, requirements.start),) if requirements.start else ()
+    return Section("parity", (*measured, *start))
+
+
+def _start(problem: Problem, twin: Twin, model: Any, name: str) -> Measured:
+    """Whether a keyframe of the model is the plan's own start."""
+    note = f"keyframe {name!r} of the model against the plan's start, largest component"
+    key = next((k for k in range(model.nkey) if model.key(k).name == name), None)
+    if key is None:
+        return Measured("start_error", np.inf, "", BOUND, note)
+    w = np.concatenate([model.key_qpos[key], model.key_qvel[key], model.key_act[key]])
+    error = float(np.max(np.abs(w - twin.sim_of(problem.x0))))
+    return Measured("start_error", error, "", BOUND, note)

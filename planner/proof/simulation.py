@@ -1,0 +1,119 @@
+"""Step a MuJoCo model and keep its states: under controls given beforehand, or computed from each state.
+
+A state is w = (qpos, qvel, act), nw numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco, load_rollout
+from planner.model.mjcf.survey import named
+from planner.proof.contact_history import ContactRecorder
+
+MOST_STEPS = 5_000_000  # some minutes and 1 GB
+RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
+_AT_ONCE = 50_000  # steps in C before Ctrl-C is heard
+
+
+def set_state(model: Any, data: Any, w: np.ndarray) -> None:
+    """Put a state (nw,) into MuJoCo's data."""
+    data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [model.nq, model.nq + model.nv])
+
+
+def state_of(data: Any) -> np.ndarray:
+    """The state (nw,) of MuJoCo's data."""
+    return np.concatenate([data.qpos, data.qvel, data.act])
+
+
+def simulate(
+    model: Any,
+    w0: np.ndarray,
+    ctrl: np.ndarray,
+    *,
+    control: Callable[[int, np.ndarray], np.ndarray] | None = None,
+    recorder: ContactRecorder | None = None,
+    every: int = 1,
+    start: float = 0.0,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Step a model M times.
+
+    Args:
+        model: MuJoCo's, with its step and integrator set.
+        w0: (nw,) the first state.
+        ctrl: (M, nu) controls; those that `control` gives are written here.
+        control: The control (nu,) at a step and its state (nw,); without it ctrl is applied as it is.
+        recorder: Records the contacts at every step.
+        every: Steps from one look for a runaway to the next, which ends the simulation.
+        start: Time of the first state, s, for sentences.
+
+    Returns:
+        The states (M+1, nw), NaN once they have run away, and MuJoCo's complaints, one sentence each.
+    """
+    recorder = recorder or ContactRecorder(model, 0, touches=False)
+    data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
+    w[0] = w0
+    if control is None and not recorder.touches and _at_once(model, w, ctrl):
+        return w, ()
+    set_state(model, data, w0)
+    nq, nv = model.nq, model.nv
+    for i in range(len(ctrl)):
+        if control is not None:
+            ctrl[i] = control(i, w[i])
+        data.ctrl[:] = ctrl[i]
+        recorder.step(i, data)
+        row = w[i + 1]
+        row[:nq], row[nq : nq + nv], row[nq + nv :] = data.qpos, data.qvel, data.act
+        if i % every == 0 and not np.all(np.abs(row) < RUNAWAY):
+            break
+    warnings = (*_unstable_at(model, w, start), *warnings_of(data))
+    if np.isfinite(w[-1]).all():
+        recorder.look(len(ctrl), data)
+    return w, warnings
+
+
+def _at_once(model: Any, w: np.ndarray, ctrl: np.ndarray) -> bool:
+    """Fill w (M+1, nw) from its first row by mujoco.rollout, to the same bits; False where MuJoCo complains."""
+    mujoco = load_mujoco()
+    data, full = mujoco.MjData(model), mujoco.mjtState.mjSTATE_FULLPHYSICS
+    set_state(model, data, w[0])
+    row = np.empty((1, mujoco.mj_stateSize(model, full)))
+    mujoco.mj_getState(model, data, row[0], full)
+    with load_rollout().Rollout(nthread=0) as pool:
+        for i in range(0, len(ctrl), _AT_ONCE):
+            n = min(_AT_ONCE, len(ctrl) - i)
+            states = np.empty((1, n, row.shape[1]))
+            pool.rollout(
+                [model], [data], row, ctrl[None, i : i + n], nstep=n, state=states, skip_checks=True,
+                initial_warmstart=data.qacc_warmstart[None].copy(),
+            )  # fmt: skip
+            row = states[:, -1].copy()
+            w[i + 1 : i + 1 + n] = states[0, :, 1 : 1 + w.shape[1]]
+            if warnings_of(data):  # it has stopped
+                break
+    sound = not warnings_of(data) and bool(np.all(np.abs(w) < RUNAWAY))
+    w[1:] = w[1:] if sound else np.nan
+    return sound
+
+
+def _unstable_at(model: Any, w: np.ndarray, start: float) -> tuple[str, ...]:
+    """Put NaN where the states w (M+1, nw) have run away, and say in a sentence where and when that began."""
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(w) < RUNAWAY)
+    if not bad.any():
+        return ()
+    first = int(np.argmax(bad.any(axis=1)))
+    w[first:] = np.nan
+    dofs = np.flatnonzero(bad[first, model.nq : model.nq + model.nv])
+    where = f" at {named(model, 'joint', int(model.dof_jntid[dofs[0]]))}" if len(dofs) else ""
+    return (f"MuJoCo's simulation became unstable{where} at t = {start + first * model.opt.timestep:.4g} s.",)
+
+
+def warnings_of(data: Any) -> tuple[str, ...]:
+    """MuJoCo's own warnings, e.g. about an unstable simulation."""
+    kinds = load_mujoco().mjtWarning
+    numbers = {kinds(k).name[7:].lower(): data.warning[k].number for k in range(int(kinds.mjNWARNING))}
+    return tuple(f"MuJoCo warned of {name} {number} times." for name, number in numbers.items() if number)

@@ -1,0 +1,210 @@
+"""problem.toml: what it says becomes the problem, and a plan holds all of it."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from carts import refuse, write
+from places import ROOT
+
+import planner
+from planner.cases.problem_file import load
+from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
+from planner.problem.guess import follow, hold
+
+EXAMPLES = ROOT / "examples"
+
+
+def test_the_example_converges_passes_and_is_the_same_in_python():
+    problem, starts, seed = load(EXAMPLES / "crane.toml")
+    assert (starts, seed) == (1, 0)
+    plan = planner.solve(problem)
+    assert plan.success
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof.reason
+    np.testing.assert_allclose(proof.replay.xs[-1], [2.0, 0.0, 0.0, 0.0], atol=1e-3)
+    crane = planner.Mechanism.from_mjcf(EXAMPLES / "crane.xml", contacts="off")
+    dynamics = planner.RigidBodyDynamics(crane, 0.02)
+    cost = planner.TrackingCost.joints(
+        dynamics, [2.0, 0.0, 0.0, 0.0], 200, effort=1.0, final_position=1e5, final_velocity=1e5
+    )
+    by_hand = planner.solve(planner.Problem(dynamics, cost, crane.home))
+    np.testing.assert_array_equal(by_hand.us, plan.us)
+
+
+def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
+    for name in ("crane.toml", "crane.xml"):
+        shutil.copy(EXAMPLES / name, tmp_path)
+    plan = planner.solve(load(tmp_path / "crane.toml").problem)
+    plan.save(tmp_path / "plan.npz")
+    (tmp_path / "crane.toml").unlink()
+    (tmp_path / "crane.xml").unlink()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    stored = planner.load_plan("../plan.npz")
+    assert stored.problem is not None
+    assert stored.problem.parameters == plan.parameters
+    assert stored.problem.appearance == plan.problem.appearance
+    np.testing.assert_array_equal(stored.problem.first_guess, plan.problem.first_guess)
+    proofs = planner.prove(plan, rollouts=0), planner.prove(stored, rollouts=0)
+    assert proofs[1].passed
+    assert proofs[1].to_dict() == proofs[0].to_dict()
+
+
+def test_a_damaged_table_is_refused(tmp_path):
+    plan = planner.solve(load(write(tmp_path)).problem, max_iterations=2)
+    plan.save(tmp_path / "plan.npz")
+    with np.load(tmp_path / "plan.npz", allow_pickle=False) as file:
+        arrays = dict(file)
+    meta = json.loads(str(arrays["meta"]))
+    for key, value in (("dt", 0.1), ("goal", [1.0]), ("gaol", 1), ("weights", 3)):
+        table = meta["recipe"]["parameters"] | {key: value}
+        changed = meta | {"recipe": {"name": "problem-file", "parameters": table}}
+        np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
+        with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
+            planner.load_plan(tmp_path / "changed.npz")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ('"left"', [-1.0, 0.1, 0.0, 0.0]),
+        ('"right"', [1.0, 0.2, 0.3, 0.4]),
+        ("[0.5, -2]", [0.5, -2.0, 0.0, 0.0]),
+        ("[0.5, -2, 3, 4.5]", [0.5, -2.0, 3.0, 4.5]),
+        ("{ pole = 3 }", [0.0, 3.0, 0.0, 0.0]),
+    ],
+)
+def test_states_are_given_by_joint(tmp_path, value, expected):
+    np.testing.assert_array_equal(load(write(tmp_path, start=value)).problem.x0, expected)
+
+
+def test_a_goal_by_joints_leaves_the_others_where_they_started(tmp_path):
+    problem = load(write(tmp_path, start='"right"', goal="{ slider = 3.0 }")).problem
+    np.testing.assert_array_equal(problem.cost.x_ref[-1], [3.0, 0.2, 0.0, 0.0])
+
+
+def test_states_of_ball_and_free_joints(tmp_path):
+    (tmp_path / "body.xml").write_text(
+        """<mujoco><worldbody><body><joint name="hip" type="ball"/><inertial pos="0 0 -1" mass="1"
+        diaginertia="1 1 1"/><body><joint name="knee" axis="0 1 0"/><inertial pos="0 0 -1" mass="1"
+        diaginertia="1 1 1"/></body></body></worldbody><actuator><motor joint="knee"/></actuator></mujoco>""",
+        encoding="utf-8",
+    )
+    path = write(
+        tmp_path, model='"body.xml"', start="{ hip = [2.0, 0.0, 0.0, 0.0], knee = 0.5 }", goal="{ knee = 1.0 }"
+    )
+    np.testing.assert_array_equal(load(path).problem.x0, [1.0, 0.0, 0.0, 0.0, 0.5, 0, 0, 0, 0])
+    refuse(write(tmp_path, model='"body.xml"', start="{ hip = 1.0 }"), "start of hip", "(4,)")
+    refuse(write(tmp_path, model='"body.xml"', start="{ hip = [0, 0, 0, 0] }"), "start", "quaternion of length zero")
+
+
+def test_weights_reach_the_cost(tmp_path):
+    weights = """
+    [weights]
+    effort = 2.0
+    final_position = { slider = 30.0, pole = 40.0 }
+    final_velocity = [5.0, 6.0]
+    position = 7.0
+    velocity = { pole = 8.0 }
+    """
+    cost = load(write(tmp_path, weights)).problem.cost
+    np.testing.assert_allclose(cost.R, np.full((20, 1, 1), 2.0 * 0.05))
+    np.testing.assert_allclose(cost.Q[-1], np.diag([30.0, 40.0, 5.0, 6.0]))
+    np.testing.assert_allclose(cost.Q[3], 0.05 * np.diag([7.0, 7.0, 0.0, 8.0]))
+
+
+def test_starts_and_seed_are_the_files_unless_given(tmp_path):
+    path = write(tmp_path, starts="3", seed="5")
+    assert load(path)[1:] == (3, 5)
+    problem, starts, seed = load(path, starts=2, seed=0)
+    assert (starts, seed) == (2, 0)
+    assert (problem.parameters["starts"], problem.parameters["seed"]) == (2, 0)
+
+
+def test_the_goal_is_judged_where_a_final_weight_acts(tmp_path):
+    free = "[weights]\nfinal_position = { slider = 1e4 }\nfinal_velocity = 0.0\n"
+    heavy = planner.prove(planner.solve(load(write(tmp_path, free, goal="[1.0, 2.0]")).problem), rollouts=0)
+    assert heavy.goal.passed  # the pole may be anywhere
+    assert abs(heavy.replay.xs[-1, 1] - 2.0) > 0.5
+    light = planner.prove(
+        planner.solve(load(write(tmp_path, "[weights]\nfinal_position = 0.01\n")).problem), rollouts=0
+    )
+    assert light.verdict == "FAIL"
+    assert "goal" in light.reason
+    none = planner.prove(planner.solve(load(write(tmp_path, free.replace("1e4", "0.0"))).problem), rollouts=0)
+    assert none.goal.not_applicable == "nothing is asked of the goal because no final weight is above 0"
+
+
+def test_hold_holds():
+    """A pose that the actuators can hold does not move; what they cannot reach is left alone."""
+    arm = planner.cases.two_link().dynamics
+    x = np.array([0.7, -0.4, 0.0, 0.0])
+    np.testing.assert_allclose(arm.rates(x[None], hold(arm.mechanism, x)[None]), 0.0, atol=1e-12)
+    crane = planner.Mechanism.from_mjcf(EXAMPLES / "crane.xml", contacts="off")
+    assert hold(crane, np.array([0.0, 0.5, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-12)
+
+
+SERVOS = """
+<mujoco>
+  <worldbody>
+    <body>
+      <joint name="a" axis="0 -1 0" stiffness="3" springref="20" damping="1"/>
+      <inertial pos="1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+      <body pos="1 0 0">
+        <joint name="b" axis="0 -1 0"/>
+        <inertial pos="1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+
+
+def test_hold_and_follow_know_servos():
+    text = SERVOS.format(actuators='<position joint="a" kp="50" kv="2"/><motor joint="b" gear="3"/>')
+    servos = planner.Mechanism.from_mjcf(text)
+    dynamics = planner.RigidBodyDynamics(servos, 0.01)
+    x = np.array([[0.3, -0.8, 0.0, 0.0]])
+    np.testing.assert_allclose(dynamics.rates(x, hold(servos, x[0])[None]), 0.0, atol=1e-11)
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(size=(3, 20, 2))
+    us = follow(servos, q, qd, qdd)
+    np.testing.assert_allclose(dynamics.rates(np.hstack([q, qd]), us)[:, 2:], qdd, atol=1e-9)
+
+
+def test_hold_leaves_integrators_and_fills_filters():
+    actuators = '<intvelocity joint="a" kp="50"/><general joint="b" dyntype="filter" dynprm="0.1" gainprm="4"/>'
+    servos = planner.Mechanism.from_mjcf(SERVOS.format(actuators=actuators))
+    x = np.zeros(6)
+    u = hold(servos, x)
+    assert u[0] == 0.0
+    x[5] = u[1]  # once the filter has filled
+    held = planner.dynamics.bias(servos, x[:2], x[2:4])[1]
+    assert 4.0 * x[5] == pytest.approx(held)
+    with pytest.raises(planner.PlannerError, match="fully actuated"):
+        follow(servos, *np.zeros((3, 5, 2)))
+
+
+def test_every_key_is_described_and_documented():
+    page = (ROOT / "docs" / "own-machine.md").read_text(encoding="utf-8")
+    assert set(DEFAULTS) < set(KEYS)
+    assert set(DEFAULT_WEIGHTS) == set(WEIGHTS)
+    for key in (*KEYS, *WEIGHTS):
+        assert f"`{key}`" in page or f"`[{key}]`" in page, key
+
+
+def test_the_python_example_runs(tmp_path):
+    script = EXAMPLES / "own_mjcf.py"
+    assert len(script.read_text(encoding="utf-8").splitlines()) <= 45
+    done = subprocess.run(
+        [sys.executable, str(script), "--no-video"], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "PASS" in done.stdout
+    assert "without: contacts" in done.stdout
+    assert (tmp_path / "crane.npz").is_file()

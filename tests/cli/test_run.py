@@ -1,0 +1,231 @@
+"""`planner run` from end to end: refined where the step was too coarse, and resumed where it was interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import planner
+from planner.__main__ import main
+from planner.cases.plan_file import load_plan
+from planner.cli import run as run_command
+from planner.cli.run_folder import MARK, ROLLOUTS, run_folder
+
+EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]
+ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]
+
+
+def document(capsys):
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_plan_that_fails_by_its_step_is_refined_until_it_passes(tmp_path, capsys):
+    assert main([*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]) == 0
+    said = document(capsys)
+    path = said["refinement"]
+    assert [line["verdict"] for line in path][:1] == ["FAIL"]
+    assert path[-1]["verdict"] == said["proof"]["verdict"] == "PASS"
+    assert path[0]["integrator"] == "semi-implicit-euler"
+    assert path[-1]["integrator"] == "rk4"
+    assert json.loads((tmp_path / "o" / "proof.json").read_text())["refinement"] == path
+    assert load_plan(tmp_path / "o" / "plan.npz").parameters["integrator"] == "rk4"
+    report = (tmp_path / "o" / "report.html").read_text()
+    assert "planner run two-link --horizon 100 --integrator semi-implicit-euler" in report
+
+
+def test_not_refined_when_told_so(tmp_path, capsys):
+    assert main([*EULER, "--no-refine", "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]) == 1
+    said = document(capsys)
+    assert said["refinement"] == []
+    assert said["proof"]["verdict"] == "FAIL"
+
+
+def start(words, cwd):
+    return subprocess.Popen(
+        [sys.executable, "-m", "planner", *words], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(file, child, seconds=120.0):
+    until = time.monotonic() + seconds
+    while not file.exists():
+        assert time.monotonic() < until
+        assert child.poll() is None, child.communicate()
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_run_keeps_what_was_finished_and_is_resumed(tmp_path, kill):
+    """Killed among its rollouts: plan and proof are there, and the same command does the rest and no more."""
+    words = [*ARM, "--rollouts", "64", "--json", "--out", "o"]
+    folder = tmp_path / "o"
+    child = start(words, tmp_path)
+    wait_for(folder / ROLLOUTS, child)
+    os.kill(child.pid, kill)
+    child.communicate(timeout=60)
+    assert child.returncode != 0
+    assert (folder / MARK).is_file()
+    before = (folder / "plan.npz").read_bytes()
+    assert json.loads((folder / "proof.json").read_text())["verdict"] == "PASS"
+
+    done = start(words, tmp_path)
+    out, err = done.communicate(timeout=300)
+    assert done.returncode == 0, err
+    resumed = json.loads(out)
+    assert resumed["resumed"]
+    assert (folder / "plan.npz").read_bytes() == before
+    assert not (folder / MARK).exists()
+    assert not (folder / ROLLOUTS).exists()
+
+    whole = start([*words[:-1], "whole"], tmp_path)
+    out, err = whole.communicate(timeout=300)
+    assert whole.returncode == 0, err
+    fresh = json.loads(out)
+    assert not fresh["resumed"]
+    assert fresh["proof"]["monte_carlo"] == resumed["proof"]["monte_carlo"]  # as if it had never been interrupted
+
+
+def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkeypatch):
+    words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
+    with monkeypatch.context() as patch:
+        patch.setattr(run_command, "draw_results", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(words) == 130
+        assert "the same command goes on from there" in capsys.readouterr().err
+    assert {"plan.npz", "proof.json", MARK} == {file.name for file in (tmp_path / "o").iterdir()}
+    monkeypatch.setattr("planner.cli.problems.solve", lambda *_, **__: pytest.fail("it solved again"))
+    assert main(words) == 0
+    assert document(capsys)["resumed"]
+    assert (tmp_path / "o" / "report.html").is_file()
+
+
+def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, capsys, monkeypatch):
+    words = [*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
+    with monkeypatch.context() as patch:
+        patch.setattr(run_command, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(words) == 130
+    capsys.readouterr()
+    assert main(words) == 0
+    said = document(capsys)
+    assert said["resumed"]
+    assert [line["verdict"] for line in said["refinement"]] == ["FAIL", "PASS"]
+
+
+def test_a_film_that_was_interrupted_is_made_by_the_next_run(tmp_path, capsys, monkeypatch):
+    words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
+    with monkeypatch.context() as patch:
+        patch.setattr("planner.cli.results.draw_proof", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(words) == 130
+    assert (tmp_path / "o" / MARK).is_file()
+    before = (tmp_path / "o" / "plots.png").stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(words) == 0
+    assert document(capsys)["resumed"]
+    assert (tmp_path / "o" / "plots.png").stat().st_mtime_ns == before
+    assert (tmp_path / "o" / "proof.png").is_file()
+
+
+def test_another_problem_begins_anew(tmp_path):
+    """The mark of an unfinished run is of that run alone."""
+    outputs = ("plan.npz", "proof.json")
+    with run_folder(tmp_path / "o", outputs, {"height": 1}) as folder:
+        folder.begin("plan.npz", lambda file: file.write_text("plan"), seconds=3.0)  # and never ends
+    with run_folder(tmp_path / "o", outputs, {"height": 1}) as folder:
+        assert folder.finished == {"plan.npz"}
+        assert folder.notes == {"seconds": 3.0}
+    with run_folder(tmp_path / "o", outputs, {"height": 2}) as folder:
+        assert not folder.finished
+        (tmp_path / "o" / "proof.json").write_text("of the older plan")
+        folder.begin("plan.npz", lambda file: file.write_text("another"))
+        assert not (tmp_path / "o" / "proof.json").exists()
+        folder.end()
+    assert [file.name for file in (tmp_path / "o").iterdir()] == ["plan.npz"]
+
+
+def test_a_failure_before_the_plan_leaves_no_folder(tmp_path):
+    with pytest.raises(ValueError, match="x"), run_folder(tmp_path / "a" / "b", ("plan.npz",), {}):
+        raise ValueError("x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_that_cannot_be_written_leaves_older_files(tmp_path):
+    (tmp_path / "proof.json").write_text("older")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    outputs = ("plan.npz", "proof.json")
+    with (
+        run_folder(tmp_path, outputs, {}) as folder,
+        pytest.raises(planner.base.errors.FileError, match="no space left"),
+    ):
+        folder.begin("plan.npz", full)
+    assert [file.name for file in tmp_path.iterdir()] == ["proof.json"]
+
+
+@pytest.mark.parametrize("mark", ["", "[]", '{"run": 3}', "{" * 99999])
+def test_a_broken_mark_is_no_mark(tmp_path, mark):
+    (tmp_path / MARK).write_text(mark)
+    (tmp_path / "plan.npz").write_text("plan")
+    with run_folder(tmp_path, ("plan.npz",), {}) as folder:
+        assert not folder.began
+
+
+def test_a_goal_that_cannot_be_held_is_refused_before_any_work(tmp_path, capsys):
+    assert main(["run", "hopper", "--hold", "5", "--out", str(tmp_path / "o")]) == 2
+    assert "equilibrium" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_rollout_is_shown(tmp_path, capsys):
+    from planner import cases, solve
+
+    plan = solve(cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    assert main(["prove", str(plan), "--rollouts", "4", "--json", "--quiet"]) == 0
+    carlo = document(capsys)["proof"]["monte_carlo"]
+    for mode, found in carlo["modes"].items():
+        case = found["worst"][0]
+        words = ["prove", str(plan), "--replay-case", str(case), "--mode", mode, "--json"]
+        assert main(words) == 0
+        assert document(capsys)["replay_case"]["end_error"] == found["end_error"][case]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--perturb", "weight=1"], "--perturb is 'weight', expected one of: mass"),
+        (["--perturb", "mass=x"], "--perturb mass is 'x', expected a number"),
+        (["--perturb", "mass=-1"], "mass"),
+        (["--rollouts", "-1"], "rollouts is -1"),
+        (["--replay-case", "-1"], "replay-case is -1"),
+        (["--hold", "-1"], "hold"),
+        (["--mode", "closed"], "'closed'"),
+    ],
+)
+def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
+    from planner import cases, solve
+
+    plan = solve(cases.two_link(horizon=20)).save(tmp_path / "plan.npz")
+    assert main(["prove", str(plan), "--quiet", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGHUP])
+def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
+    words = ["run", "hopper", "--height", "50", "--smoothing", "1e-4", "--horizon", "4000", "--integrator", "euler",
+             "--max-iterations", "1000000", "--no-video", "--out", "o"]  # fmt: skip
+    child = subprocess.Popen([sys.executable, "-m", "planner", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert child.stderr is not None
+    for line in child.stderr:
+        if line.strip().startswith("9 "):
+            break
+    child.send_signal(kill)
+    child.communicate(timeout=60)
+    assert child.returncode == 128 + kill
+    assert list(tmp_path.iterdir()) == []

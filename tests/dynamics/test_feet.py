@@ -1,0 +1,212 @@
+"""Machines with feet: a ground by what it does, poses at rest on it, controls that know it; others' models stand up."""
+
+import numpy as np
+import pytest
+from others import PLACES, path
+
+import planner
+from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.statics import settled
+from planner.model.contact.laws import ContactLaw
+from planner.model.mechanism import Mechanism
+from planner.problem.guess import hold
+
+others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
+
+# A trunk on two slides and a hinge, a driven knee, a foot of two balls.
+MONOPED = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <body name="trunk" pos="0 0 1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <joint name="tilt" axis="0 1 0"/>
+      <inertial pos=".02 0 0" mass="6" diaginertia=".2 .2 .2"/>
+      <body name="shank" pos="0 0 -.4">
+        <joint name="knee" axis="0 1 0" damping=".1"/>
+        <inertial pos="0 0 -.2" mass="1" diaginertia=".02 .02 .02"/>
+        <geom name="heel" type="sphere" size=".03" pos="-.1 0 -.4" mass="0"/>
+        <geom name="toe" type="sphere" size=".03" pos=".15 0 -.4" mass="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="knee" joint="knee" gear="50" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+MASS, G = 7.0, 9.81
+
+
+def monoped(**law):
+    return Mechanism.from_mjcf(MONOPED, contacts=ContactLaw.resting(MASS, **law))
+
+
+def test_a_ground_by_what_it_does():
+    """On one contact the machine sinks in by as much as was asked for, whatever the smoothing."""
+    ball = MONOPED.replace('<geom name="toe" type="sphere" size=".03" pos=".15 0 -.4" mass="0"/>', "")
+    ball = ball.replace('<joint name="tilt" axis="0 1 0"/>', "").replace('pos="-.1 0 -.4"', 'pos="0 0 -.4"')
+    for sink, ramp in ((2e-3, None), (0.02, 1e-3)):
+        m = Mechanism.from_mjcf(ball, contacts=ContactLaw.resting(MASS, sink=sink, ramp=ramp))
+        at_rest = contact_forces(m, settled(m, m.home)[:3], np.zeros(3))
+        assert at_rest.depths[0] == pytest.approx(sink, rel=1e-9)
+        assert at_rest.forces[0, 2] == pytest.approx(MASS * G, rel=1e-9)
+    law = ContactLaw.resting(MASS, sink=0.01, damping_ratio=0.5, friction=0.6, slip=0.3)
+    assert law.damping == pytest.approx(np.sqrt(law.stiffness * MASS))  # 2 zeta sqrt(K m)
+    assert law.slip_damping * 0.3 == pytest.approx(0.6 * MASS * G)
+    with pytest.raises(PlannerError, match="sink is 0, expected"):
+        ContactLaw.resting(MASS, sink=0)
+
+
+@pytest.mark.parametrize("height", [-0.3, 0.0, 0.2])
+def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
+    """The ground's forces are those of statics: the weight, at the centre of mass."""
+    m = monoped()
+    x = settled(m, np.array([0.3, height, 0.1, -0.1]))
+    assert x[3] == -0.1
+    assert x[0] == pytest.approx(0.3, abs=1e-12)  # neither what is driven nor what moves along the ground
+    at = contact_forces(m, x[:4], x[4:])
+    forces = at.forces[:, 2]
+    assert forces.min() > 0.0
+    assert forces.sum() == pytest.approx(MASS * G, rel=1e-8)
+    assert forces @ at.points[:, 0] / forces.sum() == pytest.approx(center_of_mass(m, x[:4])[0], abs=1e-8)
+    u = hold(m, x)
+    rates = planner.RigidBodyDynamics(m, dt=1e-3).rates(x[None], u[None])
+    np.testing.assert_allclose(rates, 0.0, atol=1e-6)
+
+
+def test_hold_knows_the_ground_without_the_exact_depth():
+    m = monoped()
+    x = settled(m, np.array([0.0, 0.0, 0.0, 0.1]))
+    u = hold(m, x)
+    for moved in (-2e-3, 2e-3):
+        y = x.copy()
+        y[1] += moved
+        np.testing.assert_allclose(hold(m, y), u, atol=1e-5)
+    x[1] += 1.0  # in the air: as a machine without contacts
+    np.testing.assert_allclose(hold(m, x), hold(Mechanism.from_mjcf(MONOPED, contacts="off"), x), atol=1e-9)
+
+
+def test_jacobians_of_contacts_are_those_of_differences():
+    m = monoped()
+    x = settled(m, np.array([0.0, 0.0, 0.0, 0.2]))
+    J, h = contact_jacobians(m, x[:4]), 1e-6
+    for j in range(4):
+        dq = h * np.eye(4)[j]
+        depths = [contact_forces(m, x[:4] + side * dq, np.zeros(4)).depths for side in (1.0, -1.0)]
+        np.testing.assert_allclose(J[:, 2, j], -(depths[0] - depths[1]) / (2.0 * h), atol=1e-7)
+
+
+def test_poses_that_cannot_rest():
+    with pytest.raises(PlannerError, match="does not stay on the ground"):
+        settled(monoped(), np.array([0.0, 0.0, 0.0, 1.2]))
+    with pytest.raises(PlannerError, match="has no contacts, expected"):
+        settled(Mechanism.from_mjcf(MONOPED, contacts="off"), np.zeros(4))
+    with pytest.raises(PlannerError, match="x has shape"):
+        settled(monoped(), np.zeros(3))
+
+
+TOML = """
+model = "monoped.xml"
+start = {{ knee = 0.1 }}
+goal = {{ knee = -0.1 }}
+duration = 0.5
+dt = 0.005
+contacts = {contacts}
+{more}
+[weights]
+effort = 10
+final_position = {{ knee = 1000, tilt = 100 }}
+final_velocity = 10
+"""
+
+
+def written(tmp_path, contacts, more="settle = true"):
+    (tmp_path / "monoped.xml").write_text(MONOPED)
+    (tmp_path / "monoped.toml").write_text(TOML.format(contacts=contacts, more=more))
+    return tmp_path / "monoped.toml"
+
+
+@pytest.mark.parametrize(
+    ("contacts", "law"),
+    [
+        ('"ground"', ContactLaw.resting(MASS)),
+        ("{ sink = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
+        (
+            "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
+            ContactLaw(1e4, 100.0, 1e-3, slip_damping=200.0, friction=0.5),
+        ),
+    ],
+)
+def test_problem_files_give_a_law(tmp_path, contacts, law):
+    problem = load(written(tmp_path, contacts)).problem
+    dynamics = problem.dynamics
+    assert isinstance(dynamics, planner.RigidBodyDynamics)
+    touch = dynamics.mechanism.contacts[0].touch
+    for name in ("stiffness", "damping", "ramp", "slip_damping", "friction"):
+        assert getattr(touch, name) == pytest.approx(getattr(law, name), rel=1e-9)
+    rates = dynamics.rates(problem.x0[None], problem.first_guess[:1])
+    np.testing.assert_allclose(rates, 0.0, atol=1e-5)  # start and guess rest on the ground
+
+
+@pytest.mark.parametrize(
+    ("contacts", "more", "words"),
+    [
+        ('"soft"', "", "contacts is 'soft', expected one of: on, off, ground"),
+        ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: sink, friction"),
+        ("{ stiffness = 1e4, sink = 0.01 }", "", "has the key 'sink', expected some of: stiffness, damping"),
+        ("{ sink = -1 }", "", "sink is -1"),
+        ('"ground"', "settle = 1", "settle is 1, expected true or false"),
+        ('"off"', "settle = true", "settle of start: the mechanism has no contacts"),
+    ],
+)
+def test_problem_files_name_what_is_wrong(tmp_path, contacts, more, words):
+    with pytest.raises(PlannerError) as error:
+        load(written(tmp_path, contacts, more))
+    assert words in str(error.value)
+
+
+def test_a_stored_plan_keeps_its_ground(tmp_path):
+    plan = planner.solve(load(written(tmp_path, '"ground"')).problem)
+    plan.save(tmp_path / "plan.npz")
+    stored = planner.load_plan(tmp_path / "plan.npz").problem
+    assert stored is not None
+    assert plan.problem is not None
+    np.testing.assert_allclose(stored.x0, plan.problem.x0, atol=1e-10)
+    np.testing.assert_allclose(stored.dynamics.step(plan.xs[:-1], plan.us), plan.xs[1:], atol=1e-9)
+
+
+# Crouched and upright: sums of joint angles that keep the feet flat and the centre of mass above them.
+STANDS = {
+    "dm hopper": ([0, 0, 0, 0.2, -0.9, 1.2, -0.5], [0, 0, 0, 0.1, -0.4, 0.6, -0.3], 5e-3),
+    "dm walker": ([0, 0, 0, 0.5, -1.0, 0.5, 0.5, -1.0, 0.5], [0, 0, 0, 0.2, -0.4, 0.2, 0.2, -0.4, 0.2], 2.5e-3),
+}
+
+
+@others
+@pytest.mark.parametrize("name", STANDS)
+def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
+    """Within the ranges of joints and motors; MuJoCo follows with the plan's gains, as one who balances does."""
+    crouch, upright, dt = STANDS[name]
+    mass = Mechanism.from_mjcf(path(name), contacts="off").mass.sum()
+    m = Mechanism.from_mjcf(path(name), contacts=ContactLaw.resting(mass))
+    start, goal = settled(m, np.array(crouch)), settled(m, np.array(upright))
+    dynamics, N = planner.RigidBodyDynamics(m, dt), round(1.0 / dt)
+    free = {joint: 3.0 for joint in m.joint_names if joint != "rootx"}  # the feet are where they are
+    cost = planner.TrackingCost.joints(
+        dynamics, goal, N, effort=10.0, final_position=dict.fromkeys(free, 1e3), final_velocity=100.0,
+        position=free, velocity=1.0,
+    )  # fmt: skip
+    problem = planner.Problem(
+        dynamics, cost, start, us=np.tile(hold(m, start), (N, 1)), twin=planner.Twin.of(m),
+        limits=planner.Limits(control="model"),
+    )  # fmt: skip
+    plan = planner.solve(problem)
+    assert plan.success
+    moves = [i for i, joint in enumerate(m.joint_names) if joint != "rootx"]
+    np.testing.assert_allclose(plan.xs[-1, moves], goal[moves], atol=0.01)
+    assert contact_forces(m, plan.xs[:, : m.nq], plan.xs[:, m.nq :]).forces[:, :, 2].sum(axis=1).min() > 0.0
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof
+    assert not proof.replay.reached

@@ -1,0 +1,88 @@
+"""A plan replayed in another model: a path brings its own files, a text those of the plan."""
+
+import numpy as np
+import pytest
+from mechanisms import OBJ
+
+import planner
+from planner.__main__ import main
+from planner.model.mjcf.survey import compile_model
+from planner.model.mjcf.text import edited
+from planner.model.twin import Twin
+from planner.proof.another_model import with_model
+
+CART = """
+<mujoco model="cart">
+  <compiler meshdir="shapes"/>
+  <option gravity="0 0 -9.81"><flag contact="disable"/></option>
+  <asset><mesh name="wedge" file="wedge.obj"/></asset>
+  <worldbody><body><joint name="slider" type="slide" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><geom type="mesh" mesh="wedge"/></body></worldbody>
+  <actuator><motor name="push" joint="slider"/></actuator>
+</mujoco>
+"""
+PROBLEM = """
+model = "model.xml"
+start = [0.0]
+goal = [1.0]
+duration = 1.0
+dt = 0.05
+"""
+
+
+def folder(place, height, shapes="shapes"):
+    """A cart with a wedge of some height, in a folder of its own."""
+    (place / shapes).mkdir(parents=True)
+    (place / shapes / "wedge.obj").write_text(OBJ.format(height))
+    (place / "model.xml").write_text(CART.replace('"shapes"', f'"{shapes}"'))
+    (place / "problem.toml").write_text(PROBLEM)
+    return place
+
+
+def height(twin):
+    """Of the wedge, from the lowest point to the highest; MuJoCo turns a mesh into its own axes."""
+    return float(np.ptp(compile_model(twin.mjcf, twin.assets).mesh_vert, axis=0).max())
+
+
+@pytest.fixture
+def plan(tmp_path):
+    problem = planner.cases.problem_file.load(folder(tmp_path / "own", 1) / "problem.toml").problem
+    return planner.solve(problem)
+
+
+def test_another_model_comes_with_its_own_meshes(plan, tmp_path, monkeypatch):
+    other = folder(tmp_path / "other", 30, "parts")
+    monkeypatch.chdir(tmp_path)
+    twin = with_model(plan.twin, "other/model.xml")
+    assert twin.assets == {"wedge.obj": (other / "parts" / "wedge.obj").read_bytes()}
+    assert height(twin) > 10.0 * height(plan.twin)
+    np.testing.assert_array_equal(twin.to_x, plan.twin.to_x)
+    assert planner.prove(plan, mjcf=other / "model.xml", rollouts=0).passed
+
+    plan.save("plan.npz")
+    assert main(["prove", "plan.npz", "--mjcf", "other/model.xml", "--rollouts", "0"]) == 0
+    (other / "parts" / "wedge.obj").unlink()  # the plan's own is no substitute
+    with pytest.raises(planner.ModelError, match=r"cannot read 'wedge\.obj' that the model names at other/parts"):
+        with_model(plan.twin, "other/model.xml")
+    assert main(["prove", "plan.npz", "--mjcf", "other/model.xml", "--rollouts", "0"]) == 2
+
+
+@pytest.mark.parametrize("before", ["", "\n  ", "\ufeff", "<!-- heavier -->"])
+def test_a_text_keeps_the_files_of_the_plan(plan, tmp_path, monkeypatch, before):
+    """From wherever it is proved, and whatever stands before the first element."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    text = before + edited(plan.twin.mjcf, {".//inertial": {"mass": "2"}})
+    twin = with_model(plan.twin, text)
+    assert twin.assets == plan.twin.assets
+    assert height(twin) == height(plan.twin)
+    assert not planner.prove(plan, mjcf=text, rollouts=0).passed  # it is twice as heavy
+
+
+def test_no_other_model(plan):
+    assert with_model(plan.twin, None) is plan.twin
+    for wrong in (3, "", "nowhere.xml"):
+        with pytest.raises(planner.ModelError):
+            with_model(plan.twin, wrong)
+    assert isinstance(plan.twin, Twin)

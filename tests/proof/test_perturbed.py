@@ -1,0 +1,379 @@
+"""Step 5 of a proof: the same rollouts in any company, honest rates, nothing lost when interrupted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rolled import LIMITED, problem_of, rolled_out, tree_plan
+
+import planner
+from planner.base.errors import FileError, PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import compile_model
+from planner.problem.problem import Requirements
+from planner.proof import perturbed as step
+from planner.proof.case_replay import replay_case
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.partial import Partial
+from planner.proof.perturbation import Nominal, Perturbation, draw, draw_masses
+from planner.proof.perturbed import Trials, perturbed
+from planner.proof.replaying import replay
+from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
+from planner.proof.statistics import Rate
+
+NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
+NONE = Perturbation(**NOTHING)
+SLIGHT = Perturbation(mass=0.01, inertia=0.01)
+
+FAST = 'timestep="0.0005"', 'timestep="0.005"'
+
+
+def coarse(plan):
+    """The same plan with a simulator as coarse as its control steps: quick."""
+    return CompiledTwin(replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST)))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return planner.solve(planner.cases.two_link(horizon=100))
+
+
+@pytest.fixture(scope="module")
+def acrobot():
+    return planner.solve(planner.cases.acrobot())
+
+
+@pytest.fixture(scope="module")
+def tree():
+    """A tree with quaternions and gains that do something."""
+    plan = tree_plan("rk4", N=12)
+    K = 0.05 * np.random.default_rng(5).normal(size=plan.K.shape)
+    return replace(plan, K=K)
+
+
+def ends(result):
+    return np.array([result.end_error[mode] for mode in MODES])
+
+
+def run(plan, twin, draws, threads=None):
+    with Rollouts(plan, twin, threads) as rollouts:
+        batch = rollouts.batch(draws(rollouts.nominal.sizes))
+        return {mode: rollouts.run(batch, mode) for mode in MODES}
+
+
+def drawn(numbers, perturbation=None, seed=3):
+    return lambda sizes: [draw(perturbation or Perturbation(), seed, k, sizes) for k in numbers]
+
+
+# Statistics.
+
+
+@pytest.mark.parametrize(
+    ("successes", "of", "low", "high"),
+    [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (1, 29, 0.0061, 0.1718)],
+)
+def test_success_has_wilsons_interval(successes, of, low, high):
+    np.testing.assert_allclose(Rate(successes, of).interval, (low, high), atol=6e-5)
+
+
+def test_a_rate_of_nothing_says_nothing():
+    assert Rate(0, 0).interval == (0.0, 1.0)
+
+
+def test_wilson_covers_the_true_rate():
+    """Of many samples, about 95 % have the true rate within."""
+    wins = np.random.default_rng(0).binomial(60, 0.9, size=2000)
+    inside = [low <= 0.9 <= high for low, high in (Rate(int(w), 60).interval for w in wins)]
+    assert 0.93 < np.mean(inside) < 0.98
+
+
+def test_margin_ends_at_the_first_level_that_fails():
+    kept = np.ones((20, len(step.LEVELS)), dtype=bool)
+    assert step._margin(kept) == 0.5
+    kept[:1, 2] = False
+    assert step._margin(kept) == 0.5
+    kept[:2, 4] = False  # 90 %
+    assert step._margin(kept) == step.LEVELS[3]
+    kept[:, 0] = False
+    assert step._margin(kept) == 0.0
+    assert np.isnan(step._margin(kept[:0]))
+
+
+# What is varied.
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mass", -0.1), ("inertia", 1.0), ("start", np.nan), ("delay", -1e-3), ("noise", "much")]
+)
+def test_perturbations_are_checked(name, value):
+    with pytest.raises(PlannerError, match=f"Perturbation: {name} is"):
+        Perturbation(**{name: value})
+
+
+def test_nothing_is_called_nothing():
+    assert str(NONE) == "nothing"
+    assert "mass 5 %" in str(Perturbation())
+
+
+def test_switching_one_kind_off_leaves_the_others(arm):
+    sizes = Nominal.of(compile_model(arm.twin.mjcf), arm, arm.twin).sizes
+    all_, fewer = (draw(p, 0, 7, sizes) for p in (Perturbation(), Perturbation(inertia=0.0, friction=0.0)))
+    for name, value in vars(fewer).items():
+        if name not in ("inertia", "friction"):
+            np.testing.assert_array_equal(value, getattr(all_, name))
+    np.testing.assert_array_equal(fewer.inertia, 1.0)
+
+
+def test_a_draw_changes_masses_and_friction_of_the_model(arm):
+    model = compile_model(arm.twin.mjcf)
+    nominal = Nominal.of(model, arm, arm.twin)
+    before = model.body_mass.copy()
+    errors = draw(Perturbation(), 0, 0, nominal.sizes)
+    other = nominal.with_errors(errors, load_mujoco().MjData(model))
+    np.testing.assert_array_equal(model.body_mass, before)
+    moves = model.body_weldid != 0
+    np.testing.assert_allclose(other.body_mass[moves], (before * errors.mass)[moves])
+    np.testing.assert_array_equal(other.body_mass[~moves], before[~moves])
+    ratio = other.body_inertia[moves] / model.body_inertia[moves]  # as a whole: still a body's
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1], ratio.shape))
+    np.testing.assert_allclose(other.dof_damping, model.dof_damping * errors.damping + errors.drag * model.dof_M0)
+    assert np.all(other.dof_frictionloss > 0.0)
+    assert not np.allclose(other.dof_M0, model.dof_M0)  # mj_setConst has seen the masses
+    signs = draw_masses(0.2, 0, 3, 1, nominal.sizes).mass
+    np.testing.assert_allclose(np.abs(signs - 1.0), 0.2)
+
+
+def test_free_joints_have_no_bearings(tree):
+    model = compile_model(tree.twin.mjcf)
+    nominal = Nominal.of(model, tree, tree.twin)
+    errors = draw(Perturbation(damping=0.0, drag=1.0, friction=1.0), 0, 0, nominal.sizes)
+    other = nominal.with_errors(errors, load_mujoco().MjData(model))
+    free = model.jnt_type[model.dof_jntid] == load_mujoco().mjtJoint.mjJNT_FREE
+    assert free.any()
+    np.testing.assert_array_equal(other.dof_frictionloss[free], model.dof_frictionloss[free])
+    assert np.all(other.dof_damping[~free] > model.dof_damping[~free])
+
+
+# The same rollouts in any company.
+
+
+@pytest.mark.parametrize("name", ["arm", "tree"])
+def test_rollouts_do_not_depend_on_their_company(name, request):
+    plan = request.getfixturevalue(name)
+    twin = coarse(plan)
+    together = run(plan, twin, drawn(range(9)))
+    once_more = run(plan, twin, drawn(range(9)), threads=1)
+    parts = [run(plan, twin, drawn(part), threads=3) for part in ([0, 1, 2, 3], [4, 5, 6, 7], [8])]
+    for mode in MODES:
+        np.testing.assert_array_equal(together[mode], once_more[mode])
+        np.testing.assert_array_equal(together[mode], np.concatenate([part[mode] for part in parts]))
+    assert not np.array_equal(together["feedback"], together["open-loop"])
+
+
+@pytest.mark.parametrize("name", ["arm", "tree"])
+@pytest.mark.parametrize("mode", MODES)
+def test_a_case_in_detail_is_the_rollout(name, mode, request):
+    plan = request.getfixturevalue(name)
+    twin, feedback = coarse(plan), mode == "feedback"
+    xs = run(plan, twin, drawn(range(4)))[mode]
+    for k in range(4):
+        one = replay_case(plan, twin, k, seed=3, feedback=feedback)
+        np.testing.assert_array_equal(one.xs[:: one.substeps], xs[k])
+        np.testing.assert_array_equal(one.plan_xs[:: one.substeps], plan.xs)
+
+
+def test_the_hopper_in_detail_is_the_rollout():
+    """Contact, and a twin that is not the plan's own state."""
+    plan = planner.solve(planner.cases.hopper(duration=0.25, horizon=50, height=5.0))
+    assert plan.twin is not None
+    twin = CompiledTwin(plan.twin)
+    xs = run(plan, twin, drawn([0, 1]))
+    for feedback in (False, True):
+        one = replay_case(plan, twin, 1, seed=3, feedback=feedback)
+        np.testing.assert_array_equal(one.xs[:: one.substeps], xs[MODES[feedback]][1])
+        assert one.contact_force.max() > 100.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_without_errors_it_is_the_replay(arm, mode):
+    """Open loop at any step; with gains where every simulator step is a control step."""
+    twin = coarse(arm)
+    result = perturbed(arm, twin, Trials(2, perturbation=NONE))
+    own = replay(arm, twin=twin.twin, substeps=CONTROL_STEPS, feedback=mode == "feedback")
+    assert result.step == pytest.approx(own.timestep)
+    np.testing.assert_allclose(result.end_error[mode], np.abs(own.error[-1]).max(), rtol=1e-6)
+    assert result.rates[mode].value == 1.0
+    assert result.fans[mode].shape == (5, arm.N + 1, 4)
+    np.testing.assert_allclose(result.fans[mode][2, :: arm.N // 4], own.error[:: arm.N], atol=1e-6)
+
+
+def test_delay_is_a_shift_by_whole_steps(arm):
+    twin = coarse(arm)
+    late = Perturbation(**{**NOTHING, "delay": 0.05})
+    one = replay_case(arm, twin, 2, perturbation=late, feedback=False)
+    none = replay_case(arm, twin, 2, perturbation=NONE, feedback=False)
+    with Rollouts(arm, twin) as rollouts:
+        steps = round(draw(late, 0, 2, rollouts.nominal.sizes).delay / rollouts.step)
+    assert steps > 1
+    np.testing.assert_array_equal(one.ctrl[steps:], none.ctrl[:-steps])
+    np.testing.assert_array_equal(one.ctrl[:steps], np.broadcast_to(none.ctrl[0], (steps, 2)))
+    back = replay_case(arm, twin, 2, perturbation=late, feedback=True)  # the first command, held
+    np.testing.assert_array_equal(back.ctrl[: steps + 1], np.broadcast_to(back.ctrl[0], (steps + 1, 2)))
+    w = np.hstack([back.qpos, back.qvel])
+    i = 40
+    j = (i - steps) * CONTROL_STEPS // back.substeps  # every step of this simulator is a control step
+    assert back.substeps == CONTROL_STEPS
+    u = arm.us[j // CONTROL_STEPS] + arm.K[j // CONTROL_STEPS] @ (w[j] - back.plan_xs[j])
+    np.testing.assert_allclose(back.ctrl[i], u, rtol=1e-12)
+
+
+def test_a_delay_beyond_the_end_holds_the_first_control(arm):
+    one = replay_case(arm, coarse(arm), 0, perturbation=Perturbation(**{**NOTHING, "delay": 1e9}))
+    np.testing.assert_array_equal(one.ctrl, np.broadcast_to(one.ctrl[0], one.ctrl.shape))
+
+
+# What it finds.
+
+
+def test_rollouts_repeat_by_their_seed(arm):
+    twin = coarse(arm)
+    first, again = (perturbed(arm, twin, Trials(12, seed=4)) for _ in range(2))
+    np.testing.assert_array_equal(ends(first), ends(again))
+    assert first.to_dict() == again.to_dict()
+    more = perturbed(arm, twin, Trials(14, seed=4))
+    np.testing.assert_array_equal(ends(more)[:, :12], ends(first))
+    assert not np.array_equal(ends(perturbed(arm, twin, Trials(12, seed=5))), ends(first))
+
+
+def test_gains_of_the_wrong_sign_fail(arm):
+    twin = coarse(arm)
+    good = perturbed(arm, twin, Trials(16))
+    bad = perturbed(replace(arm, K=-arm.K), twin, Trials(16))
+    assert good.rates["feedback"].value == 1.0
+    assert bad.rates["feedback"].value < 0.2
+    assert good.margin["feedback"] >= 0.05 > bad.margin["feedback"]
+    np.testing.assert_array_equal(good.end_error["open-loop"], bad.end_error["open-loop"])
+
+
+def test_the_acrobot_needs_its_gains(acrobot):
+    result = perturbed(acrobot, coarse(acrobot), Trials(32, perturbation=SLIGHT))
+    rates = result.rates
+    assert rates["feedback"].value > 0.8
+    assert rates["open-loop"].interval[1] < rates["feedback"].interval[0]
+    names = [figure.name for figure in result.section.measured]
+    assert "feedback_success_rate" in names
+    assert "open_loop_mass_margin" in names
+    assert result.section.passed
+    worst = result.worst["open-loop"]
+    assert len(worst) == 5
+    assert result.end_error["open-loop"][worst[0]] == result.end_error["open-loop"].max()
+
+
+def test_a_requirement_may_say_what_success_is(arm):
+    own = Requirements(success=lambda xs: np.arange(len(xs)) % 2 == 0)
+    problem = planner.cases.two_link(horizon=100)
+    object.__setattr__(problem, "requirements", own)
+    result = perturbed(replace(arm, problem=problem), coarse(arm), Trials(10))
+    assert result.rates["feedback"].successes == 5
+
+
+def test_a_model_that_ignores_friction_is_noted(arm):
+    twin = coarse(arm)
+    text = twin.twin.mjcf.replace('contact="disable"', 'contact="disable" frictionloss="disable"')
+    assert text != twin.twin.mjcf
+    without = CompiledTwin(replace(twin.twin, mjcf=text))
+    assert not perturbed(arm, twin, Trials(1)).notes
+    assert "friction does nothing" in perturbed(arm, without, Trials(1)).notes[0]
+    assert not perturbed(arm, without, Trials(1, perturbation=NONE)).notes
+
+
+EXPLOSIVE = LIMITED.replace('damping="0.1" range="-1 1"', 'damping="0.1"')
+
+
+@pytest.fixture(scope="module")
+def explosive():
+    """A hinge whose gains feed its speed until numbers end."""
+    mechanism = Mechanism.from_mjcf(EXPLOSIVE)
+    plan = rolled_out(problem_of(mechanism, 0.01, 100, us=np.ones((100, 1))))
+    K = np.zeros((100, 1, 2))
+    K[50:, :, 1] = 1e5
+    return replace(plan, K=K)
+
+
+def test_rollouts_that_explode_are_failures(explosive):
+    result = perturbed(explosive, CompiledTwin(explosive.twin), Trials(8))
+    assert result.rates["feedback"].value == 0.0
+    assert np.all(np.isinf(result.end_error["feedback"]))
+    assert np.all(np.isfinite(result.end_error["open-loop"]))
+    assert result.margin["feedback"] == 0.0
+    assert result.to_dict()["modes"]["feedback"]["end_error"] == [None] * 8
+    assert np.all(np.isfinite(result.fans["feedback"][:, :50]))
+    assert np.all(np.isnan(result.fans["feedback"][:, -1]))
+    assert result.section.measured
+    one = replay_case(explosive, CompiledTwin(explosive.twin), 0, feedback=True)
+    assert np.isnan(one.error[-1]).all()
+    assert np.isfinite(one.error[10]).all()
+
+
+# Interrupted and gone on with.
+
+
+def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
+    twin, path = coarse(arm), tmp_path / "rollouts.npz"
+    whole = perturbed(arm, twin, Trials(24))
+    monkeypatch.setattr(Rollouts, "batch_size", 10)
+
+    def stop(done, total):
+        assert total == 24 + 5 * len(step.LEVELS)
+        if done == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        perturbed(arm, twin, Trials(24), partial=path, progress=stop)
+    ran = []
+    monkeypatch.setattr(Rollouts, "run", lambda self, batch, *rest, run=Rollouts.run: (
+        ran.append(len(batch.models)), run(self, batch, *rest))[1])  # fmt: skip
+    resumed = perturbed(arm, twin, Trials(24), partial=path)
+    assert sum(ran) == 2 * (4 + 5 * len(step.LEVELS))
+    assert resumed.to_dict() == whole.to_dict()
+    for mode in MODES:
+        np.testing.assert_array_equal(resumed.fans[mode], whole.fans[mode])
+    ran.clear()
+    perturbed(arm, twin, Trials(20), partial=path)
+    assert not ran
+
+
+def test_other_rollouts_are_not_taken_for_these(arm, tmp_path):
+    twin, path = coarse(arm), tmp_path / "rollouts.npz"
+    perturbed(arm, twin, Trials(2, seed=1), partial=path)
+    other = perturbed(arm, twin, Trials(2, seed=2), partial=path)
+    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2))))
+    path.write_bytes(b"no archive")
+    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2), partial=path)))
+    with pytest.raises(FileError):
+        Partial(tmp_path, "mark")
+
+
+def test_a_budget_takes_fewer_rollouts_and_stops(arm):
+    few = perturbed(arm, CompiledTwin(arm.twin), Trials(10_000), budget=2.0)
+    assert few.done < 10_000
+    assert "in place of 10000" in few.notes[0]
+    none = perturbed(arm, CompiledTwin(arm.twin), Trials(16), budget=1e-6)
+    assert none.done == 0
+    assert "Stopped after" in none.section.not_applicable
+    assert not np.isfinite(none.margin["feedback"])
+    assert none.to_dict()["rollouts"] == {"asked": 16, "done": 0}
+    assert none.section.passed
+
+
+def test_arguments_are_checked(arm):
+    for wrong in (lambda: Trials(0), lambda: Trials(seed=-1), lambda: Trials(tolerance=0.0)):
+        with pytest.raises(PlannerError):
+            wrong()
+    with pytest.raises(PlannerError):
+        perturbed(arm, CompiledTwin(arm.twin), budget=-1.0)
+    with pytest.raises(PlannerError, match="not finite"):
+        perturbed(replace(arm, us=np.full_like(arm.us, np.nan)), CompiledTwin(arm.twin))
+    with pytest.raises(PlannerError, match="without its problem"):
+        perturbed(replace(arm, problem=None), CompiledTwin(arm.twin))

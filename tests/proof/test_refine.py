@@ -1,0 +1,254 @@
+"""Refinement: plans that their own step has deceived become plans that MuJoCo repeats, and nothing else is refined."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from swings import mechanism, quick, solved, strange, swing
+
+import planner
+from planner.base.measured import Measured, Section
+from planner.problem.plan import Status
+from planner.proof import refinement
+from planner.proof.refinement import Refinement, refine
+
+
+@pytest.fixture(scope="module")
+def failed():
+    plan, proof = solved(swing())
+    assert not proof.passed
+    return plan, proof
+
+
+# Arriving
+
+
+def arrives(problem, integrators, **options):
+    plan, proof = solved(problem)
+    assert plan.success
+    assert not proof.passed
+    lines = []
+    refined = refine(plan, proof, callback=lines.append, **options)
+    assert refined.passed, refined
+    assert refined.plan.success
+    assert quick(refined.plan).passed
+    assert [line.integrator for line in refined.path] == integrators
+    assert tuple(lines) == refined.path
+    assert refined.path[0].end_state_error > 10.0 * refined.path[-1].end_state_error
+    assert [line.verdict for line in refined.path] == ["FAIL"] * (len(lines) - 1) + ["PASS"]
+    return refined
+
+
+def test_a_swing_up_that_a_semi_implicit_step_had_deceived(tmp_path):
+    problem = planner.cases.acrobot(horizon=150, integrator="semi-implicit-euler")
+    refined = arrives(problem, ["semi-implicit-euler", "rk4"])
+    assert refined.path[0].end_state_error > 1.0  # radians
+    assert refined.path[-1].mode == "feedback"
+    assert sum(line.seconds for line in refined.path[1:]) < 60.0
+    assert refined.plan.cost < 3.0  # the motion is kept: another local minimum costs 6.6
+    refined.plan.save(tmp_path / "plan.npz")
+    stored = planner.load_plan(tmp_path / "plan.npz")
+    assert stored.parameters == problem.parameters | {"integrator": "rk4"}
+    assert quick(stored).passed
+
+
+def test_an_arm_with_two_motors():
+    arrives(planner.cases.two_link(horizon=100, integrator="semi-implicit-euler"), ["semi-implicit-euler", "rk4"])
+
+
+def test_a_hopper_takes_half_the_stage_too():
+    refined = arrives(planner.cases.hopper(horizon=50, integrator="euler"), ["euler", "rk4", "rk4"])
+    assert [line.horizon for line in refined.path] == [50, 50, 100]
+    assert [line.dt for line in refined.path] == [0.02, 0.02, 0.01]
+
+
+def test_a_machine_made_in_python():
+    refined = arrives(swing(), ["semi-implicit-euler", "rk4"])
+    assert refined.plan.problem.cost is not None
+    assert refined.plan.case is None
+    assert refined.reason == "It passed after 1 refinement."
+
+
+def test_rates_made_in_python():
+    def rates(x, u):
+        return np.stack([x[..., 1], (-9.81 * np.sin(x[..., 0]) + u[..., 0]) / (1.0 + 1e-6)], axis=-1)
+
+    def problem(integrator):
+        return swing(dynamics=planner.FunctionDynamics(rates, 2, 1, 0.05, integrator))
+
+    arrives(problem("euler"), ["euler", "rk4"])
+
+
+def test_a_plan_that_passes_is_left_alone():
+    plan, proof = solved(swing("rk4", 40))
+    refined = refine(plan, proof)
+    assert refined.plan is plan
+    assert refined.proof is proof
+    assert len(refined.path) == 1
+    assert refined.reason == "It passed as it was."
+
+
+# What is refined
+
+
+def section(title, name="an_error", value=1.0):
+    return Section(title, (Measured(name, value, "rad", 0.1),))
+
+
+@pytest.mark.parametrize(
+    ("changes", "fragment"),
+    [
+        ({"plan": section("plan")}, "where plan fails: an error 1 rad"),
+        ({"parity": section("parity")}, "where parity fails"),
+        ({"same_step": section("same step")}, "where same step fails"),
+        ({"goal": section("goal", "planned_goal_error")}, "misses its goal: planned goal error 1 rad"),
+        ({"refined_feedback": section("refined", value=0.0), "reason": "Far."}, "repeats the plan (feedback): Far."),
+        ({"errors": SimpleNamespace(ratio=lambda mode: 50.0)}, "50 times worse than the step makes it (open-loop)"),
+    ],
+    ids=["plan", "parity", "same step", "goal", "tracked", "growth"],
+)  # fmt: skip
+def test_other_failures_are_left_alone(failed, changes, fragment):
+    plan, proof = failed
+    proof = replace(proof, **changes)
+    refined = refine(plan, proof)
+    assert refined.plan is plan
+    assert refined.proof is proof
+    assert fragment in refined.reason
+    assert refined.reason.startswith("A finer step does not help where ")
+
+
+def test_a_goal_that_only_the_replay_misses_is_refined(failed):
+    plan, proof = failed
+    assert refine(plan, replace(proof, goal=section("goal", "replayed_goal_error"))).passed
+
+
+def test_a_range_that_the_plan_reaches():
+    """Only MuJoCo knows the range, so its replay stops there, and would at every step."""
+    plan, proof = solved(swing(machine=mechanism('range="-80 30" limited="true"')))
+    assert not proof.passed
+    refined = refine(plan, proof)
+    assert not refined.passed
+    assert "the plan itself goes where MuJoCo holds it: joint 'pivot' is outside" in refined.reason
+
+
+def test_a_floor_that_the_plan_goes_through():
+    """The tip swings through it, and MuJoCo's does not."""
+    solid = '<geom type="sphere" size="0.05" pos="0 0 -1" mass="0"/></body>'
+    floor = '<geom type="plane" size="1 1 1" pos="0 0 -0.9"/>'
+    problem = swing()
+    plan = planner.solve(problem)
+    text = plan.twin.mjcf.replace("<worldbody>", f"<worldbody>{floor}").replace("</body>", solid)
+    proof = planner.prove(plan, twin=replace(plan.twin, mjcf=text), rollouts=0)
+    assert not proof.passed
+    assert "the plan itself goes where MuJoCo holds it: shapes touch at t = " in refine(plan, proof).reason
+
+
+def test_a_range_that_only_a_replay_gone_astray_reaches():
+    plan = planner.solve(planner.cases.acrobot(horizon=150, integrator="semi-implicit-euler"))
+    far = np.abs(plan.xs[:, 1]).max() + 0.2
+    text = plan.twin.mjcf.replace('name="elbow"', f'name="elbow" limited="true" range="{-far} {far}"', 1)
+    assert text != plan.twin.mjcf
+    limited = planner.prove(plan, mjcf=text, rollouts=0)
+    assert limited.replay.reached
+    assert refinement._from_discretisation(limited) == ""
+
+
+# Ends
+
+
+def test_the_limit_of_refinements_ends_refinement(failed):
+    plan, proof = failed
+    judged = []
+
+    def strict(plan):
+        judged.append(plan)
+        return replace(proof, replay=proof.replay)
+
+    refined = refine(plan, proof, limit=2, prove=strict)
+    assert refined.reason == "The limit of 2 refinements was reached."
+    assert [line.horizon for line in refined.path] == [20, 20, 40]
+    assert [plan.N for plan in judged] == [20, 40]
+    assert refined.plan is judged[-1]
+    assert refine(plan, proof, limit=0).reason == "The limit of 0 refinements was reached."
+
+
+def test_the_time_limit_ends_refinement(failed, monkeypatch):
+    _, proof = failed
+    plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations
+    seconds = iter(range(1000))
+    monkeypatch.setattr(refinement, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    refined = refine(plan, proof, seconds=8.0, prove=lambda _: proof)
+    assert refined.reason == "The time limit of 8 s was reached."
+    assert len(refined.path) == 2
+    assert refined.path[-1].status is Status.INTERRUPTED  # the solve was cut, and its plan proved
+    assert 1 < refined.path[-1].iterations < 8
+    assert len(refine(plan, proof, seconds=0.0).path) == 1
+
+
+def test_the_callback_and_ctrl_c_end_it(failed, monkeypatch):
+    plan, proof = failed
+
+    def stop(_):
+        raise StopIteration
+
+    assert refine(plan, proof, callback=stop).reason == "It was interrupted."
+    assert refine(*failed, callback=stop).plan is plan
+
+    def interrupted(problem, **_):
+        return replace(plan, problem=problem, status=Status.INTERRUPTED)
+
+    monkeypatch.setattr(refinement, "solve", interrupted)
+    refined = refine(plan, proof, prove=lambda _: proof)
+    assert refined.reason == "It was interrupted."
+    assert len(refined.path) == 2
+
+
+def test_a_plan_that_runs_away_ends_it(failed, monkeypatch):
+    plan, proof = failed
+    monkeypatch.setattr(refinement, "solve", lambda problem, **_: replace(plan, status=Status.NOT_FINITE))
+    refined = refine(plan, proof)
+    assert refined.plan is plan
+    assert "lead to infinite states" in refined.reason
+
+
+def test_a_problem_that_cannot_be_refined_ends_refinement(failed):
+    plan, proof = failed
+    rough = replace(plan, problem=strange(plan.problem))
+    refined = refine(rough, proof)
+    assert refined.plan is rough
+    assert refined.reason.startswith("It cannot be refined: the dynamics are of the type SimpleNamespace")
+
+
+def test_options_reach_the_solver(failed):
+    refined = refine(*failed, limit=1, prove=lambda _: failed[1], max_iterations=1)
+    assert refined.path[-1].iterations == 1
+    with pytest.raises(planner.PlannerError, match="update is 'best'"):
+        refine(*failed, update="best")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"),
+    [
+        ({"limit": -1}, "limit is -1"),
+        ({"seconds": float("nan")}, "seconds is nan"),
+        ({"plan": None}, "plan is None"),
+        ({"proof": None}, "proof is None"),
+    ],
+    ids=str,
+)
+def test_wrong_arguments_of_refine_are_refused(failed, arguments, fragment):
+    given = {"plan": failed[0], "proof": failed[1]} | arguments
+    with pytest.raises(planner.PlannerError, match=fragment):
+        refine(**given)
+
+
+def test_lines_stand_under_their_header():
+    header = Refinement.header()
+    numbers = ("semi-implicit-euler", 0.02, 150, 574, 2.15)
+    line = str(Refinement(*numbers, Status.CONVERGED, "PASS", "open-loop", 6.25, 1.5))
+    ends = {"integrator": "euler", "stage, s": "0.02", "horizon": "150", "cost": "2.15", "error": "6.25e+00"}
+    for word, end in ends.items():
+        assert header.index(word) + len(word) == line.index(end) + len(end), word
+    assert header.index("status") == line.index("CONVERGED")
+    assert header.index("verdict") == line.index("PASS")

@@ -1,0 +1,85 @@
+"""Time as an unknown: against bang-bang motions, closed forms, and switching times found without a solver of ours."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from carts import arm, cart
+from scipy.optimize import root
+
+import planner
+from planner import Limits, cases
+from planner.solvers.free_time import retimed
+
+
+def test_a_cart_in_least_time_is_bang_bang():
+    """1 m with 1 N and 1 kg: 2 s, first all forward, then all back. A goal met to 1e-4 m may save 1e-4 s."""
+    plan = planner.solve_for(cart(control=1.0), "time", durations=(0.5, 8.0))
+    assert plan.success
+    assert plan.t[-1] == pytest.approx(2.0, rel=1e-3)
+    assert np.mean(np.abs(plan.us) > 0.999) > 0.95
+    assert np.all(plan.us[:24] > 0.99)
+    assert np.all(plan.us[-24:] < -0.99)
+    assert plan.problem.limits.final == "exact"
+    assert plan.cost == pytest.approx(0.5 * plan.dt * np.sum(plan.us**2) + plan.t[-1], rel=1e-3)
+
+
+@pytest.mark.parametrize("weight", [0.5, 2.0])
+def test_time_against_effort(weight):
+    """1/2 int u^2 is 6 d^2 / T^3 with the best force, a line in time: w T + 6 / T^3 is least at T = (18 / w)^(1/4)."""
+    plan = planner.solve_for(cart(), {"effort": 1.0, "time": weight}, durations=(0.5, 8.0))
+    best = (18.0 / weight) ** 0.25
+    assert plan.t[-1] == pytest.approx(best, rel=2e-3)
+    assert plan.cost == pytest.approx(weight * best + 6.0 / best**3, rel=1e-3)
+
+
+def test_the_arm_in_least_time():
+    """Not later than the extremal with three switches, found by root finding alone, and on a bound in every stage."""
+    problem = arm(50, control=10.0)
+    dynamics = problem.dynamics
+
+    def end(switches):
+        shoulder, down, up, last = switches
+        cuts, x = sorted([0.0, shoulder, down, up, last]), problem.x0
+        for begin, stop in pairwise(cuts):
+            middle = 0.5 * (begin + stop)
+            u = np.array([10.0 if middle < shoulder else -10.0, 10.0 if down < middle < up else -10.0])
+            for _ in range(20):
+                x = dynamics.step(x[None], u[None], np.array([(stop - begin) / 20]))[0]
+        return x - problem.cost.x_ref[-1]
+
+    found = root(end, [0.5, 0.12, 0.54, 0.74])
+    assert found.success
+    plan = planner.solve_for(problem, "time", durations=(0.3, 2.0))
+    assert plan.success
+    assert 0.98 * found.x[-1] < plan.t[-1] < 1.003 * found.x[-1]  # more switches save less than a percent
+    on_bound = np.abs(plan.us) > 0.999 * 10.0
+    assert on_bound.any(axis=1).mean() > 0.95
+    assert np.abs(plan.us).max() <= 10.0
+
+
+def test_files_of_free_time(tmp_path):
+    plan = planner.solve_for(arm(20), {"effort": 1.0, "time": 4.0}, durations=(1.0, 3.0))
+    back = planner.load_plan(plan.save(tmp_path / "plan.npz"))
+    assert back.problem.duration == pytest.approx(plan.t[-1], rel=1e-12)
+    assert back.problem.cost.value(back.xs, back.us) == pytest.approx(plan.cost, rel=1e-12)
+    assert back.options["tried"][0][0] == 2.0  # the problem's own duration comes first
+
+
+def test_another_duration_is_the_same_integral():
+    """Of a case made anew and of one taken apart."""
+    problem = cases.two_link(horizon=20)
+    for one in (problem, replace(problem, x0=np.array([0.1, 0.0, 0.0, 0.0]))):
+        slow = retimed(one, 4.0)
+        assert slow.duration == pytest.approx(4.0)
+        assert slow.cost.R[0] == pytest.approx(2.0 * one.cost.R[0])
+        np.testing.assert_array_equal(slow.cost.Q[-1], one.cost.Q[-1])
+        np.testing.assert_array_equal(slow.x0, one.x0)
+    assert retimed(problem, 4.0).case == "two-link"
+
+
+def test_too_short_a_time_is_said():
+    plan = planner.solve_for(replace(cart(control=1.0), limits=Limits(control=1.0)), "time", durations=(0.5, 1.0))
+    assert not plan.success
+    assert plan.t[-1] == pytest.approx(1.0)

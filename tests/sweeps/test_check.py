@@ -1,0 +1,113 @@
+"""Stored plans are proved again, and what moved is named."""
+
+import json
+import shutil
+
+import pytest
+
+import planner
+from planner.__main__ import main
+from planner.sweeps import stored_plans
+from planner.sweeps.stored_plans import check, stored_proof
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Two plans with their proofs."""
+    folder = tmp_path_factory.mktemp("plans")
+    plan = planner.solve(planner.cases.two_link(horizon=100))
+    proof = json.dumps(planner.prove(plan, rollouts=0).to_dict())
+    (folder / "arm").mkdir()
+    for path in (folder / "arm" / "plan.npz", folder / "second.npz"):
+        stored_proof(plan.save(path)).write_text(proof)
+    return folder
+
+
+@pytest.fixture
+def folder(stored, tmp_path):
+    """A copy of them to change."""
+    return shutil.copytree(stored, tmp_path / "plans")
+
+
+def change(folder, edit):
+    file = folder / "arm" / "proof.json"
+    stored = json.loads(file.read_text())
+    edit(stored)
+    file.write_text(json.dumps(stored))
+
+
+def test_plans_that_prove_as_stored_pass(folder):
+    done = check(folder)
+    assert [one.plan.name for one in done] == ["plan.npz", "second.npz"]
+    assert all(one.passed and not one.changes for one in done)
+    assert main(["check", str(folder), "--quiet"]) == 0
+
+
+def test_a_figure_that_was_better_is_a_regression(folder, capsys):
+    def better(stored):
+        stored["refined_open_loop"]["figures"]["end_state_error"]["value"] = 1e-12
+
+    change(folder, better)
+    (moved,) = [one for done in check(folder) for one in done.changes]
+    assert moved.regressed
+    assert (moved.step, moved.figure, moved.stored) == ("refined_open_loop", "end_state_error", 1e-12)
+    assert main(["check", str(folder), "--quiet"]) == 1
+    assert "refined open loop end state error" in capsys.readouterr().out
+    assert main(["check", str(folder), "--quiet", "--update"]) == 0
+    assert main(["check", str(folder), "--quiet"]) == 0
+
+
+def test_a_figure_that_was_worse_has_moved(folder):
+    def worse(stored):
+        stored["refined_open_loop"]["figures"]["end_state_error"]["value"] = 1.0
+
+    change(folder, worse)
+    (moved,) = [one for done in check(folder) for one in done.changes]
+    assert not moved.regressed
+    assert all(done.passed for done in check(folder))
+
+
+def test_a_verdict_that_was_better_is_a_regression(folder):
+    plan = planner.solve(planner.cases.two_link(horizon=100, integrator="semi-implicit-euler"))
+    plan.save(folder / "arm" / "plan.npz")  # the figures beside it are of the plan that passed
+    done = check(folder / "arm")[0]
+    assert not done.passed
+    assert done.changes[0].step == "verdict"
+    assert done.changes[0].now == "FAIL (None)"
+
+
+def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
+    change(folder, lambda stored: stored["goal"]["figures"].update(height={"value": 1.0, "passed": True}))
+    assert not check(folder / "arm")[0].passed
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda folder: (folder / "arm" / "proof.json").unlink(), "it has no stored figures"),
+        (lambda folder: (folder / "arm" / "proof.json").write_text("[]"), "is not a proof"),
+        (lambda folder: (folder / "arm" / "proof.json").write_text("{" * 10), "is not a proof"),
+        (lambda folder: (folder / "arm" / "plan.npz").write_bytes(b"PK"), "is not a plan"),
+        (lambda folder: change(folder, lambda s: s.update(asked=[])), "no usable 'asked'"),
+        (lambda folder: change(folder, lambda s: s["asked"].update(rollouts="x")), "rollouts"),
+    ],
+)
+def test_a_damaged_plan_or_proof_is_a_regression_named_in_a_sentence(folder, monkeypatch, edit, words):
+    prove = planner.prove
+    monkeypatch.setattr(stored_plans, "prove", lambda plan, **asked: prove(plan, **{"rollouts": 0} | asked))
+    edit(folder)
+    done = check(folder)
+    assert words in done[0].problem
+    assert not done[0].passed
+    assert done[1].passed  # the others are still proved
+
+
+def test_wrong_paths_and_tolerances_are_refused_in_one_sentence(tmp_path, capsys):
+    for arguments, words in (
+        (["check", str(tmp_path / "none")], "does not exist"), (["check", str(tmp_path)], "holds no plans"),
+        (["check", str(tmp_path), "--tolerance", "0"], "tolerance"),
+    ):  # fmt: skip
+        assert main(arguments) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert said.count("\n") == 1

@@ -1,0 +1,107 @@
+"""How often MuJoCo compiles a model: reading and proving look at one compiled model, each text is compiled once."""
+
+from dataclasses import replace
+
+import pytest
+
+import planner
+from planner import Mechanism, RigidBodyDynamics, TrackingCost
+from planner.contact import ContactLaw
+from planner.model.mjcf import survey
+from planner.model.mjcf.text import edited
+from planner.proof.planned import reached_by_plan
+from planner.proof.verdict import prove
+
+ARM = """
+<mujoco><option gravity="0 0 -9.81"/><worldbody>
+  <body><joint name="hinge" axis="0 -1 0" damping="0.05"{friction}/>
+    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/>
+    <body pos=".5 0 0"><joint name="wrist" axis="0 -1 0"/><geom type="sphere" size=".05" pos=".1 0 0"/></body></body>
+  {floor}</worldbody><actuator><motor name="motor" joint="hinge"/><motor joint="wrist"/></actuator></mujoco>
+"""
+PLAIN = ARM.format(friction="", floor="")
+RUBBING = ARM.format(friction=' frictionloss="0.1"', floor="")
+ON_FLOOR = ARM.format(friction="", floor='<geom name="floor" type="plane" pos="0 0 -1" size="1 1 1"/>')
+
+
+@pytest.fixture
+def texts(monkeypatch):
+    """The texts that MuJoCo has compiled, in order."""
+    seen, mujoco = [], survey.load_mujoco()
+
+    class Counted:
+        def __getattr__(self, name):
+            return getattr(mujoco.MjModel, name)
+
+        def from_xml_string(self, text, *rest):
+            seen.append(text)
+            return mujoco.MjModel.from_xml_string(text, *rest)
+
+    class MuJoCo:
+        MjModel = Counted()
+
+        def __getattr__(self, name):
+            return getattr(mujoco, name)
+
+    monkeypatch.setattr(survey, "load_mujoco", MuJoCo)
+    return seen
+
+
+def task(mechanism, **options):
+    dynamics = RigidBodyDynamics(mechanism, dt=0.01, **options)
+    goal = mechanism.home.copy()
+    goal[0] = 0.2
+    return planner.Problem(
+        dynamics, TrackingCost.joints(dynamics, goal, 20, effort=0.1, final_position=10.0), mechanism.home
+    )
+
+
+def test_a_model_that_is_read_as_it_is_compiles_once(texts):
+    Mechanism.from_mjcf(PLAIN)
+    assert len(texts) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (RUBBING, {"ignore": ("frictionloss",)}),
+        (ON_FLOOR, {"contacts": "off"}),
+        (ON_FLOOR, {"contacts": ContactLaw.resting(1.0)}),
+        (ON_FLOOR.replace("damping", 'frictionloss="0.1" damping'),
+         {"contacts": ContactLaw.resting(1.0), "ignore": ("frictionloss",)}),
+    ],
+    ids=["what is ignored", "no contacts", "a law", "a law and what is ignored"],
+)  # fmt: skip
+def test_a_model_that_is_edited_compiles_twice(texts, text, options):
+    """First to know what the edit must change, then to read what it has become."""
+    Mechanism.from_mjcf(text, **options)
+    assert len(texts) == len(set(texts)) == 2
+
+
+def test_a_proof_compiles_its_model_once(texts):
+    plan = planner.solve(task(Mechanism.from_mjcf(PLAIN)))
+    texts.clear()
+    proof = prove(plan, rollouts=2, hold_seconds=0.1)
+    assert plan.twin is not None
+    assert texts == [plan.twin.mjcf]
+    reached_by_plan(replace(proof.replay, reached=("something",)))
+    assert len(texts) == 1
+
+
+def test_a_proof_in_another_model_compiles_each_text_once(texts):
+    plan = planner.solve(task(Mechanism.from_mjcf(RUBBING, ignore=("frictionloss",))))
+    texts.clear()
+    prove(plan, mjcf=edited(RUBBING, {".//joint[@name='hinge']": {"damping": "0.06"}}), rollouts=0)
+    assert len(texts) == len(set(texts)) == 2  # as given, and without the friction that the plan leaves out
+
+
+def test_driving_joints_compiles_the_model_before_and_after(texts):
+    """Before, to know the joints; with the joints heavy, to know how soft contacts become; then to prove in it."""
+    mechanism = Mechanism.from_mjcf(PLAIN)
+    texts.clear()
+    plan = planner.solve(task(mechanism, prescribed=("wrist",)))
+    assert len(texts) == 2
+    texts.clear()
+    prove(plan, rollouts=0)
+    assert plan.twin is not None
+    assert texts == [plan.twin.mjcf]

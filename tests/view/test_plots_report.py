@@ -1,0 +1,286 @@
+"""Figures of made-up plans and proofs: what must be shown is shown, and nothing breaks them."""
+
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_up import APPEARANCE, MODES, N, make_perturbed, make_plan, make_proof, make_replay
+from PIL import Image
+
+from planner.base.errors import FileError
+from planner.view.plots import draw_plan, draw_proof, save
+
+
+@pytest.fixture
+def plan():
+    return make_plan()
+
+
+@pytest.fixture
+def replay(plan):
+    return make_replay(plan)
+
+
+@pytest.fixture
+def proof(plan):
+    return make_proof(plan)
+
+
+def titles(figure):
+    return [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+
+
+def panel(figure, title):
+    return next(axes for axes in figure.axes if axes.get_title(loc="left").startswith(title))
+
+
+# Plots
+
+
+def test_the_panels_are_those_of_the_stage_then_force_then_convergence(plan, replay):
+    figure = draw_plan(plan, replay)
+    found = titles(figure)
+    assert [found[0], *found[2:]] == ["Height", "Piston", "Contact force in the replay", "Convergence"]
+    assert found[1].startswith("height, replay ")
+    assert figure.get_suptitle() == APPEARANCE.title
+
+
+def test_plan_and_replay_are_drawn_as_they_are(plan, replay):
+    simulated, planned = panel(draw_plan(plan, replay), "Height").get_lines()
+    np.testing.assert_array_equal(simulated.get_ydata(), replay.xs[:, 0])
+    np.testing.assert_array_equal(planned.get_ydata(), replay.plan_xs[:, 0])
+    assert simulated.get_linestyle() == "-"
+    assert planned.get_linestyle() == "--"
+
+
+def test_the_difference_is_replay_minus_plan_in_the_unit_it_names(plan, replay):
+    axes = panel(draw_plan(plan, replay), "height, replay")
+    assert "10^{-3}" in axes.get_title(loc="left")
+    assert axes.get_title(loc="left").endswith("in)")
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata() * 1e-3, 1e-3 * replay.t, atol=1e-12)
+
+
+def test_controls_are_steps_on_an_axis_of_their_own(plan, replay):
+    figure = draw_plan(plan, replay)
+    (right,) = [axes for axes in figure.axes if axes.get_ylabel() == "flow (in/s)"]
+    assert {line.get_drawstyle() for line in right.get_lines()} == {"steps-post"}
+    simulated, planned = right.get_lines()
+    np.testing.assert_array_equal(planned.get_xdata(), plan.t)
+    np.testing.assert_array_equal(planned.get_ydata()[:-1], plan.us[:, 0])
+    np.testing.assert_array_equal(simulated.get_xdata(), replay.t)
+    np.testing.assert_array_equal(simulated.get_ydata()[:-1], replay.ctrl[:, 0])
+
+
+def test_stance_is_shaded_in_every_panel_over_time(plan, replay):
+    figure = draw_plan(plan, replay)
+    timed = [axes for axes in figure.axes if axes.get_xlabel() == "time (s)" or axes.get_title(loc="left") == "Height"]
+    assert len(timed) == 4
+    touching = replay.t[replay.contact_force > 0]
+    for axes in timed:
+        (shade,) = axes.collections
+        times = np.concatenate([path.vertices[:, 0] for path in shade.get_paths()])
+        assert times.min() == touching.min()
+        assert times.max() == touching.max()
+
+
+def test_without_contact_there_is_no_force_panel(plan, replay):
+    figure = draw_plan(plan, replace(replay, contact_force=np.zeros_like(replay.t)))
+    assert "Contact force in the replay" not in titles(figure)
+    assert not any(axes.collections for axes in figure.axes)
+
+
+def test_a_plan_without_a_proof_is_plotted(plan):
+    figure = draw_plan(plan, None)
+    assert titles(figure) == ["Height", "Piston", "Convergence"]
+    (line,) = panel(figure, "Height").get_lines()
+    np.testing.assert_array_equal(line.get_ydata(), plan.xs[:, 0])
+
+
+def test_a_plan_without_a_stage_shows_all_states_and_controls(plan, replay):
+    figure = draw_plan(replace(plan, problem=None), replay)
+    assert titles(figure) == ["States", "Controls", "Contact force in the replay", "Convergence"]
+    assert len(panel(figure, "States").get_lines()) == 6
+    assert figure.get_suptitle() == "spring"
+
+
+def test_convergence_shows_the_costs_above_the_last(plan):
+    figure = draw_plan(plan, None)
+    axes = panel(figure, "Convergence")
+    (line,) = axes.get_lines()
+    assert axes.get_yscale() == "log"
+    np.testing.assert_allclose(line.get_ydata(), [100, 10, 1, 0.1, 0.01, 1e-3], rtol=1e-9)
+    (gradient,) = next(axes for axes in figure.axes if axes.get_ylabel() == "gradient norm").get_lines()
+    np.testing.assert_allclose(gradient.get_ydata(), [line.gradient_norm for line in plan.history])
+
+
+@pytest.mark.parametrize("length", [0, 1])
+def test_a_solve_that_ended_at_once(plan, tmp_path, length):
+    save(draw_plan(replace(plan, history=plan.history[:length]), None), tmp_path / "plots.png")
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -1e300])
+def test_numbers_that_are_not_finite_leave_a_gap(plan, replay, tmp_path, bad):
+    xs, plan_xs, ctrl = replay.xs.copy(), replay.plan_xs.copy(), replay.ctrl.copy()
+    xs[50:] = plan_xs[40:60] = ctrl[70:] = bad
+    history = tuple(line._replace(cost=bad, gradient_norm=bad) for line in plan.history)
+    broken = replace(plan, xs=np.full_like(plan.xs, bad), cost=bad, history=history)
+    save(draw_plan(broken, replace(replay, xs=xs, plan_xs=plan_xs, ctrl=ctrl)), tmp_path / "plots.png")
+    save(draw_plan(broken, None), tmp_path / "alone.png")
+    assert (tmp_path / "plots.png").stat().st_size > 0
+
+
+def test_the_picture_is_a_png_with_ink_in_every_quarter(plan, replay, tmp_path):
+    save(draw_plan(plan, replay), tmp_path / "plots.png")
+    with Image.open(tmp_path / "plots.png") as image:
+        assert image.format == "PNG"
+        assert image.width >= 1280
+        grey = np.asarray(image.convert("L"))
+    for half in np.array_split(grey, 2, axis=0):
+        for quarter in np.array_split(half, 2, axis=1):
+            assert quarter.std() > 10
+    assert [path.name for path in tmp_path.iterdir()] == ["plots.png"]
+
+
+def test_plotting_leaves_the_callers_pyplot_alone(plan, tmp_path):
+    loaded = "matplotlib.pyplot" in sys.modules
+    save(draw_plan(plan, None), tmp_path / "plots.svg")
+    assert ("matplotlib.pyplot" in sys.modules) == loaded
+    assert (tmp_path / "plots.svg").read_text().startswith("<?xml")
+
+
+def test_an_unknown_picture_format_is_one_sentence(plan, tmp_path):
+    with pytest.raises(FileError, match=r"no picture format 'xyz'; expected one of .*png"):
+        save(draw_plan(plan, None), tmp_path / "plots.xyz")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Both replays of a proof
+
+
+def test_a_proof_shows_three_curves_the_plan_on_top(plan, proof):
+    open_loop, gains, planned = panel(draw_plan(plan, proof), "Height").get_lines()
+    np.testing.assert_array_equal(open_loop.get_ydata(), proof.replays["open-loop"].xs[:, 0])
+    np.testing.assert_array_equal(gains.get_ydata(), proof.replays["feedback"].xs[:, 0])
+    np.testing.assert_array_equal(planned.get_ydata(), proof.replay.plan_xs[:, 0])
+    assert open_loop.get_linewidth() > gains.get_linewidth() > planned.get_linewidth()
+    assert open_loop.get_zorder() < gains.get_zorder() < planned.get_zorder()
+    assert len({line.get_color() for line in (open_loop, gains, planned)}) == 3
+
+
+def test_the_legend_names_the_three(plan, proof):
+    (legend,) = draw_plan(plan, proof).legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert words[:3] == ["plan", "replay in MuJoCo, open loop", "replay in MuJoCo, with gains"]
+
+
+def test_a_replay_that_runs_away_ends_at_the_edge_and_leaves_the_others_their_scale(plan, proof):
+    run = proof.replays["open-loop"]
+    run.xs[:, 0] += 1e8 * np.maximum(0.0, run.t - 1.0)
+    axes = panel(draw_plan(plan, proof), "Height")
+    low, high = axes.get_ylim()
+    assert high - low < 10.0
+    drawn = axes.get_lines()[0].get_ydata()
+    assert np.sum(drawn > high) == 1
+    assert np.isnan(drawn[-1])
+    assert np.isfinite(axes.get_lines()[1].get_ydata()).all()
+
+
+# proof.png
+
+
+def lines_of(axes, words):
+    return [line for line in axes.get_lines() if line.get_label() == words]
+
+
+def test_the_panels_of_a_proof(proof):
+    found = titles(draw_proof(proof))
+    assert [title.split(",")[0].split(":")[0] for title in found] == [
+        "Growth of errors", "Order of the open-loop replay as MuJoCo's step is halved",
+        "Monte Carlo", "Monte Carlo", "Monte Carlo",
+    ]  # fmt: skip
+
+
+def test_growth_is_drawn_as_measured_and_as_predicted_on_a_log_scale(proof):
+    axes = panel(draw_proof(proof), "Growth")
+    assert axes.get_yscale() == "log"
+    for mode, words in zip(MODES, ("open loop", "with gains"), strict=True):
+        (measured,), (predicted,) = lines_of(axes, words), lines_of(axes, f"{words}, predicted")
+        np.testing.assert_array_equal(measured.get_ydata()[1:], proof.errors.measured[mode][1:])
+        np.testing.assert_array_equal(predicted.get_ydata()[1:], proof.errors.predicted[mode][1:])
+        assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
+        assert measured.get_color() == predicted.get_color()
+    (bound,) = lines_of(axes, "bound at the end, 0.01")
+    assert set(bound.get_ydata()) == {1e-2}
+
+
+def test_the_general_bound_is_not_drawn_for_a_case_with_rules_of_its_own(plan, proof):
+    plan.problem.requirements = type("Own", (), {"tracking": lambda replay: None})
+    assert not lines_of(panel(draw_proof(proof), "Growth"), "bound at the end, 0.01")
+
+
+def test_order_is_drawn_beside_the_integrators_slope_with_its_extrapolation(proof):
+    axes = panel(draw_proof(proof), "Order")
+    (measured,), (slope,) = lines_of(axes, "measured"), lines_of(axes, "order 4, the integrator's")
+    np.testing.assert_array_equal(measured.get_xdata(), proof.convergence.steps[:-1])
+    np.testing.assert_array_equal(measured.get_ydata(), proof.convergence.changes)
+    np.testing.assert_allclose(slope.get_ydata(), proof.convergence.changes, rtol=1e-12)
+    for words in ("observed order 4.01", "5.0123", "1.0e-06", "1.0e-07"):
+        assert words in axes.get_xlabel()
+
+
+def test_a_fan_holds_the_component_that_strays_farthest(proof):
+    axes = panel(draw_proof(proof), "Monte Carlo, open loop")
+    assert axes.get_ylabel() == "deviation of height (in)"
+    (median,) = lines_of(axes, "median")
+    np.testing.assert_array_equal(median.get_ydata(), proof.monte_carlo.fans["open-loop"][2, :, 0])
+    outer, inner = (np.concatenate([path.vertices[:, 1] for path in band.get_paths()]) for band in axes.collections)
+    assert (outer.min(), outer.max()) == pytest.approx((-2.0, 2.0))
+    assert (inner.min(), inner.max()) == pytest.approx((-1.0, 1.0))
+
+
+def test_the_histogram_says_how_many_succeed_and_draws_the_tolerance(proof):
+    axes = panel(draw_proof(proof), "Monte Carlo: end errors")
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert words[0].startswith("open loop: 7.5 % succeed (3 of 40, 95 % interval 2.6 to 19.9 %)")
+    assert words[1].startswith("with gains: 100.0 % succeed (40 of 40, 95 % interval 91.2 to 100.0 %)")
+    (tolerance,) = lines_of(axes, "tolerance 0.1")
+    assert set(tolerance.get_xdata()) == {0.1}
+    bars = sum(patch.get_height() for patch in axes.patches if type(patch).__name__ == "Rectangle")
+    assert bars == 80
+
+
+def test_panels_that_do_not_apply_are_left_out(proof):
+    proof.monte_carlo = None
+    assert len(titles(draw_proof(proof))) == 2
+    proof.convergence = None
+    assert len(titles(draw_proof(proof))) == 1
+    proof.monte_carlo = make_perturbed(done=0)
+    assert len(titles(draw_proof(proof))) == 1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, 1e300])
+def test_nothing_that_a_proof_measures_breaks_its_figure(plan, proof, tmp_path, bad):
+    every = np.full(N + 1, bad)
+    proof.errors = replace(proof.errors, measured=dict.fromkeys(MODES, every), predicted=dict.fromkeys(MODES, every))
+    proof.convergence = replace(
+        proof.convergence, changes=np.full(4, bad), observed=None, extrapolated_cost=bad, end_uncertainty=bad
+    )
+    rollouts = proof.monte_carlo
+    proof.monte_carlo = replace(
+        rollouts, end_error=dict.fromkeys(MODES, np.full(40, bad)),
+        fans=dict.fromkeys(MODES, np.full((5, N + 1, 3), bad)),
+    )  # fmt: skip
+    save(draw_proof(proof), tmp_path / "proof.png")
+    with Image.open(tmp_path / "proof.png") as image:
+        assert image.width >= 1280
+
+
+def test_rollouts_that_exploded_are_counted(proof):
+    ends = dict(proof.monte_carlo.end_error)
+    ends["feedback"] = np.append(ends["feedback"][:-3], [math.inf] * 3)
+    proof.monte_carlo = replace(proof.monte_carlo, end_error=ends)
+    words = [text.get_text() for text in panel(draw_proof(proof), "Monte Carlo: end").get_legend().get_texts()]
+    assert words[1].endswith(", 3 exploded")
+    assert "exploded" not in words[0]
