@@ -143,14 +143,3 @@ def log_jacobian(rotation: np.ndarray) -> np.ndarray:
     factor = np.where(square > _SMALL**2, factor, 1.0 / 12.0 + square / 720.0)
     H = hat(rotation)
     return np.eye(3) + 0.5 * H + factor * (H @ H)
-
-
-def exp_jacobian(rotation: np.ndarray) -> np.ndarray:
-    """SO(3)'s right Jacobian (..., 3, 3): exp(r + e) = exp(r) exp(Jr(r) e) to first order in e."""
-    square = np.sum(rotation**2, axis=-1)[..., None, None]
-    angle2 = np.maximum(square, _SMALL**2)
-    angle = np.sqrt(angle2)
-    first = np.where(square > _SMALL**2, 2.0 * np.sin(0.5 * angle) ** 2 / angle2, 0.5 - square / 24.0)
-    second = np.where(square > _SMALL**2, (angle - np.sin(angle)) / (angle2 * angle), 1.0 / 6.0 - square / 120.0)
-    H = hat(rotation)
-    return np.eye(3) - first * H + second * (H @ H)
