@@ -78,7 +78,7 @@ class _Batch:
         return self.arrays[name]
 
     def out(self, value: np.ndarray) -> np.ndarray:
-        """What the caller gets: without the first axis for a single state."""
+        """The result for the caller: without the first axis for a single state."""
         return value[0] if self.single else value
 
     def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
@@ -168,7 +168,7 @@ def _inverse(b: _Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
 
 
 def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """What the forces are without acceleration, (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
+    """Forces at zero acceleration (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
     b = _Batch(mechanism, q=q, qd=qd)
     return b.out(_inverse(b, b["qd"], np.zeros_like(b["qd"])))
 

@@ -167,7 +167,7 @@ def _tracking(e, d, row, column, value, terms, slopes):
 
 @part
 def rollout(integrator, dt, parameters, w, search, feedback, slopes):
-    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, costs and, if asked, their slopes.
+    """Four step lengths at once: states trial_x, controls trial_u, costs and, if asked, their slopes.
 
     The control is us + alpha k + K (x - xs) with feedback, us + alpha dus without (Eq. 36).
     """
@@ -233,7 +233,7 @@ def linearize_nominal(integrator, dt, parameters, w):
 
 @jit
 def search_step(integrator, dt, parameters, w, search, rule, feedback):
-    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+    """Search along the direction and take a step, or with rule START only roll the controls out; (step, cost after).
 
     The step is 0 when there is none.
     """

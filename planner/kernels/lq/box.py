@@ -67,7 +67,7 @@ def _multiply(M, width, mu, nu, x, y):
 def box_minimum(w, mu, n):
     """The minimum k of stage n from its H and h, its clamped controls (1 or 0), and whether H is definite.
 
-    All in BOX: k, then clamped, then what is left of the gradient, nu numbers each.
+    All in W.box: k, then clamped, then what is left of the gradient, nu numbers each.
 
     Returns:
         (value, definite): 1/2 k'(H + mu I) k + h'k.

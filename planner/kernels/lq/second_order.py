@@ -15,7 +15,7 @@ from planner.kernels.numba.lanes import WIDTH, at, floats, load, load4, pointer,
 
 @jit
 def costates(w, dt):
-    """COSTATES (N+1, width) of the trajectory (Eq. 16, 17), in the columns of x, from F and the stages' gradients."""
+    """Fill W.costates (Eq. 16, 17) along the trajectory, in the columns of x, from F and the stages' gradients."""
     w = pointer(w)
     ndx, width, first = w[W.ndx], w[W.width], w[W.first]
     structured, nv = w[W.structured], ndx // 2

@@ -14,7 +14,7 @@ from planner.kernels.tree.step import gather, scatter
 
 @inline
 def _gathered(m, r, q, v, third, first, destination):
-    """Four states onto X_LANES, and four rows (nv) of a third array onto lanes of their own."""
+    """Four states onto MEMORY.x, and four rows (nv) of a third array onto lanes of their own."""
     K = q.shape[0]
     gather(doubles(q), first, K, m[TREE.nq], lanes(r, MEMORY.x))
     gather(doubles(v), first, K, m[TREE.nv], at(lanes(r, MEMORY.x), m[TREE.nq]))
@@ -23,7 +23,7 @@ def _gathered(m, r, q, v, third, first, destination):
 
 @inline
 def _passive(m, r, x, v):
-    """Springs and dampers, on THETA."""
+    """The forces of springs and dampers, in MEMORY.theta."""
     passive = lanes(r, MEMORY.theta)
     for i in range(m[TREE.nv]):
         store(passive, i, spread(0.0))

@@ -41,7 +41,7 @@ TURN_SIZE = 18  # of a rotation's T and J, row by row
 
 @inline
 def keep_turns(m, r, i):
-    """T and J of every ball for the rotation vectors in THETA, of stage i (4: the end of the step)."""
+    """T and J of every ball for the rotation vectors in MEMORY.theta, of stage i (4: the end of the step)."""
     balls, ball_v, theta = m[TREE.nballs], integers(m, TREE.ball_v), lanes(r, MEMORY.theta)
     turns = lanes(r, MEMORY.turns)
     one, zero = spread(1.0), spread(0.0)
@@ -102,7 +102,7 @@ def _copy(D, A, width, nv, at_q, factor):
 
 @inline
 def _turn_columns(m, r, i, lane, lengths, D, A, width):
-    """What rotations change in stage i: Dq T and Dq (W + V) in A, and Dq W / factor in place of Dq."""
+    """Put Dq T and Dq (W + V) of the balls in the columns of A for stage i, and Dq W / factor in place of Dq."""
     nv, balls, ball_v, at_q = m[TREE.nv], m[TREE.nballs], integers(m, TREE.ball_v), r[MEMORY.first]
     factor, k = lengths
     turns, v = as_floats(lanes(r, MEMORY.turns)), as_floats(lanes(r, MEMORY.v_stages))

@@ -24,7 +24,7 @@ from planner.kernels.tree.model import CONTACT_SIZE, STOP_SIZE, TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
-# Offsets in a contact's and a stop's numbers, as kernels.model lays them out
+# Offsets in a contact's and a stop's numbers, as `model` lays them out
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, TOUCH = 0, 3, 6, 7, 8, 11, 14
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, SLIP, FRICTION, RAISE, SHARE, BEND = range(11)
 SIDE, END, LAW = 0, 1, 2
@@ -147,7 +147,7 @@ def by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
 
 @part
 def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
-    """What contacts take from dtau/dq and dtau/dv of inverse dynamics, (nv, ld) lanes; ws is as that left it."""
+    """Subtract the derivatives of contacts from dtau/dq and dtau/dv, (nv, ld) lanes; ws as inverse dynamics left it."""
     value, parent, first = floats(m, TREE.contact_value), integers(m, TREE.parent), integers(m, TREE.first)
     zero = spread(0.0)
     for k in range(m[TREE.contacts]):
@@ -222,7 +222,7 @@ def add_stops(m, q, v, tau):
 
 @part
 def add_stop_derivatives(m, q, v, Dq, Dv, ld):
-    """What stops add to dtau/dq and dtau/dv of inverse dynamics."""
+    """Add the derivatives of the stops' forces to dtau/dq and dtau/dv of inverse dynamics."""
     for k in range(m[TREE.stops]):
         i, _, _, by_depth, by_opening = _stopped(m, k, q, v)
         d = i * ld + i  # the side counts twice

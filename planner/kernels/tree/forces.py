@@ -1,4 +1,4 @@
-"""What acts on the joints besides gravity: springs, dampers and actuators, and their derivatives, on lanes.
+"""Forces on the joints besides gravity: springs, dampers and actuators, and their derivatives, on lanes.
 
 All terms but the springs of balls are linear, so their derivatives are the lists of terms themselves.
 """
@@ -75,7 +75,7 @@ def activation_rates(m, u, act, rate):
 
 @part
 def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
-    """What springs and dampers add to dtau/dq and dtau/dv of inverse dynamics, (nv, ld) lanes; scratch is twelve."""
+    """Add the derivatives of springs and dampers to dtau/dq and dtau/dv, (nv, ld) lanes; scratch is twelve lanes."""
     kind = integers(m, TREE.kind)
     damping, stiffness = floats(m, TREE.damping), floats(m, TREE.stiffness)
     for i in range(m[TREE.nv]):
@@ -97,7 +97,7 @@ def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
 
 @part
 def add_actuator_derivatives(m, Dq, Dv, ld):
-    """What actuators take from dtau/dq and dtau/dv of inverse dynamics."""
+    """Subtract the derivatives of the actuators' forces from dtau/dq and dtau/dv of inverse dynamics."""
     row, column = integers(m, TREE.position_row), integers(m, TREE.position_column)
     value = floats(m, TREE.position_value)
     for t in range(m[TREE.position_terms]):

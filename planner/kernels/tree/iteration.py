@@ -121,7 +121,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 @part
 def rollout(w, m, r, search, dt, feedback, external, p):
-    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
+    """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
 
     p is the table of penalties or, where there are none, None: then nothing of them is compiled.
     """
@@ -160,7 +160,7 @@ def _take(w, m, r, lane):
 
 @jit
 def search_step(w, m, r, search, rule, feedback, external, p):
-    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+    """Search along the direction and take a step, or with rule START only roll the controls out; (step, cost after).
 
     The step is 0 when there is none. p is the table of penalties or None, external as in Model: what is None is not
     compiled.

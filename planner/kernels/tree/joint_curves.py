@@ -11,7 +11,7 @@ from planner.model.joint_curves import LARGEST
 
 @inline
 def _torque(m, k, q):
-    """Of curve k."""
+    """The torque of curve k."""
     start, dof, slope = integers(m, TREE.curve_start), integers(m, TREE.curve_slope_dof), floats(m, TREE.curve_slope)
     value, address = floats(m, TREE.curve_value), integers(m, TREE.q_address)
     exponent = spread(0.0) + load(value, 2 * k + 1)
@@ -30,7 +30,7 @@ def add_curves(m, q, tau):
 
 @part
 def subtract_curve_derivatives(m, q, Dq, ld):
-    """What curves take from dtau/dq of inverse dynamics, (nv, ld) lanes."""
+    """Subtract the derivatives of the curves' torques from dtau/dq of inverse dynamics, (nv, ld) lanes."""
     start, dof, slope = integers(m, TREE.curve_start), integers(m, TREE.curve_slope_dof), floats(m, TREE.curve_slope)
     for k in range(m[TREE.curves]):
         row, torque = load(integers(m, TREE.curve_dof), k) * ld, _torque(m, k, q)

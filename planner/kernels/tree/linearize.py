@@ -82,7 +82,7 @@ def _gathered(m, r, xs, us, first, count):
 def linearize_structured(m, r, dt, xs, us, F, transport, external):
     """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
 
-    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
+    The accelerations are those that a rollout, or `steps`, left in MEMORY.accelerations; so for linearize_dense.
     """
     m, r = pointer(m), pointer(r)
     nv, columns, count, width = m[TREE.nv], r[MEMORY.columns], us.shape[0], F.shape[2]

@@ -24,7 +24,7 @@ from planner.kernels.tree.model import PAIR_LINKS_SIZE, PAIR_SIZE, TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
-# Offsets in a pair's numbers, as kernels.model lays them out: of each part, then of both; and in its links
+# Offsets in a pair's numbers, as `model` lays them out: of each part, then of both; and in its links
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7
 BETWEEN, REACH, SHIFT, BLUNT, PARALLEL, TOUCH = 14, 17, 18, 19, 20, 21
 COMMON, ADDRESS = 2, 3
@@ -129,7 +129,7 @@ def _inverse(value, o, freedom, a1, a2):
 
 @part
 def subtract_pair_derivatives(m, q, Dq, Dv, ld, ws):
-    """What contacts of two bodies take from dtau/dq and dtau/dv of inverse dynamics, as in kernels.contact."""
+    """Subtract the derivatives of the contacts of two bodies from dtau/dq and dtau/dv of inverse dynamics."""
     value, parent, first = floats(m, TREE.pair_value), integers(m, TREE.parent), integers(m, TREE.first)
     for k in range(m[TREE.pairs]):
         own, other, e, distance, n, D, a, a_other, x, x_other, p, p_other, w1, w2, V, V_other, freedom = _met(

@@ -60,7 +60,7 @@ def _stage(values, k, knots):
 
 @inline
 def _place_points(m, p, x, ws, n, knots):
-    """Places of all points at stage n (or four from there on), in PLACES; where terms ask for them also velocities."""
+    """Place all points at stage n (or four from there on), with velocities where terms need them; in PENALTY.places."""
     q, v, fast = x, at(x, m[TREE.nq]), p[PENALTY.fast]
     tree, parent, moved = placement(m), integers(m, TREE.parent), integers(p, PENALTY.links)
     for k in range(p[PENALTY.moved]):
@@ -107,7 +107,7 @@ def _nearest(a0, a1, b0, b1):
 
 @inline
 def _speed(p, i, d):
-    """Of point i along d; the world's is zero."""
+    """Velocity of point i along d; the world's is zero."""
     speed = spread(0.0)
     if load(integers(p, PENALTY.point_link), i) >= 0:
         share = load(floats(p, PENALTY.point_value), POINT_SIZE * i + 3)
@@ -147,7 +147,7 @@ def _ramped(p, t, value, bound):
 
 @part
 def penalty_cost(m, p, x, ws, n):
-    """What the terms cost four candidates x (nx lanes) at stage n; ws (links) is overwritten."""
+    """Cost of the terms for four candidates x (nx lanes) at stage n; ws (links) is overwritten."""
     J = spread(0.0)
     if load(floats(p, PENALTY.active), n) > 0.0:
         _place_points(m, p, x, ws, n, False)
@@ -163,7 +163,7 @@ def penalty_cost(m, p, x, ws, n):
 
 @inline
 def _row(m, p, ws, t, d, s, u):
-    """The derivative of term t's value, on ROW, which was zero."""
+    """The derivative of term t's value, in PENALTY.row, which was zero."""
     parent, link, ends = integers(m, TREE.parent), integers(p, PENALTY.point_link), integers(p, PENALTY.ends)
     value, places, row = floats(p, PENALTY.point_value), lanes(p, PENALTY.places), lanes(p, PENALTY.row)
     for k in range(1 if load(integers(p, PENALTY.kind), t) == HEIGHT else 4):
@@ -182,7 +182,7 @@ def _row(m, p, ws, t, d, s, u):
 
 @inline
 def _velocity_row(m, p, ws, t, d):
-    """The same of a velocity, by positions and by velocities."""
+    """The derivative of a velocity, by positions and by velocities, in PENALTY.row."""
     parent, base, nv = integers(m, TREE.parent), integers(m, TREE.base), m[TREE.nv]
     link, ends, row = integers(p, PENALTY.point_link), integers(p, PENALTY.ends), lanes(p, PENALTY.row)
     for k in range(2):
@@ -208,7 +208,7 @@ def _velocity_row(m, p, ws, t, d):
 
 @inline
 def _add_term(p, t, gradient, curvature):
-    """ROW's part in gradient and Hessian; makes ROW zero again."""
+    """Add the row's part to gradient and Hessian, and make the row zero again."""
     start, dof, row = integers(p, PENALTY.start), integers(p, PENALTY.dof), lanes(p, PENALTY.row)
     g, H, ld, end = lanes(p, PENALTY.gradient), lanes(p, PENALTY.hessian), p[PENALTY.ld], load(start, t + 1)
     for k in range(load(start, t), end):
@@ -225,7 +225,7 @@ def _add_term(p, t, gradient, curvature):
 
 @inline
 def _scatter(w, p, first, present):
-    """Gradients of up to four stages onto STAGE_GRADIENT, Hessians into PENALTY_HESSIAN."""
+    """Gradients of up to four stages onto W.l, Hessians into W.penalty_hessian."""
     rows, ld, width = p[PENALTY.rows], p[PENALTY.ld], w[W.width]
     l, H = at(floats(w, W.l), w[W.first]), floats(w, W.penalty_hessian)
     g = as_floats(lanes(p, PENALTY.gradient))
@@ -239,7 +239,7 @@ def _scatter(w, p, first, present):
 
 @jit
 def penalise(w, m, r, p):
-    """Add the terms' gradients to STAGE_GRADIENT of every stage and of the end, and leave their PENALTY_HESSIAN."""
+    """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.penalty_hessian."""
     w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
     stages, nx, x, ws = w[W.N] + 1, w[W.nx], lanes(r, MEMORY.x), lanes(r, MEMORY.links)
     weights, bounds, stride = floats(p, PENALTY.weight), floats(p, PENALTY.bound), p[PENALTY.stride]

@@ -161,7 +161,7 @@ def _eta(m, r, s, i):
 
 @inline
 def _along_positions(m, r, s, i, x):
-    """Rows of S by q, into SQ (nv, columns), and S by v and v, into SVV (nv, nv)."""
+    """Rows of S by q, into Sq (nv, columns), and S by v and v, into Svv (nv, nv)."""
     nv, nq, ld, columns, x0 = m[TREE.nv], m[TREE.nq], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
     q, a, v = at(lanes(s, SECOND.q), i * nq), at(lanes(r, MEMORY.a), i * nv), _velocity(m, r, x, i)
     D, eta, carried = at(lanes(s, SECOND.D), i * nv * columns), lanes(s, SECOND.eta), lanes(s, SECOND.carried)
@@ -304,8 +304,8 @@ def _add_terms(m, r, s):
 def second_order(m, r, s, dt, xs, us, costates, T):
     """Upper triangles T (N, width, width) along xs (N+1, nx), us (N, nu), for the costates (N+1, width).
 
-    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS. What is not in the upper triangle
-    stays as it is, zero.
+    The accelerations are those that a rollout, or `steps`, left in MEMORY.accelerations. The lower triangle
+    stays zero.
     """
     m, r, s = pointer(m), pointer(r), pointer(s)
     nv, nu, columns, x0, count = m[TREE.nv], m[TREE.nu], r[MEMORY.columns], r[MEMORY.first], us.shape[0]

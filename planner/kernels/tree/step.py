@@ -117,7 +117,7 @@ def stage_state(m, r, x, i, a, dt):
 
 @part
 def end_rotation(m, r, x, a, dt):
-    """What moves the configuration over a whole RK4 stage, into theta; v_stages are filled."""
+    """The displacement theta of the configuration over a whole RK4 stage, from v_stages."""
     nv = m[TREE.nv]
     v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     for k in range(nv):
@@ -191,7 +191,7 @@ def scatter(source, first, count, width, destination):
 def steps(m, r, dt, xs, us, xs_next, keep, external):
     """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
 
-    With `keep` the stages' accelerations are left in ACCELERATIONS.
+    With `keep` the stages' accelerations are left in MEMORY.accelerations.
     """
     m, r = pointer(m), pointer(r)
     nx, nu, K = xs.shape[1], m[TREE.nu], xs.shape[0]

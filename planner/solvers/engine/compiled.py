@@ -102,7 +102,7 @@ class CompiledEngine:
     def _iterate_bounded(
         self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
     ) -> Outcome:
-        """The same with bounds, once linearised."""
+        """The sweep and search of iterate, with bounds."""
         w, dynamics = self._w, self._dynamics
         riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
         norm, value, definite = riccati(w.table, mu, dynamics.dt)
