@@ -223,15 +223,19 @@ def _minimise(
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
     plan = _plan(problem, xs, us, engine.gains(), cost, history[-1].gradient_norm, status, history)
-    give_back(problem, engine)
+    give_back(problem, engine, descent.rule)
     return plan
 
 
 def _stalled(history: list[Iteration], gain_tolerance: float) -> bool:
     """Whether the last iterations of the plain model have each gained less than the tolerance."""
-    return len(history) >= _SLOW and all(
-        line.step > 0.0 and line.regularisation == 0.0 and line.actual < gain_tolerance * max(1.0, abs(line.cost))
-        for line in history[-_SLOW:]
+    return (
+        gain_tolerance > 0.0
+        and len(history) >= _SLOW
+        and all(
+            line.step > 0.0 and line.regularisation == 0.0 and line.actual < gain_tolerance * max(1.0, abs(line.cost))
+            for line in history[-_SLOW:]
+        )
     )
 
 

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, PenalisedDynamics
@@ -22,24 +20,24 @@ __all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "borrow", "give
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
 # problem, or no problem would ever be freed.
-_idle: WeakKeyDictionary[Problem, dict[type, list[Engine]]] = WeakKeyDictionary()
+_idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
 def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
     """An engine for one solve of a problem: compiled if kernels have all of it and of the line search."""
-    dynamics, costs = problem.dynamics, compiled_costs(problem)
-    make: Callable[[], Engine] = partial(NumpyEngine, problem)
-    kind = NumpyEngine
-    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
-        kind, make = CompiledEngine, partial(CompiledEngine, problem, dynamics, *costs)
     try:
-        return _idle_of(problem, kind).pop()
+        return _idle_of(problem, rule).pop()
     except IndexError:
-        return make()
+        pass
+    dynamics, costs = problem.dynamics, compiled_costs(problem)
+    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
+        return CompiledEngine(problem, dynamics, *costs)
+    return NumpyEngine(problem)
 
 
-def _idle_of(problem: Problem, kind: type) -> list[Engine]:
-    return _idle.setdefault(problem, {}).setdefault(kind, [])
+def _idle_of(problem: Problem, rule: int) -> list[Engine]:
+    """Idle engines of a problem for a line search: those for the Wolfe rule may be others."""
+    return _idle.setdefault(problem, {}).setdefault(rule == search.WOLFE, [])
 
 
 def _has(dynamics: CompiledDynamics, problem: Problem, rule: int) -> bool:
@@ -65,6 +63,6 @@ def compiled_costs(problem: Problem) -> tuple[TrackingCost, tuple[PenaltyCost, .
     return None
 
 
-def give_back(problem: Problem, engine: Engine) -> None:
-    """Keep an engine for the next solve of the same problem."""
-    _idle_of(problem, type(engine)).append(engine)
+def give_back(problem: Problem, engine: Engine, rule: int = search.ARMIJO) -> None:
+    """Keep an engine for the next solve of the same problem with the same line search."""
+    _idle_of(problem, rule).append(engine)
