@@ -1,4 +1,4 @@
-"""What the solver sees of a machine, x(n+1) = f(x(n), u(n)) (Eq. 10), and its algorithms: rnea, mass_matrix ..."""
+"""Discrete dynamics x(n+1) = f(x(n), u(n)) (Eq. 10) of machines, and their algorithms: rnea, mass_matrix ..."""
 
 from planner.base.lazy import public_names
 

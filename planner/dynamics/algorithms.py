@@ -20,9 +20,10 @@ import numpy as np
 
 from planner.base.arguments import array, shown
 from planner.base.errors import PlannerError
+from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree.memory import EULER, TreeMemory
+from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import hat
@@ -77,7 +78,7 @@ class _Batch:
         return self.arrays[name]
 
     def out(self, value: np.ndarray) -> np.ndarray:
-        """What the caller gets: without the first axis for a single state."""
+        """The result for the caller: without the first axis for a single state."""
         return value[0] if self.single else value
 
     def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
@@ -167,7 +168,7 @@ def _inverse(b: _Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
 
 
 def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """What the forces are without acceleration, (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
+    """Forces at zero acceleration (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
     b = _Batch(mechanism, q=q, qd=qd)
     return b.out(_inverse(b, b["qd"], np.zeros_like(b["qd"])))
 

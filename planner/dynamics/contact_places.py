@@ -23,7 +23,7 @@ _NO_DIRECTION = 1e-12  # m, below which closest points have none
 
 
 class ClosestPoints(NamedTuple):
-    """Of two axes at K states."""
+    """The nearest points of two axes at K states."""
 
     s: np.ndarray  # (K, 2) m, along the axes
     inverse: np.ndarray  # (K, 2, 2) of dg/ds, zero in the rows and columns of ends

@@ -1,4 +1,4 @@
-"""What contacts, stops and curves do to a mechanism, in NumPy: for pictures and proofs, and the twin of the kernels.
+"""Forces of contacts, stops and curves on a mechanism, in NumPy: for pictures and proofs; the twin of the kernels.
 
 The law and its pieces are model.contact.laws's. A contact acts at p, halfway between the surfaces, which moves over the
 link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.

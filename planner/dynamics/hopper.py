@@ -82,9 +82,9 @@ class HopperDynamics:
         """
         us = array("us", us, ("N", 1), any_value=True)
         xs = array("xs", xs, (len(us) + 1, 3), any_value=True)
-        costates = array("costates", costates, xs.shape, any_value=True)
+        costates = np.pad(array("costates", costates, xs.shape, any_value=True), ((0, 0), (WIDTH, WIDTH - 3)))
         T = np.zeros((len(us), 2 * WIDTH, 2 * WIDTH))
-        hopper_second.second_order(self._code, self.dt, self._parameters, xs, us, costates, 0, T)
+        hopper_second.second_order(self._code, self.dt, self._parameters, xs, us, costates, T)
         order = np.array([WIDTH, WIDTH + 1, WIDTH + 2, 0])
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
@@ -96,7 +96,7 @@ class HopperDynamics:
 
     def second_order_nominal(self, w: Workspace, memory: None, second: None) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""
-        hopper_second.second_order(self._code, self.dt, self._parameters, w.xs, w.us, w.costates, w.first, w.T)
+        hopper_second.second_order(self._code, self.dt, self._parameters, w.xs, w.us, w.costates, w.T)
 
     def linearize_nominal(self, w: Workspace, memory: None) -> None:
         """Fill w.F along w.xs, w.us."""
@@ -106,4 +106,5 @@ class HopperDynamics:
         self, w: Workspace, memory: None, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        return kernel.search_step(self._code, self.dt, self._parameters, w.table, w.search, rule, feedback, cost, slope)
+        w.given[0], w.given[1] = cost, slope
+        return kernel.search_step(self._code, self.dt, self._parameters, w.table, w.search, rule, feedback)

@@ -123,7 +123,7 @@ def twists(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> Twists:
 
 
 def internal_forces(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """What the springs and dampers of the joints take from tau (nv,)."""
+    """The forces (nv,) that springs and dampers of the joints take from tau."""
     m = mechanism
     extension = np.where(m.kind == SCREW, q[m.q_address] - m.spring_rest, 0.0)
     forces = m.damping * qd + m.stiffness * extension
@@ -156,7 +156,7 @@ def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -
 
 
 def bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """What is h (nv,) in Eq. 6: Coriolis, gravity, springs and dampers."""
+    """The bias forces h (nv,) of Eq. 6: Coriolis, gravity, springs and dampers."""
     return rnea(mechanism, q, qd, np.zeros(mechanism.nv))
 
 

@@ -6,11 +6,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
 
-INTEGRATORS = ("euler", "semi-implicit-euler", "rk4")
-"""explicit Euler (the paper's), velocities first then positions with the new ones, classic Runge-Kutta; the
-control is held over a stage."""
+__all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "PenalisedDynamics"]
 
 
 class Dynamics(Protocol):

@@ -11,6 +11,7 @@ import numpy as np
 from planner.base.arguments import array, choice, number, shown
 from planner.base.errors import PlannerError
 from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.integrators import SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -19,7 +20,7 @@ from planner.kernels.tree import linearize as tree_linearize
 from planner.kernels.tree import penalties
 from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
-from planner.kernels.tree.memory import SEMI_IMPLICIT_EULER, TreeMemory
+from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
 from planner.kernels.tree.penalty_table import PenaltyTable
 from planner.model.mechanism import Mechanism
@@ -131,11 +132,12 @@ class RigidBodyDynamics:
         """
         xs, us = self._checked(np.asarray(xs)[: len(us)], us)
         N, ndx, first = len(us), self.ndx, padded(self.nu)
-        costates = array("costates", costates, (N + 1, ndx))
+        padding = ((0, 0), (first, padded(ndx) - ndx))
+        costates = np.pad(array("costates", costates, (N + 1, ndx)), padding)
         T, memory, second = np.zeros((N, *[first + padded(ndx)] * 2)), self.memory(N), self.second_order_memory()
         m, external = self._model.table, self._model.external
         tree_step.steps(m, memory.table, np.full(N, self.dt), xs, us, np.empty_like(xs), True, external)
-        tree_second.second_order(m, memory.table, second.table, self.dt, xs, us, costates, 0, T)
+        tree_second.second_order(m, memory.table, second.table, self.dt, xs, us, costates, T)
         order = np.r_[first : first + ndx, : self.nu]
         return (np.triu(T) + np.triu(T, 1).swapaxes(1, 2))[:, order[:, None], order]
 
@@ -196,10 +198,10 @@ class RigidBodyDynamics:
         self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
-        return tree_solve.search_step(
-            w.table, self._model.table, memory.table, w.search, self.dt, rule, feedback, cost, slope,
-            self._model.external, None if w.penalties is None else w.penalties.table,
-        )  # fmt: skip
+        w.given[0], w.given[1], w.given[2] = cost, slope, self.dt
+        penalties = None if w.penalties is None else w.penalties.table
+        model, external = self._model.table, self._model.external
+        return tree_solve.search_step(w.table, model, memory.table, w.search, rule, feedback, external, penalties)
 
     def penalties(self, measures: Any) -> PenaltyTable:
         """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.Measures."""
@@ -211,6 +213,4 @@ class RigidBodyDynamics:
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""
-        tree_second.second_order(
-            self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.first, w.T
-        )
+        tree_second.second_order(self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.T)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _TABLE, _ROWS, _BLOCKS = "int64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
 _HOPPER = ("int64", "float64", "float64[::1]")
-_SEARCH = (_ROWS, "float64", "int64", "boolean", "float64", "float64")
+_SEARCH = (_ROWS, "int64", "boolean")
 
 # Every kernel that takes seconds, by name, with the types that it is called with.
 KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
@@ -43,18 +43,15 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "costates": (second_order.costates, (_TABLE, "float64")),
     "tree second order": (
         tree_second.second_order,
-        (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, "int64", _BLOCKS),
+        (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, _BLOCKS),
     ),
     "penalties": (penalties.penalise, (_TABLE, _TABLE, _TABLE, _TABLE)),
     "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
     "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
     "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
-    "hopper search": (
-        hopper.search_step,
-        (*_HOPPER, _TABLE, _ROWS, "int64", "boolean", "float64", "float64"),
-    ),
+    "hopper search": (hopper.search_step, (*_HOPPER, _TABLE, *_SEARCH)),
     "hopper linearize": (hopper.linearize_nominal, (*_HOPPER, _TABLE)),
-    "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, "int64", _BLOCKS)),
+    "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, _BLOCKS)),
 }
 
 # Kernels with a variant for machines that touch something, and one without the code of it (see Model.external).

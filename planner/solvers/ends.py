@@ -36,11 +36,11 @@ from planner.solvers import lq
 from planner.solvers.warm_start import roll_out
 
 PARAMETER = "ends"
-"""Of a case that can be made with other ends: its start and its goal, (2, nx) as lists; None for its own."""
+"""Parameter of a case that can be made with other ends: start and goal, (2, nx) as lists; None for its own."""
 
 
 TRUST = 0.3
-"""Of L: as far may the cost of a step's controls be from the LQ problem's, for the step to be taken."""
+"""Largest distance, relative to L, between the cost of a step's controls and the LQ problem's for taking it."""
 _DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # relative to the final weight
 _PARTS = (0.5, 0.25, 0.125, 0.0625)  # of the gap to close, where closing all of it is too much
 _SINGULAR = 1e-10
@@ -62,7 +62,7 @@ class Step(NamedTuple):
 
 
 class Response(NamedTuple):
-    """What is left of the two equations at a plan, and how the plan answers to its ends.
+    """Residuals of the two equations at a plan, and how the plan answers to its ends.
 
     Attributes:
         plan: Solved, of a problem with `periodic`.
@@ -234,7 +234,7 @@ def moved(found: Response, close: bool = False) -> Problem | None:
 
 
 def drawn(plan: Plan) -> float:
-    """What draws the end of a plan to its goal, of its cost."""
+    """The terminal goal term of the plan's cost."""
     cost = tracking(periodic_problem(plan)[0])
     away = plan.space.difference(plan.xs[-1], cost.x_ref[-1])
     return float(0.5 * away @ cost.Q[-1] @ away)

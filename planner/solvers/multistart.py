@@ -116,7 +116,7 @@ def _sizes(guess: np.ndarray, later: np.ndarray) -> np.ndarray:
 
 
 def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
-    """What a plan is ranked by; infinite where it is not finite."""
+    """The number that ranks a plan; infinite where it is not finite."""
     try:
         value = plan.cost if rank is None else rank(plan)
     except StopIteration:  # which here would mean an interruption, and be asked again

@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,21 +35,17 @@ from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers.augmented import within_ranges
-from planner.solvers.engine import Engine, Outcome, borrow, give_back
+from planner.solvers.engine import Engine, borrow, give_back
 from planner.solvers.multistart import MOST_STARTS, best_of
+from planner.solvers.regularisation import Regularisation, plain_sweep
 
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
 LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
 
-DECREASE = 1e-10  # of solve, where neither it nor the problem has a decrease_tolerance
+DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
-# Regularisation of R + B'PB, relative to the largest entry of R: raised tenfold when the sweep or the search
-# fails, lowered tenfold after a full step, zero below its least value.
-_MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
-# With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
-_MU_AGAIN = 1e8
 
 
 def solve(
@@ -103,17 +99,19 @@ def solve(
     """
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
-    feedback = choice("update", update, UPDATES) == "feedback"
-    rule = LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES))
-    exact = choice("hessian", hessian, HESSIANS) == "exact"
-    count("max_iterations", max_iterations)
-    number("gradient_tolerance", gradient_tolerance, least=0.0)
     if decrease_tolerance is None:
         decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
-    number("decrease_tolerance", decrease_tolerance, least=0.0)
-    gain_tolerance = number(
-        "gain_tolerance", problem.gain_tolerance if gain_tolerance is None else gain_tolerance, least=0.0
+    if gain_tolerance is None:
+        gain_tolerance = problem.gain_tolerance
+    descent = _Descent(
+        choice("update", update, UPDATES) == "feedback",
+        LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES)),
+        choice("hessian", hessian, HESSIANS) == "exact",
+        number("gradient_tolerance", gradient_tolerance, least=0.0),
+        number("decrease_tolerance", decrease_tolerance, least=0.0),
+        number("gain_tolerance", gain_tolerance, least=0.0),
     )
+    count("max_iterations", max_iterations)
     count("starts", starts, most=MOST_STARTS)
     count("seed", seed, least=0)
     number("spread", spread, above=0.0)
@@ -121,125 +119,124 @@ def solve(
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
+
     core = solver_problem(problem)
-    descend = partial(_descend, core, feedback, rule, exact, (gradient_tolerance, decrease_tolerance, gain_tolerance))
+    descend = partial(_descend, core, descent)
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
-        "gain_tolerance": gain_tolerance, "starts": starts,
+        "gain_tolerance": descent.gain_tolerance, "starts": starts,
     }  # fmt: skip
-    if starts > 1:
-        ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
-        plan = as_user_plan(problem, best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking))
-        ranked = {} if rank is None else {"rank": getattr(rank, "__name__", type(rank).__name__)}
-        return replace(plan, options=options | {"seed": seed, "spread": spread} | ranked)
-    return replace(as_user_plan(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+    if starts == 1:
+        return replace(as_user_plan(problem, descend(core.first_guess, max_iterations, callback)), options=options)
+    options |= {"seed": seed, "spread": spread}
+    if rank is not None:
+        options["rank"] = getattr(rank, "__name__", type(rank).__name__)
+    ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
+    best = best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking)
+    return replace(as_user_plan(problem, best), options=options)
 
 
 def as_user_plan(problem: Problem, plan: Plan) -> Plan:
-    """A plan of what was solver_problem on as one of the problem itself: its states, its cost, its gains."""
+    """A plan of its solver_problem as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
-    own = _minimise(problem, True, 0, False, (0.0, 0.0, 0.0), None, plan.us, plan.hinges, 0, 0)
-    more = own.cost - plan.cost  # what no control changes
+    own = _minimise(problem, _Descent(), None, plan.us, plan.hinges, 0, 0)
+    more = own.cost - plan.cost  # of terms that no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
 
 
+class _Descent(NamedTuple):
+    """How a solve goes down: the checked arguments of solve()."""
+
+    feedback: bool = True
+    rule: int = 0  # index in LINE_SEARCHES
+    exact: bool = False
+    gradient_tolerance: float = 0.0
+    decrease_tolerance: float = 0.0
+    gain_tolerance: float = 0.0
+
+
 def _descend(
-    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
-    first_guess: np.ndarray, max_iterations: int, callback: Callable[[Iteration], object] | None,
+    problem: Problem, descent: _Descent, first_guess: np.ndarray, max_iterations: int,
+    callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu)."""
-    minimise = partial(_minimise, problem, feedback, rule, exact, tolerances, callback)
+    minimise = partial(_minimise, problem, descent, callback)
     if problem.ranges is None or problem.limits is None:
         return minimise(first_guess, None, max_iterations, 0)
     return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
 
 
 def _minimise(
-    problem: Problem, feedback: bool, rule: int, exact: bool, tolerances: tuple[float, float, float],
-    callback: Callable[[Iteration], object] | None, first_guess: np.ndarray, hinges: Hinges | None,
-    max_iterations: int, first_line: int,
+    problem: Problem, descent: _Descent, callback: Callable[[Iteration], object] | None, first_guess: np.ndarray,
+    hinges: Hinges | None, max_iterations: int, first_line: int,
 ) -> Plan:  # fmt: skip
-    """A minimum of the cost, and of hinges where there are any; tolerances of gradient, decrease and gain."""
-    gradient_tolerance, decrease_tolerance, gain_tolerance = tolerances
-    engine = borrow(problem)
+    """A minimum of the cost, and of hinges where there are any."""
+    engine = borrow(problem, descent.rule)
     if problem.ranges is not None:
         engine.hinge(hinges)
-    history: list[Iteration] = []
-    cost = engine.start(problem.x0, first_guess, exact)
+    cost = engine.start(problem.x0, first_guess, descent.exact)
     if not math.isfinite(cost):
         return _not_finite(problem, engine, cost)
 
-    largest = engine.largest_control_weight
-    mu, fresh, status, asked, slow = 0.0, True, Status.MAX_ITERATIONS, False, 0
-    second = exact
+    regularisation, history = Regularisation(engine, descent.exact), list[Iteration]()
+    fresh, at_minimum, status = True, False, Status.MAX_ITERATIONS
     try:
         for i in range(first_line, first_line + max_iterations):
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
-            promise = decrease_tolerance * max(1.0, abs(cost)) if mu == 0.0 else -1.0
-            done = engine.iterate(feedback, rule, mu * largest, fresh, cost, gradient_tolerance, promise)
-
-            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu * largest)
+            mu = regularisation.mu
+            promise = descent.decrease_tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
+            done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, descent.gradient_tolerance, promise)
+            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu)
             history.append(line)
-            little = mu == 0.0 and done.kind == ACCEPTED and line.actual < gain_tolerance * max(1.0, abs(cost))
-            slow = slow + 1 if little else 0
-            cost = done.cost
+            cost, fresh = done.cost, done.kind == ACCEPTED
             if callback is not None:
                 callback(line)
-            if done.kind == CONVERGED or slow == _SLOW:
+
+            at_minimum = done.kind == CONVERGED
+            if at_minimum or _stalled(history, descent.gain_tolerance):
                 status = Status.CONVERGED
                 break
-            fresh = done.kind == ACCEPTED
-            flat = done.kind != INDEFINITE and -0.5 * done.slope <= decrease_tolerance * max(1.0, abs(cost))
-            if fresh and not flat:
-                asked = False
-            if exact and flat and mu > 0.0 and not asked:
-                mu, asked = 0.0, True  # Newton steps get to the end before mu does: ask the plain model, once
-            elif not fresh:
-                mu = max(_MU_LEAST, _MU_FACTOR * mu)
-                if mu > _MU_MOST and second:  # no amount of it helps: one iteration of Gauss and Newton
-                    second, mu = False, 0.0
-                    engine.use_second_order(second)
-                elif mu > _MU_MOST:
-                    status = Status.NO_DESCENT
-                    break
-            elif exact and not second:
-                second, mu = True, _MU_AGAIN
-                engine.use_second_order(second)
-            elif done.step >= 1.0:
-                mu = mu / _MU_FACTOR if mu > _MU_LEAST else 0.0
-            elif problem.limits is not None and done.expected <= decrease_tolerance * max(1.0, abs(cost)):
-                mu = 0.0  # bounds and hinges have kinks, where full steps may never come: ask the plain model
+            little = descent.decrease_tolerance * max(1.0, abs(cost))
+            flat = done.kind != INDEFINITE and -0.5 * done.slope <= little
+            if regularisation.try_plain(fresh, flat):
+                continue
+            if fresh:
+                regularisation.lower(done.step, problem.limits is not None and done.expected <= little)
+                continue
+            regularisation.raise_()
+            if regularisation.exhausted:
+                status = Status.NO_DESCENT
+                break
     except (KeyboardInterrupt, StopIteration):
         status = Status.INTERRUPTED
 
     xs, us = engine.trajectory()
-    gradient_norm = history[-1].gradient_norm if history else math.nan
-    if status is not Status.CONVERGED or slow == _SLOW:  # the last line and the gains belong to an earlier trajectory
+    if not at_minimum:  # the last line and the gains belong to an earlier trajectory
         cost = problem.cost.value(xs, us)
-        last = _sweep(engine, largest)
-        gradient_norm = last.gradient_norm
-        history.append(Iteration(first_line + len(history), cost, gradient_norm, 0.0, last.expected, 0.0, 0.0))
-    elif exact or mu > 0.0:  # the gains of a plan are those of the plain model of Eq. 31
-        _sweep(engine, largest)
+        last = plain_sweep(engine)
+        history.append(Iteration(first_line + len(history), cost, last.gradient_norm, 0.0, last.expected, 0.0, 0.0))
+    elif descent.exact or not regularisation.plain:  # the gains of a plan are those of the plain model of Eq. 31
+        plain_sweep(engine)
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
-    plan = _plan(problem, xs, us, engine.gains(), cost, gradient_norm, status, history)
-    give_back(problem, engine)
+    plan = _plan(problem, xs, us, engine.gains(), cost, history[-1].gradient_norm, status, history)
+    give_back(problem, engine, descent.rule)
     return plan
 
 
-def _sweep(engine: Engine, largest: float) -> Outcome:
-    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes."""
-    engine.use_second_order(False)  # whose gains need no minimum to be those of a stable loop
-    mu, fresh = 0.0, True
-    while True:
-        done = engine.sweep(mu * largest, fresh)
-        if done.kind == CONVERGED or mu > _MU_MOST:
-            return done
-        mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
+def _stalled(history: list[Iteration], gain_tolerance: float) -> bool:
+    """Whether the last iterations of the plain model have each gained less than the tolerance."""
+    return (
+        gain_tolerance > 0.0
+        and len(history) >= _SLOW
+        and all(
+            line.step > 0.0 and line.regularisation == 0.0 and line.actual < gain_tolerance * max(1.0, abs(line.cost))
+            for line in history[-_SLOW:]
+        )
+    )
 
 
 def _not_finite(problem: Problem, engine: Engine, cost: float) -> Plan:

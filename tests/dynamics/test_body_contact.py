@@ -136,7 +136,7 @@ def test_kernels_are_their_twin(text, seed, sharp):
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 @pytest.mark.parametrize("name", MACHINES)
 def test_jacobians_of_a_stage(name, integrator):
-    """A and B against differences, to 1e-7 of their largest entry."""
+    """A and B against differences, as near as their rounding and their own change with the step allow."""
     rng = np.random.default_rng(3)
     m = Mechanism.from_mjcf(actuated(MACHINES[name], rng))
     x = random_state(m.space, rng, unnormalised=False)
@@ -145,16 +145,24 @@ def test_jacobians_of_a_stage(name, integrator):
     dynamics, space = RigidBodyDynamics(m, 1e-3, integrator), m.space
     xs, us = x[None], rng.normal(size=(1, dynamics.nu))
     A, B = dynamics.linearize(xs, us)
-    h = 1e-7
-    for j in range(dynamics.ndx):
-        d = h * np.eye(dynamics.ndx)[j][None]
-        ends = [dynamics.step(space.integrate(xs, sign * d), us) for sign in (1, -1)]
-        slope = space.difference(ends[0], ends[1])[0] / (2 * h)
-        assert np.max(np.abs(A[0, :, j] - slope)) < 1e-7 * max(1.0, np.max(np.abs(A)))
-    for j in range(dynamics.nu):
-        d = h * np.eye(dynamics.nu)[j][None]
-        slope = space.difference(dynamics.step(xs, us + d), dynamics.step(xs, us - d))[0] / (2 * h)
-        assert np.max(np.abs(B[0, :, j] - slope)) < 1e-7 * max(1.0, np.max(np.abs(B)))
+
+    def slopes(size, ends, h):
+        """Central differences (ndx, size) of the end of a stage."""
+        moves = h * np.eye(size)
+        return np.stack([space.difference(ends(d[None]), ends(-d[None]))[0] for d in moves], axis=1) / (2.0 * h)
+
+    h = 1e-6
+    rounding = 200.0 * np.finfo(float).eps * max(1.0, np.max(np.abs(xs))) / h
+    for claimed, ends in (
+        (A[0], lambda d: dynamics.step(space.integrate(xs, d), us)),
+        (B[0], lambda d: dynamics.step(xs, us + d)),
+    ):
+        fine, coarse = (slopes(claimed.shape[1], ends, step) for step in (h, 2.0 * h))
+        extrapolated = fine + (fine - coarse) / 3.0
+        assert np.all(
+            np.abs(claimed - extrapolated) < rounding * max(1.0, np.max(np.abs(claimed))) + np.abs(fine - coarse)
+        )
+        assert np.max(np.abs(fine - coarse)) < 1e-4 * max(1.0, np.max(np.abs(claimed)))
 
 
 def test_lanes_are_their_states():

@@ -1,6 +1,7 @@
 """Fig. 2 against MuJoCo, against itself backwards, and its derivatives against imaginary steps, on random machines."""
 
 import numpy as np
+import poe_sensitivities
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -15,7 +16,7 @@ from trees import (
     site_jacobian,
 )
 
-from planner.dynamics import poe, poe_sensitivities
+from planner.dynamics import poe
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, exp_quaternion, hat, log_quaternion, product
 

@@ -1,11 +1,18 @@
 """What is compiled for whom, and how machine code is found again: one file a signature, variants by type."""
 
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from legs import leg, standing
 from numba.core.errors import NumbaError, TypingError
 from trees import chain
 
+import planner
 from planner.dynamics import RigidBodyDynamics
 from planner.kernels import precompile
 from planner.kernels.numba import jit
@@ -97,3 +104,68 @@ def test_every_kernel_has_a_process_that_compiles_it():
     families = [name for family in precompile._FAMILIES for name in family]
     assert sorted(families) == sorted(precompile.KERNELS)
     assert set(precompile.SECOND_ORDER) <= set(families)
+
+
+@pytest.mark.parametrize("damage", [lambda _: b"", lambda data: data[: len(data) // 2], lambda data: data[::-1]])
+def test_a_damaged_file_is_compiled_again(kernel, damage):
+    first, second = kernel
+    assert first(3.0, None) == 3.0
+    (file,) = jit.cache_directory().rglob("*.nbc")
+    sound = file.read_bytes()
+    file.write_bytes(damage(sound))
+    assert not jit.is_warm(second, ("float64", "none"))
+    assert second(3.0, None) == 3.0
+    assert jit.is_warm(jit.jit(stopped), ("float64", "none"))
+
+
+RATES = """
+import numpy as np
+from planner.kernels.hopper import step
+from planner.kernels.numba import jit
+types = ("float64[::1]", "float64[:, ::1]", "float64[:, ::1]", "float64[:, ::1]")
+print(jit.is_warm(step.rates, types), step.__file__)
+step.rates(np.ones(3), np.ones((1, 3)), np.ones((1, 1)), np.ones((1, 3)))
+"""
+
+
+def run_python(code, folder, cache):
+    """Output and messages of Python in a process of its own, with the package of a folder."""
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+def test_two_checkouts_share_what_is_compiled(tmp_path):
+    package, cache = Path(planner.__file__).parent, tmp_path / "cache"
+    for name, warm in (("one", "False"), ("other", "True")):
+        folder = tmp_path / name
+        shutil.copytree(package, folder / "planner", ignore=shutil.ignore_patterns("__pycache__", "mjcf"))
+        output, _ = run_python(RATES, folder, cache)
+        assert output.split() == [warm, str(folder / "planner/kernels/hopper/step.py")]
+        assert len(list(cache.rglob("*.nbc"))) == 1
+
+
+UNKNOWN_NUMBA = """
+import logging, sys
+import numba
+logging.basicConfig()
+sys.modules["numba.core.compiler_machinery"] = None
+import numpy as np
+from planner.dynamics import HopperDynamics
+from planner.kernels.numba import jit
+xs, us = np.array([[0.5, -1.0, 0.6], [0.4, 0.0, 0.5]]), np.array([[2.0]])
+dynamics = HopperDynamics(0.01)
+print(dynamics.step(xs[:1], us).tobytes().hex(), dynamics.linearize(xs, us)[0].tobytes().hex())
+print(len(list(jit.cache_directory().rglob("*.nbc"))))
+"""
+
+
+def test_a_numba_with_other_internals(tmp_path):
+    """Kernels are compiled by plain njit then, with one line said, and do the same."""
+    results = [run_python(code, Path(planner.__file__).parents[1], tmp_path / name) for name, code in (
+        ("plain", UNKNOWN_NUMBA), ("own", UNKNOWN_NUMBA.replace('sys.modules["numba', 'dict()["numba')),
+    )]  # fmt: skip
+    assert results[0][0] == results[1][0]
+    said = [messages.count("by plain njit") for _, messages in results]
+    assert said == [1, 0]

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numba import njit
 
-from planner.kernels.hopper.step import EULER, RK4, SEMI_IMPLICIT_EULER, push, spring, step
+from planner.kernels.hopper.step import push, spring, step
+from planner.kernels.integrators import EULER, RK4, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import FASTMATH
 from planner.kernels.numba.lanes import (
     WIDTH,
@@ -150,12 +151,12 @@ def stages(integrator, z, dt, out):
     p, r = pointer(z), pointer(out)
     for i in range(z.shape[0] // 4):
         y, v, x, u = load(p, 4 * i), load(p, 4 * i + 1), load(p, 4 * i + 2), load(p, 4 * i + 3)
-        a, b, c, s1, s2, s3, s4 = step(integrator, y, v, x, u, dt, 100.0, 0.1, 386.4)
+        (a, b, c), slopes = step(integrator, (y, v, x), u, dt, (100.0, 0.1, 386.4))
         store(r, 7 * i, a)
         store(r, 7 * i + 1, b)
         store(r, 7 * i + 2, c)
-        store(r, 7 * i + 3, s4)
-        a, b, c = push(integrator, y, v, x, u, s1, s2, s3, s4, dt)
+        store(r, 7 * i + 3, slopes[3])
+        a, b, c = push(integrator, (y, v, x), u, slopes, dt)
         store(r, 7 * i + 4, a)
         store(r, 7 * i + 5, b)
         store(r, 7 * i + 6, c)

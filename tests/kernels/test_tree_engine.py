@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -194,8 +195,20 @@ def test_many_solves_take_no_more_memory_than_one():
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert _idle[task] == [engine]
+    assert _idle[task] == {False: [engine]}
     assert grown < 20 * 200  # bytes: what one plan's states take, over all twenty
+
+
+@pytest.mark.parametrize("line_search", ["armijo", "wolfe"])  # on a compiled engine, and on NumPy's
+def test_a_problem_does_not_outlive_its_user(line_search):
+    """Idle engines wait for the next solve of their problem; they must not keep it alive."""
+    task = example("body in space", "rk4", 4)
+    planner.solve(task, line_search=line_search, max_iterations=2)
+    assert len(_idle[task]) == 1
+    alive = weakref.ref(task)
+    del task
+    gc.collect()
+    assert alive() is None
 
 
 def test_iterations_allocate_nothing():

@@ -22,6 +22,15 @@ def load6(p, k):
 
 
 @inline
+def load9(p, k):
+    """Nine consecutive entries: a rotation."""
+    return (
+        load(p, k), load(p, k + 1), load(p, k + 2), load(p, k + 3), load(p, k + 4), load(p, k + 5),
+        load(p, k + 6), load(p, k + 7), load(p, k + 8),
+    )  # fmt: skip
+
+
+@inline
 def store3(p, k, v):
     """Write three consecutive entries."""
     store(p, k, v[0])

@@ -89,9 +89,9 @@ def four_rows(C, A, B, n, factor, columns, base, add):
 
 
 @inline
-def two_sums(u, v, B, b, ldb, n, columns, j):
+def two_sums(u, v, B, ldb, n, j):
     """Four columns from j, twice: the rows of B weighted by u (n) and by v (n)."""
-    x0, y0, k = spread(0.0), spread(0.0), b + j
+    x0, y0, k = spread(0.0), spread(0.0), j
     for i in range(n):
         row = load4(B, k)
         x0 += load(u, i) * row
@@ -101,12 +101,13 @@ def two_sums(u, v, B, b, ldb, n, columns, j):
 
 
 @inline
-def weighted_rows(C, base, weights, B, b, ldb, n, factor, columns):
-    """C becomes base plus factor times the rows of B weighted by `weights` (n)."""
+def weighted_rows(C, base, weights, B, n, factor, columns):
+    """C becomes base plus factor times the rows of B (pointer, offset, row length) weighted by `weights` (n)."""
+    rows, b, ldb = B
     for j in range(0, columns, WIDTH):
         total, k = spread(0.0), b + j
         for i in range(n):
-            total += load(weights, i) * load4(B, k)
+            total += load(weights, i) * load4(rows, k)
             k += ldb
         store4(C, j, load4(base, j) + factor * total)
 

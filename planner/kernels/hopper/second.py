@@ -10,13 +10,15 @@ mu goes backward as in tree_second, where da/dy = -s, the spring's slope, and da
 
 from __future__ import annotations
 
-from planner.kernels.hopper.step import EULER, RK4, step
+from planner.kernels.hopper.step import step
+from planner.kernels.integrators import EULER, RK4
 from planner.kernels.numba.jit import inline, jit
 
 
 @inline
-def _add(T, n, mu, slope, g, first, stiffness, smoothing):
+def _add(T, n, mu, slope, g, first, spring):
     """Mu F''/m g g' onto the upper triangle of T, g = (u, y, v, p)."""
+    stiffness, smoothing, _ = spring
     if not 0.0 < slope < stiffness:  # off the parabola
         return
     factor = mu * stiffness / smoothing
@@ -32,20 +34,19 @@ def _minus(g, factor, other):
 
 
 @jit
-def second_order(integrator, dt, parameters, xs, us, costates, first_costate, T):
-    """Upper triangles T (N, width, width) along xs (N+1, 3), us (N, 1), for the costates (N+1, first_costate + 3)."""
-    stiffness, smoothing, gravity = parameters[0], parameters[1], parameters[2]
+def second_order(integrator, dt, parameters, xs, us, costates, T):
+    """Upper triangles T (N, width, width) along xs (N+1, 3), us (N, 1), for the costates (N+1, width)."""
+    spring = (parameters[0], parameters[1], parameters[2])
     first, h, w = T.shape[1] // 2, 0.5 * dt, dt / 6.0  # z is padded to two groups of lanes
     for n in range(us.shape[0]):
         T[n] = 0.0
-        ly, lv = costates[n + 1, first_costate], costates[n + 1, first_costate + 1]
-        _, _, _, s0, s1, s2, s3 = step(
-            integrator, xs[n, 0], xs[n, 1], xs[n, 2], us[n, 0], dt, stiffness, smoothing, gravity
-        )
+        ly, lv = costates[n + 1, first], costates[n + 1, first + 1]
+        _, slopes = step(integrator, (xs[n, 0], xs[n, 1], xs[n, 2]), us[n, 0], dt, spring)
+        s0, s1, s2, s3 = slopes
         g0 = (0.0, -1.0, 0.0, 1.0)
         if integrator != RK4:
             mu = dt * lv + (0.0 if integrator == EULER else dt * dt * ly)
-            _add(T, n, mu, s0, g0, first, stiffness, smoothing)
+            _add(T, n, mu, s0, g0, first, spring)
             continue
         mu3 = w * lv
         mu2 = 2.0 * w * lv + dt * w * ly
@@ -55,7 +56,7 @@ def second_order(integrator, dt, parameters, xs, us, costates, first_costate, T)
         g1 = (h, -1.0, -h, 1.0)
         g2 = _minus(g1, h * h * s0, g0)
         g3 = _minus((dt, -1.0, -dt, 1.0), dt * h * s1, g1)
-        _add(T, n, mu0, s0, g0, first, stiffness, smoothing)
-        _add(T, n, mu1, s1, g1, first, stiffness, smoothing)
-        _add(T, n, mu2, s2, g2, first, stiffness, smoothing)
-        _add(T, n, mu3, s3, g3, first, stiffness, smoothing)
+        _add(T, n, mu0, s0, g0, first, spring)
+        _add(T, n, mu1, s1, g1, first, spring)
+        _add(T, n, mu2, s2, g2, first, spring)
+        _add(T, n, mu3, s3, g3, first, spring)

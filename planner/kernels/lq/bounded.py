@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 
-from planner.kernels.lq import workspace as W
 from planner.kernels.lq.box import box_minimum
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import at, floats, load, pointer, store
 
@@ -39,8 +39,8 @@ def at_upper(us, upper, i):
 @inline
 def _projected(w, n):
     """Gradient of stage n (Eq. 18), kept, and the square of the part that does not push against a bound."""
-    nu, c, gradient = w[W.NU], floats(w, W.COSTATE), floats(w, W.GRADIENT)
-    us, lower, upper = floats(w, W.US), floats(w, W.LOWER), floats(w, W.UPPER)
+    nu, c, gradient = w[W.nu], floats(w, W.costate), floats(w, W.gradient)
+    us, lower, upper = floats(w, W.us), floats(w, W.lower), floats(w, W.upper)
     norm2 = 0.0
     for a in range(nu):
         i, g = n * nu + a, load(c, a)
@@ -54,8 +54,8 @@ def _projected(w, n):
 @inline
 def _clamp(w):
     """Take the clamped controls out of the quadratic of a stage."""
-    nu, width = w[W.NU], w[W.WIDTH_Z]
-    M, s, k = floats(w, W.H), floats(w, W.h), floats(w, W.BOX)
+    nu, width = w[W.nu], w[W.width]
+    M, s, k = floats(w, W.H), floats(w, W.h), floats(w, W.box)
     clamped = at(k, nu)
     for c in range(nu):
         if load(clamped, c) > 0.0:
@@ -75,9 +75,9 @@ def _clamp(w):
 @inline
 def _finish_bounded(w, mu, n):
     """As riccati's, with the controls of stage n in their box; the model's value in place of the slope."""
-    nu = w[W.NU]
+    nu = w[W.nu]
     add_weights(w, floats(w, W.H), n)
-    if w[W.EXACT]:
+    if w[W.exact]:
         add_second(w, floats(w, W.H), n)
     norm2 = _projected(w, n)
     value, definite = box_minimum(w, mu, n)
@@ -87,7 +87,7 @@ def _finish_bounded(w, mu, n):
     if definite:
         next_value(w)
         gains(w, n)
-        k, box = at(floats(w, W.FEEDFORWARD), n * nu), floats(w, W.BOX)
+        k, box = at(floats(w, W.k), n * nu), floats(w, W.box)
         for a in range(nu):
             store(k, a, load(box, a))
     return norm2, value, definite
@@ -137,10 +137,10 @@ def bounded_direction(w, dt):
     du = k + K dx, but zero where it leads out of a bound that the control is at.
     """
     w = pointer(w)
-    ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
-    K, k, gradient = floats(w, W.GAINS), floats(w, W.FEEDFORWARD), floats(w, W.GRADIENT)
-    us, lower, upper = floats(w, W.US), floats(w, W.LOWER), floats(w, W.UPPER)
-    dus, dx = floats(w, W.DIRECTION), floats(w, W.DX)
+    ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
+    K, k, gradient = floats(w, W.K), floats(w, W.k), floats(w, W.gradient)
+    us, lower, upper = floats(w, W.us), floats(w, W.lower), floats(w, W.upper)
+    dus, dx = floats(w, W.dus), floats(w, W.dx)
     slope = 0.0
     for i in range(ndx):
         store(dx, i, 0.0)

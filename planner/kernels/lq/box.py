@@ -9,7 +9,7 @@ stages take one or two factorisations. It starts from k = 0, which lies in the b
 
 from __future__ import annotations
 
-from planner.kernels.lq import workspace as W
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import at, floats, load, store
 
@@ -67,16 +67,16 @@ def _multiply(M, width, mu, nu, x, y):
 def box_minimum(w, mu, n):
     """The minimum k of stage n from its H and h, its clamped controls (1 or 0), and whether H is definite.
 
-    All in BOX: k, then clamped, then what is left of the gradient, nu numbers each.
+    All in W.box: k, then clamped, then what is left of the gradient, nu numbers each.
 
     Returns:
         (value, definite): 1/2 k'(H + mu I) k + h'k.
     """
-    nu, width, M, h = w[W.NU], w[W.WIDTH_Z], floats(w, W.H), floats(w, W.h)
-    k = floats(w, W.BOX)
+    nu, width, M, h = w[W.nu], w[W.width], floats(w, W.H), floats(w, W.h)
+    k = floats(w, W.box)
     clamped, g, d, moved, product = at(k, nu), at(k, 2 * nu), at(k, 3 * nu), at(k, 4 * nu), at(k, 5 * nu)
     C = at(k, 6 * nu)
-    u, lower, upper = at(floats(w, W.US), n * nu), at(floats(w, W.LOWER), n * nu), at(floats(w, W.UPPER), n * nu)
+    u, lower, upper = at(floats(w, W.us), n * nu), at(floats(w, W.lower), n * nu), at(floats(w, W.upper), n * nu)
     for i in range(nu):
         store(k, i, 0.0)
         store(g, i, load(h, i))

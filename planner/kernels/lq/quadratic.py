@@ -11,7 +11,7 @@ deviation e (see planner.solvers.augmented); where both bounds are the same, tha
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference_floats, inverse_right_jacobian_floats
-from planner.kernels.lq import workspace as W
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
 
@@ -19,12 +19,12 @@ from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4
 @inline
 def _deviation(w, x, x_ref, e, turn):
     """The deviation e (ndx) of a state from its reference, and the J (9) of each rotation."""
-    vector_x, vector_dx = integers(w, W.VECTOR_X), integers(w, W.VECTOR_DX)
-    for i in range(w[W.VECTORS]):
+    vector_x, vector_dx = integers(w, W.vector_x), integers(w, W.vector_dx)
+    for i in range(w[W.vectors]):
         a = load(vector_x, i)
         store(e, load(vector_dx, i), load(x, a) - load(x_ref, a))
-    for b in range(w[W.QUATERNIONS]):
-        a, d = load(integers(w, W.QUATERNION_X), b), load(integers(w, W.QUATERNION_DX), b)
+    for b in range(w[W.quaternions]):
+        a, d = load(integers(w, W.quaternion_x), b), load(integers(w, W.quaternion_dx), b)
         difference_floats(at(x, a), at(x_ref, a), at(e, d))
         inverse_right_jacobian_floats(at(e, d), at(turn, 9 * b))
 
@@ -44,34 +44,34 @@ def state_terms(w, n):
     """Rows, columns, values, and numbers of terms and of plain terms of the state weights of stage n, or of the end."""
     if n < w[W.N]:
         return (
-            integers(w, W.STAGE_ROW), integers(w, W.STAGE_COLUMN), at(floats(w, W.STAGE_VALUE), n * w[W.STAGE_TERMS]),
-            w[W.STAGE_TERMS], w[W.STAGE_PLAIN],
+            integers(w, W.stage_row), integers(w, W.stage_column), at(floats(w, W.stage_value), n * w[W.stage_terms]),
+            w[W.stage_terms], w[W.stage_plain],
         )  # fmt: skip
     return (
-        integers(w, W.FINAL_ROW), integers(w, W.FINAL_COLUMN), at(floats(w, W.FINAL_VALUE), 0), w[W.FINAL_TERMS],
-        w[W.FINAL_PLAIN],
+        integers(w, W.final_row), integers(w, W.final_column), at(floats(w, W.final_value), 0), w[W.final_terms],
+        w[W.final_plain],
     )  # fmt: skip
 
 
 @inline
 def control_terms(w, n):
     """Rows, columns, values and number of terms of the control weights of stage n."""
-    terms = w[W.CONTROL_TERMS]
-    return integers(w, W.CONTROL_ROW), integers(w, W.CONTROL_COLUMN), at(floats(w, W.CONTROL_VALUE), n * terms), terms
+    terms = w[W.control_terms]
+    return integers(w, W.control_row), integers(w, W.control_column), at(floats(w, W.control_value), n * terms), terms
 
 
 @inline
 def hinges_of(w, n):
     """How many components have a range at stage n, or at the end."""
-    return w[W.STAGE_HINGES] if n < w[W.N] else w[W.HINGES]
+    return w[W.stage_hinges] if n < w[W.N] else w[W.hinges]
 
 
 @inline
 def _add_hinges(w, n, hinged, e, l):
     """Add the slopes of the hinges of stage n to l, and keep their second derivatives for add_weights."""
-    o, component = n * w[W.HINGES], integers(w, W.HINGE_DX)
-    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
-    weight, active = at(floats(w, W.HINGE_WEIGHT), o), at(floats(w, W.HINGE_ACTIVE), o)
+    o, component = n * w[W.hinges], integers(w, W.hinge_dx)
+    lower, upper = at(floats(w, W.hinge_lower), o), at(floats(w, W.hinge_upper), o)
+    weight, active = at(floats(w, W.hinge_weight), o), at(floats(w, W.hinge_active), o)
     for t in range(hinged):
         i = load(component, t)
         d, low, high, factor = load(e, i), load(lower, t), load(upper, t), load(weight, t)
@@ -88,11 +88,11 @@ def _add_hinges(w, n, hinged, e, l):
 def gradients(w):
     """L = (R (u - u_ref) | J' Q (x - x_ref)) of every stage and of the end (whose u part is zero)."""
     w = pointer(w)
-    nx, nu, width, first = w[W.NX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
-    us, u_ref = floats(w, W.US), floats(w, W.U_REF)
-    e, turn, balls = floats(w, W.ERROR), floats(w, W.TURN), w[W.QUATERNIONS]
+    nx, nu, width, first = w[W.nx], w[W.nu], w[W.width], w[W.first]
+    us, u_ref = floats(w, W.us), floats(w, W.u_ref)
+    e, turn, balls = floats(w, W.error), floats(w, W.turn), w[W.quaternions]
     for n in range(w[W.N] + 1):
-        l = at(floats(w, W.STAGE_GRADIENT), n * width)
+        l = at(floats(w, W.l), n * width)
         for j in range(width):
             store(l, j, 0.0)
         if n < w[W.N]:
@@ -105,13 +105,13 @@ def gradients(w):
         if terms == 0 and hinged == 0:
             continue
         J = at(turn, n * 9 * balls)
-        _deviation(w, at(floats(w, W.XS), n * nx), at(floats(w, W.X_REF), n * nx), e, J)
+        _deviation(w, at(floats(w, W.xs), n * nx), at(floats(w, W.x_ref), n * nx), e, J)
         g = at(l, first)
         _add_gradient(row, column, value, terms, e, g)
         if hinged > 0:
             _add_hinges(w, n, hinged, e, g)
         for b in range(balls):
-            k = load(integers(w, W.QUATERNION_DX), b)
+            k = load(integers(w, W.quaternion_dx), b)
             a0, a1, a2 = load(g, k), load(g, k + 1), load(g, k + 2)
             for c in range(3):
                 o = 9 * b + c
@@ -121,7 +121,7 @@ def gradients(w):
 @inline
 def _add_turned(w, M, width, turn, i, j, q):
     """Add J' (q at (i, j) and (j, i)) J to a Hessian, where i or j belongs to a rotation."""
-    ball, first = integers(w, W.BALL_OF), integers(w, W.QUATERNION_DX)
+    ball, first = integers(w, W.ball), integers(w, W.quaternion_dx)
     bi, bj = load(ball, i), load(ball, j)
     i0, ni = (load(first, bi), 3) if bi >= 0 else (i, 1)
     j0, nj = (load(first, bj), 3) if bj >= 0 else (j, 1)
@@ -139,9 +139,9 @@ def _add_turned(w, M, width, turn, i, j, q):
 @part
 def _add_penalties(w, M, n):
     """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
-    rows, width = w[W.PENALISED], w[W.WIDTH_Z]
+    rows, width = w[W.penalised], w[W.width]
     ld = (rows + WIDTH - 1) // WIDTH * WIDTH
-    P = at(floats(w, W.PENALTY_HESSIAN), n * rows * ld)
+    P = at(floats(w, W.penalty_hessian), n * rows * ld)
     for i in range(rows):
         for j in range(i // WIDTH * WIDTH, ld, WIDTH):
             o = i * width + j
@@ -151,7 +151,7 @@ def _add_penalties(w, M, n):
 @inline
 def add_weights(w, M, n):
     """The weights of stage n, or of the end, onto the upper triangle of its Hessian M (z, z)."""
-    width, first = w[W.WIDTH_Z], w[W.FIRST_X]
+    width, first = w[W.width], w[W.first]
     if n < w[W.N]:
         row, column, value, terms = control_terms(w, n)
         for t in range(terms):
@@ -162,18 +162,18 @@ def add_weights(w, M, n):
     for t in range(plain):
         k = load(row, t) * width + load(column, t)
         store(M, k, load(M, k) + load(value, t))
-    turn = at(floats(w, W.TURN), n * 9 * w[W.QUATERNIONS])
+    turn = at(floats(w, W.turn), n * 9 * w[W.quaternions])
     for t in range(plain, terms):
         _add_turned(w, M, width, turn, load(row, t), load(column, t), load(value, t))
     hinged = hinges_of(w, n)
     if hinged > 0:
-        component, active = integers(w, W.HINGE_DX), at(floats(w, W.HINGE_ACTIVE), n * w[W.HINGES])
+        component, active = integers(w, W.hinge_dx), at(floats(w, W.hinge_active), n * w[W.hinges])
         for t in range(hinged):
             q, i = load(active, t), load(component, t)
             if q > 0.0:
-                if load(integers(w, W.BALL_OF), i) >= 0:
+                if load(integers(w, W.ball), i) >= 0:
                     _add_turned(w, M, width, turn, i, i, q)
                 else:
                     store(M, i * width + i, load(M, i * width + i) + q)
-    if w[W.PENALISED] > 0:
+    if w[W.penalised] > 0:
         _add_penalties(w, M, n)

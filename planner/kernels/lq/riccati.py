@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 from planner.kernels.algebra.tiles import four_rows, mirror, weighted_rows
-from planner.kernels.lq import workspace as W
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, spread, store, store4
 
@@ -24,7 +24,7 @@ def factorize(w, mu):
 
     Four rows at a time, whose pivots are found as L D L': a square root has no place in a chain of them.
     """
-    nu, width = w[W.NU], w[W.WIDTH_Z]
+    nu, width = w[W.nu], w[W.width]
     M, s = floats(w, W.H), floats(w, W.h)
     slope = 0.0
     for a in range(0, nu, WIDTH):
@@ -92,31 +92,33 @@ def factorize(w, mu):
 @inline
 def next_value(w):
     """P and s of this stage, by the Schur complement."""
-    nu, width, first = w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
+    nu, width, first = w[W.nu], w[W.width], w[W.first]
     M, s, columns = floats(w, W.H), floats(w, W.h), width - first
     P = first * width + first
     for i in range(0, columns, WIDTH):  # Eq. 33
         C = (M, P + i * width + i, width)
         four_rows(C, (M, first + i, width, 1), (M, first + i, width), nu, -1.0, columns - i, C, True)
         mirror(M, P, width, i, columns)
-    weighted_rows(at(s, first), at(s, first), s, M, first, width, nu, -1.0, columns)  # Eq. 34
+    weighted_rows(at(s, first), at(s, first), s, (M, first, width), nu, -1.0, columns)  # Eq. 34
 
 
 @inline
-def _substituted(r0, r1, r2, r3, e0, e1, e2, e3, v01, v02, v03, v12, v13, v23):
-    k3 = -1.0 * e3 * r3
-    k2 = -1.0 * e2 * r2 - v23 * k3
-    k1 = -1.0 * e1 * r1 - v13 * k3 - v12 * k2
-    k0 = -1.0 * e0 * r0 - v03 * k3 - v02 * k2 - v01 * k1
+def _substituted(r, e, v):
+    """Back substitution of four rows r, with e = 1/U_aa and v = (e0 U_01, U_02, U_03; e1 U_12, U_13; e2 U_23)."""
+    v01, v02, v03, v12, v13, v23 = v
+    k3 = -1.0 * e[3] * r[3]
+    k2 = -1.0 * e[2] * r[2] - v23 * k3
+    k1 = -1.0 * e[1] * r[1] - v13 * k3 - v12 * k2
+    k0 = -1.0 * e[0] * r[0] - v03 * k3 - v02 * k2 - v01 * k1
     return k0, k1, k2, k3
 
 
 @inline
 def gains(w, n):
     """U (K | k) = -(U_x | h), four rows at a time."""
-    nu, width, first = w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
+    nu, width, first = w[W.nu], w[W.width], w[W.first]
     M, s = floats(w, W.H), floats(w, W.h)
-    K, k = at(floats(w, W.GAINS), n * nu * width + first), at(floats(w, W.FEEDFORWARD), n * nu)
+    K, k = at(floats(w, W.K), n * nu * width + first), at(floats(w, W.k), n * nu)
     for a in range((nu - 1) // WIDTH * WIDTH, -1, -WIDTH):
         o, p, columns = a * width + a, a * width, width - first
         q, source = a * width + first, M
@@ -140,9 +142,12 @@ def gains(w, n):
             continue
         e0, e1 = load(M, o), load(M, o + width + 1)
         e2, e3 = load(M, o + 2 * width + 2), load(M, o + 3 * width + 3)
-        v01, v02, v03 = e0 * load(M, o + 1), e0 * load(M, o + 2), e0 * load(M, o + 3)
-        v12, v13, v23 = e1 * load(M, o + width + 2), e1 * load(M, o + width + 3), e2 * load(M, o + 2 * width + 3)
-        h0, h1, h2, h3 = _substituted(h0, h1, h2, h3, e0, e1, e2, e3, v01, v02, v03, v12, v13, v23)
+        e = (e0, e1, e2, e3)
+        v = (
+            e0 * load(M, o + 1), e0 * load(M, o + 2), e0 * load(M, o + 3),
+            e1 * load(M, o + width + 2), e1 * load(M, o + width + 3), e2 * load(M, o + 2 * width + 3),
+        )  # fmt: skip
+        h0, h1, h2, h3 = _substituted((h0, h1, h2, h3), e, v)
         store(k, a, h0)
         store(k, a + 1, h1)
         if rows > 2:
@@ -153,7 +158,7 @@ def gains(w, n):
             c = q + j
             r0, r1 = load4(source, c), load4(source, c + width)
             r2, r3 = load4(source, c + 2 * width), load4(source, c + 3 * width)
-            r0, r1, r2, r3 = _substituted(r0, r1, r2, r3, e0, e1, e2, e3, v01, v02, v03, v12, v13, v23)
+            r0, r1, r2, r3 = _substituted((r0, r1, r2, r3), e, v)
             c = p + j
             store4(K, c, r0)
             store4(K, c + width, r1)
@@ -166,13 +171,13 @@ def gains(w, n):
 @inline
 def begin(w):
     """P(N) = Q(N), s(N) = Q(N) (x - x_ref) (Eq. 29), and the costate (Eq. 17)."""
-    width = w[W.WIDTH_Z]
-    M, s, c, l = floats(w, W.H), floats(w, W.h), floats(w, W.COSTATE), floats(w, W.STAGE_GRADIENT)
+    width = w[W.width]
+    M, s, c, l = floats(w, W.H), floats(w, W.h), floats(w, W.costate), floats(w, W.l)
     zero = spread(0.0)
     for i in range(0, width * width, WIDTH):
         store4(M, i, zero)
     add_weights(w, M, w[W.N])
-    first = w[W.FIRST_X]
+    first = w[W.first]
     for i in range(0, width - first, WIDTH):
         mirror(M, first * width + first, width, i, width - first)
     for j in range(0, width, WIDTH):
@@ -183,9 +188,9 @@ def begin(w):
 @inline
 def _finish(w, mu, n):
     """Weights, gradient (Eq. 18), gains and value of stage n; the gradient's square, the slope's part, definite."""
-    nu, c, gradient = w[W.NU], floats(w, W.COSTATE), floats(w, W.GRADIENT)
+    nu, c, gradient = w[W.nu], floats(w, W.costate), floats(w, W.gradient)
     add_weights(w, floats(w, W.H), n)
-    if w[W.EXACT]:
+    if w[W.exact]:
         add_second(w, floats(w, W.H), n)
     norm2 = 0.0
     for a in range(nu):
@@ -239,10 +244,10 @@ def riccati_structured(w, mu, dt):
 @inline
 def advance(w, n, dt, du, dx, dx_next):
     """The linearised stage: dx_next = A dx + B du (Eq. 30)."""
-    ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
+    ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
     nv = ndx // 2
-    rows = nv if w[W.STRUCTURED] else ndx
-    F = at(floats(w, W.LINEAR), n * rows * width)
+    rows = nv if w[W.structured] else ndx
+    F = at(floats(w, W.F), n * rows * width)
     for i in range(rows):
         total = 0.0
         for a in range(nu):
@@ -250,14 +255,14 @@ def advance(w, n, dt, du, dx, dx_next):
         for j in range(ndx):
             total += load(F, i * width + first + j) * load(dx, j)
         store(dx_next, i, total)
-    if w[W.STRUCTURED]:
+    if w[W.structured]:
         for i in range(nv):
             rate = load(dx, nv + i) + dt * load(dx_next, i)
             store(dx_next, nv + i, rate)
             store(dx_next, i, load(dx, i) + dt * rate)
-        for b in range(w[W.QUATERNIONS]):
-            k = load(integers(w, W.QUATERNION_DX), b)
-            E = at(floats(w, W.TRANSPORT), (n * w[W.QUATERNIONS] + b) * 18)
+        for b in range(w[W.quaternions]):
+            k = load(integers(w, W.quaternion_dx), b)
+            E = at(floats(w, W.transport), (n * w[W.quaternions] + b) * 18)
             for c in range(3):
                 total = 0.0
                 for j in range(3):
@@ -270,9 +275,9 @@ def advance(w, n, dt, du, dx, dx_next):
 def direction(w, dt):
     """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du, dx(0) = 0."""
     w = pointer(w)
-    ndx, nu, width, first = w[W.NDX], w[W.NU], w[W.WIDTH_Z], w[W.FIRST_X]
-    K, k = floats(w, W.GAINS), floats(w, W.FEEDFORWARD)
-    dus, dx = floats(w, W.DIRECTION), floats(w, W.DX)
+    ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
+    K, k = floats(w, W.K), floats(w, W.k)
+    dus, dx = floats(w, W.dus), floats(w, W.dx)
     for i in range(ndx):
         store(dx, i, 0.0)
     for n in range(w[W.N]):

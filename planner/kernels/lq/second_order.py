@@ -7,24 +7,24 @@ those of the trajectory itself (Eq. 16, 17), so T is there before the sweep.
 
 from __future__ import annotations
 
-from planner.kernels.lq import workspace as W
 from planner.kernels.lq.stage_hessian import times_E_vector
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, load, load4, pointer, store, store4
 
 
 @jit
 def costates(w, dt):
-    """COSTATES (N+1, width) of the trajectory (Eq. 16, 17), in the columns of x, from F and the stages' gradients."""
+    """Fill W.costates (Eq. 16, 17) along the trajectory, in the columns of x, from F and the stages' gradients."""
     w = pointer(w)
-    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
-    structured, nv = w[W.STRUCTURED], ndx // 2
+    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
+    structured, nv = w[W.structured], ndx // 2
     rows = nv if structured else ndx
-    c, l, carried = floats(w, W.COSTATES), floats(w, W.STAGE_GRADIENT), floats(w, W.DX)
+    c, l, carried = floats(w, W.costates), floats(w, W.l), floats(w, W.dx)
     for j in range(width):
         store(c, w[W.N] * width + j, load(l, w[W.N] * width + j))  # Eq. 17
     for n in range(w[W.N] - 1, -1, -1):
-        F, o, later = at(floats(w, W.LINEAR), n * rows * width), n * width, at(c, (n + 1) * width + first)
+        F, o, later = at(floats(w, W.F), n * rows * width), n * width, at(c, (n + 1) * width + first)
         for j in range(width):
             store(c, o + j, load(l, o + j))
         if structured:
@@ -40,8 +40,8 @@ def costates(w, dt):
 @inline
 def add_second(w, M, n):
     """T of stage n onto the upper triangle of its Hessian M (z, z)."""
-    width = w[W.WIDTH_Z]
-    T = at(floats(w, W.SECOND_ORDER), n * width * width)
+    width = w[W.width]
+    T = at(floats(w, W.T), n * width * width)
     for i in range(width):
         for j in range(i // WIDTH * WIDTH, width, WIDTH):
             o = i * width + j

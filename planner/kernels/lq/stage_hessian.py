@@ -15,7 +15,7 @@ which contracts over nv rows instead of 2 nv. Only the upper triangle of H is fo
 from __future__ import annotations
 
 from planner.kernels.algebra.tiles import four_rows, two_sums
-from planner.kernels.lq import workspace as W
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, spread, store, store4
 
@@ -23,10 +23,10 @@ from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4
 @inline
 def _pull_back(w, n, F, rows, scale, first_row, stays):
     """Gradient h and the costate, l + (s, if it stays) + scale F' s (Eq. 16), from s in their arrays' second rows."""
-    width = w[W.WIDTH_Z]
-    h, c, l = floats(w, W.h), floats(w, W.COSTATE), at(floats(w, W.STAGE_GRADIENT), n * width)
+    width = w[W.width]
+    h, c, l = floats(w, W.h), floats(w, W.costate), at(floats(w, W.l), n * width)
     for j in range(0, width, WIDTH):
-        x, y = two_sums(at(h, width + first_row), at(c, width + first_row), F, 0, width, rows, width, j)
+        x, y = two_sums(at(h, width + first_row), at(c, width + first_row), F, width, rows, j)
         p = load4(l, j)
         if stays:
             store4(h, j, p + load4(h, width + j) + scale * x)
@@ -39,9 +39,9 @@ def _pull_back(w, n, F, rows, scale, first_row, stays):
 @inline
 def dense_stage(w, n, dt):
     """H, and h and the costate through F' (Eq. 16), for F = (B | A)."""
-    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
-    F, M, G = at(floats(w, W.LINEAR), n * ndx * width), floats(w, W.H), floats(w, W.G)
-    h, c, P = floats(w, W.h), floats(w, W.COSTATE), first * width + first
+    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
+    F, M, G = at(floats(w, W.F), n * ndx * width), floats(w, W.H), floats(w, W.G)
+    h, c, P = floats(w, W.h), floats(w, W.costate), first * width + first
     for i in range(0, ndx, WIDTH):
         C = (G, i * width, width)
         four_rows(C, (M, P + i, width, 1), (F, 0, width), ndx, 1.0, width, C, False)
@@ -76,15 +76,15 @@ def _times_E_plain(M, p, ldp, S, o, ld, nv, dt):
 @inline
 def _times_E(w, n, dt):
     """S = (0 | E' P E), columns in the order of z; returns the length of its rows."""
-    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
+    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
     nv = ndx // 2
     ld = first + (ndx + 2 * WIDTH - 1) // WIDTH * WIDTH
     M, S = floats(w, W.H), at(floats(w, W.S), first)  # the first columns stay zero
-    balls, starts = w[W.QUATERNIONS], integers(w, W.QUATERNION_DX)
+    balls, starts = w[W.quaternions], integers(w, W.quaternion_dx)
     if balls == 0:
         _times_E_plain(M, first * width + first, width, S, 0, ld, nv, dt)
         return ld
-    E = at(floats(w, W.TRANSPORT), n * 18 * balls)
+    E = at(floats(w, W.transport), n * 18 * balls)
     zero = spread(0.0)
     for i in range(ndx):  # P E
         o, p = i * ld, (first + i) * width + first
@@ -126,16 +126,16 @@ def _times_E(w, n, dt):
 @inline
 def times_E_vector(w, n, dt, s, t):
     """E' s of a value gradient s (ndx), into t."""
-    ndx = w[W.NDX]
+    ndx = w[W.ndx]
     nv = ndx // 2
     for j in range(0, nv, WIDTH):
         store4(t, j, load4(s, j))
     for j in range(0, nv, WIDTH):
         store4(t, nv + j, load4(s, nv + j) + dt * load4(s, j))
     store4(t, ndx, spread(0.0))
-    starts = integers(w, W.QUATERNION_DX)
-    E = at(floats(w, W.TRANSPORT), n * 18 * w[W.QUATERNIONS])
-    for b in range(w[W.QUATERNIONS]):
+    starts = integers(w, W.quaternion_dx)
+    E = at(floats(w, W.transport), n * 18 * w[W.quaternions])
+    for b in range(w[W.quaternions]):
         k, e = load(starts, b), 18 * b
         x, y, z = load(s, k), load(s, k + 1), load(s, k + 2)
         for c in range(3):
@@ -147,10 +147,10 @@ def times_E_vector(w, n, dt, s, t):
 @inline
 def structured_stage(w, n, dt):
     """H, and h and the costate, for semi-implicit Euler; F holds da/dz."""
-    ndx, width, first = w[W.NDX], w[W.WIDTH_Z], w[W.FIRST_X]
+    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
     nv = ndx // 2
-    F, M, Y, S = at(floats(w, W.LINEAR), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
-    h, c = floats(w, W.h), floats(w, W.COSTATE)
+    F, M, Y, S = at(floats(w, W.F), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
+    h, c = floats(w, W.h), floats(w, W.costate)
     ld = _times_E(w, n, dt)
     times_E_vector(w, n, dt, at(h, first), at(h, width + first))
     times_E_vector(w, n, dt, at(c, first), at(c, width + first))

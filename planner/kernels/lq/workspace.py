@@ -13,35 +13,21 @@ import numpy as np
 
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import WIDTH, floats, lane_array, load, padded, store
+from planner.kernels.numba.layout import Layout
 
 # Outcomes of one iteration
 ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
-_SIZES = (
-    "N", "nx", "ndx", "nu", "width", "first", "structured", "vectors", "quaternions", "stage_terms", "stage_plain",
-    "final_terms", "final_plain", "control_terms", "bounded", "stage_hinges", "hinges", "exact",
-    "penalised",
-)  # fmt: skip
-_ARRAYS = (
-    "xs", "us", "x_ref", "u_ref", "vector_x", "vector_dx", "quaternion_x", "quaternion_dx", "ball", "stage_row",
-    "stage_column", "stage_value", "final_row", "final_column", "final_value", "control_row", "control_column",
-    "control_value", "error", "turn", "l", "F", "transport", "K", "k", "dus", "gradient", "H", "G", "S", "h",
-    "costate", "dx", "trial_x", "trial_u", "deviations", "lower", "upper", "box", "hinge_dx", "hinge_lower",
-    "hinge_upper", "hinge_weight", "hinge_active", "T", "costates", "penalty_hessian",
-)  # fmt: skip
-(
-    N, NX, NDX, NU, WIDTH_Z, FIRST_X, STRUCTURED, VECTORS, QUATERNIONS, STAGE_TERMS, STAGE_PLAIN, FINAL_TERMS,
-    FINAL_PLAIN, CONTROL_TERMS, BOUNDED, STAGE_HINGES, HINGES, EXACT, PENALISED,
-) = range(len(_SIZES))  # fmt: skip
-(
-    XS, US, X_REF, U_REF, VECTOR_X, VECTOR_DX, QUATERNION_X, QUATERNION_DX, BALL_OF, STAGE_ROW, STAGE_COLUMN,
-    STAGE_VALUE, FINAL_ROW, FINAL_COLUMN, FINAL_VALUE, CONTROL_ROW, CONTROL_COLUMN, CONTROL_VALUE, ERROR, TURN,
-    STAGE_GRADIENT, LINEAR, TRANSPORT, GAINS, FEEDFORWARD, DIRECTION, GRADIENT, H, G, S, h, COSTATE, DX, TRIAL_X,
-    TRIAL_U, DEVIATIONS, LOWER, UPPER, BOX, HINGE_DX, HINGE_LOWER, HINGE_UPPER, HINGE_WEIGHT, HINGE_ACTIVE,
-    SECOND_ORDER, COSTATES, PENALTY_HESSIAN,
-) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
-SEARCH_ROWS = 4  # of the search's array: step lengths, costs, slopes, the bracket
-ALPHA, COSTS, SLOPES, BRACKET = range(SEARCH_ROWS)
+W = Layout(
+    "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
+    "control_terms bounded stage_hinges hinges exact penalised",
+    "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
+    "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
+    "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
+    "hinge_weight hinge_active T costates penalty_hessian",
+)
+# Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
+ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)
 
 
 class Workspace:
@@ -58,7 +44,8 @@ class Workspace:
 
     Attributes:
         table: What kernels take.
-        search: (4, 4) the line search's arrays, by rows.
+        search: (5, 4) the line search's arrays, by rows.
+        given: The row of it that holds the cost and its slope at step length 0, and the length of a stage.
         xs: (N+1, nx).
         us: (N, nu).
         K: (N, nu, width) with the gains in the columns of x, from `first` on.
@@ -95,7 +82,8 @@ class Workspace:
         stage, final, control = _terms(Q[:-1], ball), _terms(Q[-1:], ball), _terms(R, np.full(nu, -1))
         states = ndx // 2 if structured else ndx
         self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
-        self.search = lane_array(SEARCH_ROWS, WIDTH)
+        self.search = lane_array(GIVEN + 1, WIDTH)
+        self.given = self.search[GIVEN]
         slack = WIDTH  # rows are read four at a time, past their ends
         F, l = lane_array(N * states * width + slack), lane_array((N + 1) * width + slack)
         self.F, self.l = F[:-slack].reshape(N, states, width), l[:-slack].reshape(N + 1, width)
@@ -130,30 +118,32 @@ class Workspace:
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
         self._arrays |= {"T": self.T, "costates": self.costates, "penalty_hessian": np.zeros(0)}
         self.penalties: Any = None
-        sizes = (
-            N, nx, ndx, nu, width, self.first, int(structured), int(in_x.sum()), len(quaternions), len(stage[0]),
-            stage[3], len(final[0]), final[3], len(control[0]), int(bounds is not None), len(hinge_dx) - at_end,
-            len(hinge_dx), 0, 0,
-        )  # fmt: skip
+        sizes = {
+            "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
+            "vectors": in_x.sum(), "quaternions": len(quaternions), "stage_terms": len(stage[0]),
+            "stage_plain": stage[3], "final_terms": len(final[0]), "final_plain": final[3],
+            "control_terms": len(control[0]), "bounded": bounds is not None, "stage_hinges": len(hinge_dx) - at_end,
+            "hinges": len(hinge_dx), "exact": False, "penalised": 0,
+        }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
-        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+        self.table = W.table(sizes, self._arrays)
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the sweep adds T, whose memory is taken when it is first asked for."""
-        self.table[EXACT] = exact
+        self.table[W.exact] = exact
         if exact and not len(self.T):
             N, width = len(self.us), self.T.shape[1]
             rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
             self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
-            self.table[[SECOND_ORDER, COSTATES]] = self.T.ctypes.data, self.costates.ctypes.data
+            self.table[[W.T, W.costates]] = self.T.ctypes.data, self.costates.ctypes.data
 
     def use_penalties(self, penalties: Any) -> None:
         """Have the terms of a PenaltyTable in every sweep and rollout."""
         self.penalties = penalties
         self._arrays["penalty_hessian"] = lane_array(len(self.xs), penalties.rows, padded(penalties.rows))
-        self.table[PENALISED] = penalties.rows
-        self.table[PENALTY_HESSIAN] = self._arrays["penalty_hessian"].ctypes.data
+        self.table[W.penalised] = penalties.rows
+        self.table[W.penalty_hessian] = self._arrays["penalty_hessian"].ctypes.data
 
 
 def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
@@ -171,8 +161,8 @@ def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarra
 @part
 def accept(w, lane):
     """Make candidate `lane` the nominal trajectory."""
-    take_lane(floats(w, XS), floats(w, TRIAL_X), w[NX] * (w[N] + 1), lane)
-    take_lane(floats(w, US), floats(w, TRIAL_U), w[NU] * w[N], lane)
+    take_lane(floats(w, W.xs), floats(w, W.trial_x), w[W.nx] * (w[W.N] + 1), lane)
+    take_lane(floats(w, W.us), floats(w, W.trial_u), w[W.nu] * w[W.N], lane)
 
 
 @part

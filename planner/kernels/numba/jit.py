@@ -1,8 +1,11 @@
 """How kernels are compiled and where the machine code is kept.
 
 Numba stamps a cache entry with the file of the function itself only: editing a kernel's callee would leave stale
-callers. So the cache directory is keyed on a hash of all kernel sources. Floating point is relaxed by `contract,
-nsz, arcp` only: results are reproducible, and a NaN survives to be seen.
+callers. So the cache directory is keyed on a hash of all kernel sources, and two checkouts of the same sources share
+it. Floating point is relaxed by `contract, nsz, arcp` only: results are reproducible, and a NaN survives to be seen.
+
+`compiler` builds on Numba's internals. Where a version of Numba has others, kernels are compiled by plain njit: they
+do the same, and take longer to compile.
 """
 
 from __future__ import annotations
@@ -20,41 +23,23 @@ from typing import Any
 
 import numba
 from numba.core import config as numba_config
-from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import PassManager
 from numba.core.sigutils import normalize_signature
-from numba.core.typed_passes import (
-    AnnotateTypes,
-    IRLegalization,
-    NativeLowering,
-    NoPythonBackend,
-    NopythonTypeInference,
-    PreLowerStripPhis,
-)
-from numba.core.untyped_passes import (
-    DeadBranchPrune,
-    FixupArgs,
-    GenericRewrites,
-    IRProcessing,
-    ReconstructSSA,
-    TranslateByteCode,
-)
 
 config: Any = numba_config
 njit: Any = numba.njit
 
+_log = logging.getLogger("planner")
 _TEMPORARY = "slq-planner-"
 FASTMATH = frozenset({"contract", "nsz", "arcp"})
+_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": set(FASTMATH), "error_model": "numpy"}
 
 
 @cache
 def cache_directory() -> Path:
     """Where compiled kernels live: under NUMBA_CACHE_DIR or the user's cache, else a temporary directory."""
-    digest = hashlib.sha256(f"{numba.__version__}".encode())
-    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(source.read_bytes())
+    digest, kernels = hashlib.sha256(f"{numba.__version__}".encode()), Path(__file__).parents[1]
+    for source in sorted(kernels.rglob("*.py")):
+        digest.update(source.relative_to(kernels).as_posix().encode() + source.read_bytes())
     base = os.environ.get("NUMBA_CACHE_DIR") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "slq-planner"
     )
@@ -86,125 +71,52 @@ def is_warm(kernel: Any, types: Sequence[str] | None = None) -> bool:
         kernel: What `jit` returned.
         types: Of its arguments, as in a Numba signature; None for any.
     """
-    if types is None:
+    if types is not None and arguments_of(types) in kernel.overloads:
+        return True
+    if types is None or not hasattr(kernel._cache, "holds"):
         module: str = kernel.__module__.rpartition(".")[2]
-        return bool(kernel.signatures) or any(cache_directory().rglob(f"{module}.{kernel.__name__}-*.nbc"))
-    arguments = arguments_of(types)
-    return arguments in kernel.overloads or kernel._cache.holds(arguments, kernel.targetctx)
+        return bool(kernel.signatures) or any(cache_directory().rglob(f"*{module}.{kernel.__name__}-*.nbc"))
+    return kernel._cache.holds(arguments_of(types), kernel.targetctx)
 
 
-class _Cache(FunctionCache):
-    """A kernel's machine code on disk: a file for each signature, loaded without all that Numba needs to compile.
-
-    Numba's own cache has one index for all signatures of a function, which two processes must not write at once.
-    """
-
-    def _file(self, sig: Any) -> IndexDataCacheFile:
-        digest = hashlib.sha256(str(sig).encode()).hexdigest()[:12]
-        base, stamp = f"{self._impl.filename_base}-{digest}", self._impl.locator.get_source_stamp()
-        return IndexDataCacheFile(self._cache_path, base, stamp)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        data = self._file(sig).load(self._index_key(sig, target_context.codegen()))
-        return None if data is None else self._impl.rebuild(target_context, data)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        if self._impl.check_cachable(data):
-            self._impl.locator.ensure_cache_path()
-            self._file(sig).save(self._index_key(sig, data.codegen), self._impl.reduce(data))
-
-    def holds(self, sig: Any, target_context: Any) -> bool:
-        """Whether there is machine code for arguments of these types."""
-        file = self._file(sig)
-        name = file._load_index().get(self._index_key(sig, target_context.codegen()))
-        return name is not None and os.path.isfile(file._data_path(name))
-
-
-class _Compiler(CompilerBase):
-    """Numba's compiler with the passes that kernels need: they have no closures, no array expressions, no `with`."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)  # everything that Numba knows is loaded here; look-ups need not load it again
-        self.state.targetctx.load_additional_registries = lambda: None  # of a context that is this compiler's own
-
-    def define_pipelines(self) -> list[Any]:
-        passes = PassManager("kernel")
-        for step in _PASSES:
-            passes.add_pass(step, step.__name__)
-        passes.finalize()
-        return [passes]
-
-
-# Branches are pruned by arguments that are None: that is how a kernel leaves out what a problem does not have.
-_PASSES = (
-    TranslateByteCode, FixupArgs, IRProcessing, DeadBranchPrune, GenericRewrites, ReconstructSSA,
-    NopythonTypeInference, PreLowerStripPhis, IRLegalization, AnnotateTypes, NativeLowering, NoPythonBackend,
-)  # fmt: skip
-
-
-# Kernels and parts count no references (_nrt): they make no arrays.
-_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": set(FASTMATH), "error_model": "numpy", "_nrt": False}
-
-
-def _compile(function: Callable[..., Any], **options: Any) -> Any:
-    # Only our own functions may land in our directory: numba reads the setting when the cache is made.
-    kernel = njit(**_OPTIONS, pipeline_class=_Compiler, no_cfunc_wrapper=True, **options)(function)
-    previous = config.CACHE_DIR
-    config.CACHE_DIR = str(cache_directory())
+def _plain_kernel(function: Callable[..., Any], folder: Path, **options: Any) -> Any:
+    previous, config.CACHE_DIR = config.CACHE_DIR, str(folder)  # numba reads it when the cache is made
     try:
-        kernel._cache = _Cache(function)  # what njit(cache=True) does, with ours
+        return njit(cache=True, **options)(function)
     finally:
         config.CACHE_DIR = previous
-    return kernel
 
 
-class _PartLibrary(JITCodeLibrary):
-    """Code that is optimised and turned into machine code only as a part of the kernels that link it."""
-
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        return 0
-
-    @property
-    def codegen(self) -> Any:
-        return self
-
-    def set_env(self, name: str, environment: Any) -> None:
-        """Nothing here is known to the execution engine."""
+def _plain_part(function: Callable[..., Any], **options: Any) -> Any:
+    return njit(**options)(function)
 
 
-class _PartCompiler(_Compiler):
-    def define_pipelines(self) -> list[Any]:
-        self.state.library = _PartLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        return super().define_pipelines()
+try:
+    from planner.kernels.numba.compiler import compile_kernel as _compile_kernel
+    from planner.kernels.numba.compiler import compile_part as _compile_part
 
-
-def _compile_part(function: Callable[..., Any], **options: Any) -> Any:
-    wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return njit(**_OPTIONS, pipeline_class=_PartCompiler, **wrappers, **options)(function)
+    _compile_kernel(cache_is_shared, cache_directory(), **_OPTIONS)  # sets up all that may have changed, runs nothing
+    _compile_part(cache_is_shared, **_OPTIONS)
+except (ImportError, AttributeError, TypeError, LookupError, NameError) as _error:
+    _log.warning("Numba %s is new to planner (%s): compiling kernels by plain njit", numba.__version__, _error)
+    _compile_kernel, _compile_part = _plain_kernel, _plain_part
 
 
 def jit(function: Callable[..., Any]) -> Any:
     """Compile a kernel, cached on disk."""
-    return _compile(function)
+    return _compile_kernel(function, cache_directory(), **_OPTIONS)
 
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a function that only kernels call, into each of them."""
-    return _compile_part(function)
+    return _compile_part(function, **_OPTIONS)
 
 
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a helper that must be inlined into kernels (calls spill every vector register)."""
-    return _compile_part(function, forceinline=True)
+    return _compile_part(function, **_OPTIONS, forceinline=True)
 
 
-_log = logging.getLogger("planner")
 _announced = False
 
 

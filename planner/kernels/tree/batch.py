@@ -5,8 +5,8 @@ from __future__ import annotations
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, lanes, load, pointer, spread, store
 from planner.kernels.tree.forces import add_passive, add_passive_derivatives
-from planner.kernels.tree.memory import A_LANES, DQ, DV, LD, LINKS, M_LANES, SCRATCH, TAU, THETA, X_LANES
-from planner.kernels.tree.model import NQ, NV
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, forward_dynamics, inverse_dynamics, place_all
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree.step import gather, scatter
@@ -14,20 +14,20 @@ from planner.kernels.tree.step import gather, scatter
 
 @inline
 def _gathered(m, r, q, v, third, first, destination):
-    """Four states onto X_LANES, and four rows (nv) of a third array onto lanes of their own."""
+    """Four states onto MEMORY.x, and four rows (nv) of a third array onto lanes of their own."""
     K = q.shape[0]
-    gather(doubles(q), first, K, m[NQ], lanes(r, X_LANES))
-    gather(doubles(v), first, K, m[NV], at(lanes(r, X_LANES), m[NQ]))
-    gather(doubles(third), first, K, m[NV], destination)
+    gather(doubles(q), first, K, m[TREE.nq], lanes(r, MEMORY.x))
+    gather(doubles(v), first, K, m[TREE.nv], at(lanes(r, MEMORY.x), m[TREE.nq]))
+    gather(doubles(third), first, K, m[TREE.nv], destination)
 
 
 @inline
 def _passive(m, r, x, v):
-    """Springs and dampers, on THETA."""
-    passive = lanes(r, THETA)
-    for i in range(m[NV]):
+    """The forces of springs and dampers, in MEMORY.theta."""
+    passive = lanes(r, MEMORY.theta)
+    for i in range(m[TREE.nv]):
         store(passive, i, spread(0.0))
-    add_passive(m, x, v, passive, lanes(r, SCRATCH))
+    add_passive(m, x, v, passive, lanes(r, MEMORY.scratch))
     return passive
 
 
@@ -35,8 +35,8 @@ def _passive(m, r, x, v):
 def forward(m, r, q, v, inputs, a, tau):
     """Accelerations a and forces tau (K, nv) from inputs (K, nv): forces or, where prescribed, accelerations."""
     m, r = pointer(m), pointer(r)
-    nq, nv, K = m[NQ], m[NV], q.shape[0]
-    x, total, acceleration = lanes(r, X_LANES), lanes(r, TAU), lanes(r, A_LANES)
+    nq, nv, K = m[TREE.nq], m[TREE.nv], q.shape[0]
+    x, total, acceleration = lanes(r, MEMORY.x), lanes(r, MEMORY.tau), lanes(r, MEMORY.a)
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
         _gathered(m, r, q, v, inputs, first, total)
@@ -44,7 +44,7 @@ def forward(m, r, q, v, inputs, a, tau):
         for i in range(nv):
             store(acceleration, i, load(total, i))
             store(total, i, load(total, i) + load(passive, i))
-        forward_dynamics(m, x, rate, total, acceleration, lanes(r, LINKS), True)
+        forward_dynamics(m, x, rate, total, acceleration, lanes(r, MEMORY.links), True)
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
         scatter(acceleration, first, K, nv, doubles(a))
@@ -55,13 +55,13 @@ def forward(m, r, q, v, inputs, a, tau):
 def inverse(m, r, q, v, a, tau):
     """Applied forces tau (K, nv) for accelerations a (K, nv)."""
     m, r = pointer(m), pointer(r)
-    nq, nv, K = m[NQ], m[NV], q.shape[0]
-    x, total, acceleration = lanes(r, X_LANES), lanes(r, TAU), lanes(r, A_LANES)
+    nq, nv, K = m[TREE.nq], m[TREE.nv], q.shape[0]
+    x, total, acceleration = lanes(r, MEMORY.x), lanes(r, MEMORY.tau), lanes(r, MEMORY.a)
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
         _gathered(m, r, q, v, a, first, acceleration)
         passive = _passive(m, r, x, rate)
-        inverse_dynamics(m, x, rate, acceleration, total, lanes(r, LINKS))
+        inverse_dynamics(m, x, rate, acceleration, total, lanes(r, MEMORY.links))
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
         scatter(total, first, K, nv, doubles(tau))
@@ -71,19 +71,17 @@ def inverse(m, r, q, v, a, tau):
 def derivatives(m, r, q, v, a, M, Dq, Dv):
     """M = dtau/da, dtau/dq and dtau/dv (K, nv, nv) of inverse dynamics."""
     m, r = pointer(m), pointer(r)
-    nq, nv, K, ld = m[NQ], m[NV], q.shape[0], r[LD]
-    x, acceleration = lanes(r, X_LANES), lanes(r, A_LANES)
+    nq, nv, K, ld = m[TREE.nq], m[TREE.nv], q.shape[0], r[MEMORY.ld]
+    x, acceleration = lanes(r, MEMORY.x), lanes(r, MEMORY.a)
     rate = at(x, nq)
-    blocks = (lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV))
+    blocks = (lanes(r, MEMORY.M), lanes(r, MEMORY.Dq), lanes(r, MEMORY.Dv))
     for first in range(0, K, WIDTH):
         _gathered(m, r, q, v, a, first, acceleration)
         for block in blocks:
             for k in range(nv * ld):
                 store(block, k, spread(0.0))
-        inverse_dynamics_derivatives(
-            m, x, rate, acceleration, lanes(r, LINKS), lanes(r, TAU), blocks[0], blocks[1], blocks[2], ld
-        )
-        add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, SCRATCH))
+        inverse_dynamics_derivatives(m, x, rate, acceleration, lanes(r, MEMORY.links), lanes(r, MEMORY.tau), blocks, ld)
+        add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, MEMORY.scratch))
         for i in range(nv):
             for j in range(nv):
                 for lane in range(min(WIDTH, K - first)):
@@ -97,12 +95,12 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
 def places(m, r, q, poses):
     """Per link (K, nv, 18): rotation (9), position (3) and screw (6), about the tree's origin."""
     m, r = pointer(m), pointer(r)
-    nq, K = m[NQ], q.shape[0]
-    x, ws = lanes(r, X_LANES), lanes(r, LINKS)
+    nq, K = m[TREE.nq], q.shape[0]
+    x, ws = lanes(r, MEMORY.x), lanes(r, MEMORY.links)
     for first in range(0, K, WIDTH):
         gather(doubles(q), first, K, nq, x)
         place_all(m, x, ws)
-        for i in range(m[NV]):
+        for i in range(m[TREE.nv]):
             for k in range(18):
                 for lane in range(min(WIDTH, K - first)):
                     poses[first + lane, i, k] = load(as_floats(ws), (i * RECORD + k) * WIDTH + lane)

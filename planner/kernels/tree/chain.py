@@ -18,6 +18,7 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import load3
 from planner.kernels.algebra.tiles import four_rows
+from planner.kernels.integrators import SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import (
     WIDTH,
@@ -32,38 +33,17 @@ from planner.kernels.numba.lanes import (
     store,
     store4,
 )
-from planner.kernels.tree.memory import (  # fmt: skip
-    BLOCK,
-    CHAINED,
-    DIRECT,
-    FIRST_X,
-    INTEGRATOR,
-    SEMI_IMPLICIT_EULER,
-    THETA,
-    TURNS,
-    V_STAGES,
-    XA,
-)
-from planner.kernels.tree.model import (  # fmt: skip
-    ACTIVATION_GAIN,
-    ACTIVATION_INPUT,
-    ACTIVATION_RATE,
-    BALL,
-    BALL_NEXT,
-    BALL_V,
-    KIND,
-    NA,
-    NBALLS,
-    NV,
-)
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 
 TURN_SIZE = 18  # of a rotation's T and J, row by row
 
 
 @inline
 def keep_turns(m, r, i):
-    """T and J of every ball for the rotation vectors in THETA, of stage i (4: the end of the step)."""
-    balls, ball_v, theta, turns = m[NBALLS], integers(m, BALL_V), lanes(r, THETA), lanes(r, TURNS)
+    """T and J of every ball for the rotation vectors in MEMORY.theta, of stage i (4: the end of the step)."""
+    balls, ball_v, theta = m[TREE.nballs], integers(m, TREE.ball_v), lanes(r, MEMORY.theta)
+    turns = lanes(r, MEMORY.turns)
     one, zero = spread(1.0), spread(0.0)
     for b in range(balls):
         t = load3(theta, load(ball_v, b))
@@ -107,32 +87,33 @@ def _cross_row(x, y, z, v):
 
 
 @inline
-def _copy(D, d, A, width, nv, at_q, factor):
+def _copy(D, A, width, nv, at_q, factor):
     """A becomes D with factor times Dq added to Dv."""
     at_v, whole = at_q + nv, nv // WIDTH * WIDTH
     for i in range(nv):
-        o, p = d + i * width, i * width
+        p = i * width
         for j in range(0, width, WIDTH):
-            store4(A, p + j, load4(D, o + j))
+            store4(A, p + j, load4(D, p + j))
         for j in range(0, whole, WIDTH):
-            store4(A, p + at_v + j, load4(A, p + at_v + j) + factor * load4(D, o + at_q + j))
+            store4(A, p + at_v + j, load4(A, p + at_v + j) + factor * load4(D, p + at_q + j))
         for j in range(whole, nv):
-            store(A, p + at_v + j, load(A, p + at_v + j) + factor * load(D, o + at_q + j))
+            store(A, p + at_v + j, load(A, p + at_v + j) + factor * load(D, p + at_q + j))
 
 
 @inline
-def _turn_columns(m, r, i, lane, factor, k, D, d, A, width, at_q):
-    """What rotations change in stage i: Dq T and Dq (W + V) in A, and Dq W / factor in place of Dq."""
-    nv, balls, ball_v = m[NV], m[NBALLS], integers(m, BALL_V)
-    turns, v = as_floats(lanes(r, TURNS)), as_floats(lanes(r, V_STAGES))
+def _turn_columns(m, r, i, lane, lengths, D, A, width):
+    """Put Dq T and Dq (W + V) of the balls in the columns of A for stage i, and Dq W / factor in place of Dq."""
+    nv, balls, ball_v, at_q = m[TREE.nv], m[TREE.nballs], integers(m, TREE.ball_v), r[MEMORY.first]
+    factor, k = lengths
+    turns, v = as_floats(lanes(r, MEMORY.turns)), as_floats(lanes(r, MEMORY.v_stages))
     for b in range(balls):
         q = load(ball_v, b)
         o = ((i * balls + b) * TURN_SIZE) * WIDTH + lane
         T, J = _nine(turns, o), _nine(turns, o + 9 * WIDTH)
         v1, v2 = _three(v, q * WIDTH + lane), _three(v, (nv + q) * WIDTH + lane)
         for row in range(nv):
-            e, p = d + row * width + at_q + q, row * width + at_q + q
-            x, y, z = load(D, e), load(D, e + 1), load(D, e + 2)
+            p = row * width + at_q + q
+            x, y, z = load3(D, p)
             g = _row_times(x, y, z, T)
             a, b_, c = _row_times(x, y, z, J)
             first, second = _cross_row(a, b_, c, v1), _cross_row(a, b_, c, v2)
@@ -142,13 +123,13 @@ def _turn_columns(m, r, i, lane, factor, k, D, d, A, width, at_q):
                 # the copy has added factor times the plain column
                 old = x if j == 0 else y if j == 1 else z
                 store(A, p + nv + j, load(A, p + nv + j) + factor * (w[j] - old - k * second[j]))
-                store(D, e + j, w[j])
+                store(D, p + j, w[j])
 
 
 @inline
 def _add_activations(m, Xa, A, width, at_q):
     """Columns of activations: how far they have come on their own, and by control (own, given in Xa)."""
-    nv, na, index = m[NV], m[NA], integers(m, ACTIVATION_INPUT)
+    nv, na, index = m[TREE.nv], m[TREE.na], integers(m, TREE.activation_input)
     for k in range(na):
         own, given = load(Xa, 2 * k), load(Xa, 2 * k + 1)
         for i in range(nv):
@@ -159,17 +140,17 @@ def _add_activations(m, Xa, A, width, at_q):
 
 
 @inline
-def _add_product(A, D, d, at_column, B, factor, nv, width):
+def _add_product(A, D, at_column, B, factor, nv, width):
     """A plus factor times a block of nv columns of D times B."""
     for i in range(0, nv, WIDTH):
         C = (A, i * width, width)
-        four_rows(C, (D, d + i * width + at_column, 1, width), (B, 0, width), nv, factor, width, C, True)
+        four_rows(C, (D, i * width + at_column, 1, width), (B, 0, width), nv, factor, width, C, True)
 
 
 @inline
-def _turn_rows(F, f, width, i, T, J, at_q):
+def _turn_rows(F, width, i, T, J, at_q):
     """Rows i, i+1, i+2 of F become J times themselves, and T is added in their own columns."""
-    o0, o1, o2 = f + i * width, f + (i + 1) * width, f + (i + 2) * width
+    o0, o1, o2 = i * width, (i + 1) * width, (i + 2) * width
     for j in range(0, width, WIDTH):
         x, y, z = load4(F, o0 + j), load4(F, o1 + j), load4(F, o2 + j)
         store4(F, o0 + j, J[0] * x + J[1] * y + J[2] * z)
@@ -177,7 +158,7 @@ def _turn_rows(F, f, width, i, T, J, at_q):
         store4(F, o2 + j, J[6] * x + J[7] * y + J[8] * z)
     for k in range(3):
         for c in range(3):
-            o = f + (i + k) * width + at_q + i + c
+            o = (i + k) * width + at_q + i + c
             store(F, o, load(F, o) + T[3 * k + c])
 
 
@@ -187,12 +168,12 @@ def _add_unit(F, o, value):
 
 
 @inline
-def _activation_rows(m, Xa, F, f, width, at_q):
+def _activation_rows(m, Xa, F, width, at_q):
     """Rows of activations at the end of the step."""
-    nv, na, index = m[NV], m[NA], integers(m, ACTIVATION_INPUT)
+    nv, na, index = m[TREE.nv], m[TREE.na], integers(m, TREE.activation_input)
     zero = spread(0.0)
     for k in range(na):
-        o = f + k * width
+        o = k * width
         for j in range(0, width, WIDTH):
             store4(F, o + j, zero)
         store(F, o + at_q + 2 * nv + k, load(Xa, 2 * k))
@@ -202,8 +183,8 @@ def _activation_rows(m, Xa, F, f, width, at_q):
 @inline
 def _stage_activations(m, Xa, factor):
     """(own, given) of the next stage's activations, from those of the stage before."""
-    gain, decay = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
-    for k in range(m[NA]):
+    gain, decay = floats(m, TREE.activation_gain), floats(m, TREE.activation_rate)
+    for k in range(m[TREE.na]):
         own, given = load(decay, k) * load(Xa, 2 * k), load(gain, k) + load(decay, k) * load(Xa, 2 * k + 1)
         store(Xa, 2 * k, 1.0 + factor * own)
         store(Xa, 2 * k + 1, factor * given)
@@ -212,7 +193,7 @@ def _stage_activations(m, Xa, factor):
 @inline
 def _sum_activations(m, Xa, weight):
     """Add weight times a stage's rates to the sums behind Xa."""
-    na, gain, decay = m[NA], floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE)
+    na, gain, decay = m[TREE.na], floats(m, TREE.activation_gain), floats(m, TREE.activation_rate)
     sums = at(Xa, 2 * na)
     for k in range(na):
         own, given = load(decay, k) * load(Xa, 2 * k), load(gain, k) + load(decay, k) * load(Xa, 2 * k + 1)
@@ -222,7 +203,7 @@ def _sum_activations(m, Xa, weight):
 
 @inline
 def _begin_activations(m, Xa):
-    na = m[NA]
+    na = m[TREE.na]
     for k in range(na):
         store(Xa, 2 * k, 1.0)
         store(Xa, 2 * k + 1, 0.0)
@@ -233,46 +214,47 @@ def _begin_activations(m, Xa):
 @inline
 def _end_activations(m, Xa, factor):
     """(own, given) at the end of the step, from the weighted sums of rates."""
-    na = m[NA]
+    na = m[TREE.na]
     for k in range(na):
         store(Xa, 2 * k, 1.0 + factor * load(Xa, 2 * na + 2 * k))
         store(Xa, 2 * k + 1, factor * load(Xa, 2 * na + 2 * k + 1))
 
 
 @inline
-def _add_unit_rows(m, F, f, width, at_q):
+def _add_unit_rows(m, F, width, at_q):
     """The dq of the start, for all but balls."""
-    kind = integers(m, KIND)
-    for i in range(m[NV]):
+    kind = integers(m, TREE.kind)
+    for i in range(m[TREE.nv]):
         if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
-            _add_unit(F, f + i * width + at_q + i, 1.0)
+            _add_unit(F, i * width + at_q + i, 1.0)
 
 
 @inline
-def _turn_balls(m, r, i, lane, width, F, f):
+def _turn_balls(m, r, i, lane, width, F):
     """Rows of the balls, which hold d theta, become those of their rotation."""
-    balls, ball_v, turns = m[NBALLS], integers(m, BALL_V), as_floats(lanes(r, TURNS))
+    balls, ball_v, turns = m[TREE.nballs], integers(m, TREE.ball_v), as_floats(lanes(r, MEMORY.turns))
     for b in range(balls):
         o = ((i * balls + b) * TURN_SIZE) * WIDTH + lane
-        _turn_rows(F, f, width, load(ball_v, b), _nine(turns, o), _nine(turns, o + 9 * WIDTH), r[FIRST_X])
+        _turn_rows(F, width, load(ball_v, b), _nine(turns, o), _nine(turns, o + 9 * WIDTH), r[MEMORY.first])
 
 
 @inline
-def _add_end_commutators(m, r, dt, lane, width, F, f, A2):
+def _add_end_commutators(m, r, dt, lane, width, F, A2):
     """dt^2/12 times d(v1 x v4) in the balls' rows: [v1] (dv + dt A2 dz) - [v4] dv."""
-    nv, ball_v, v, at_v = m[NV], integers(m, BALL_V), as_floats(lanes(r, V_STAGES)), r[FIRST_X] + m[NV]
+    nv, ball_v, v = m[TREE.nv], integers(m, TREE.ball_v), as_floats(lanes(r, MEMORY.v_stages))
+    at_v = r[MEMORY.first] + m[TREE.nv]
     k = dt * dt / 12.0
-    for b in range(m[NBALLS]):
+    for b in range(m[TREE.nballs]):
         i = load(ball_v, b)
         v1, v4 = _three(v, i * WIDTH + lane), _three(v, (3 * nv + i) * WIDTH + lane)
         p0, p1, p2 = i * width, (i + 1) * width, (i + 2) * width
         for j in range(0, width, WIDTH):
             x, y, z = load4(A2, p0 + j), load4(A2, p1 + j), load4(A2, p2 + j)
-            store4(F, f + p0 + j, load4(F, f + p0 + j) + (k * dt) * (v1[1] * z - v1[2] * y))
-            store4(F, f + p1 + j, load4(F, f + p1 + j) + (k * dt) * (v1[2] * x - v1[0] * z))
-            store4(F, f + p2 + j, load4(F, f + p2 + j) + (k * dt) * (v1[0] * y - v1[1] * x))
+            store4(F, p0 + j, load4(F, p0 + j) + (k * dt) * (v1[1] * z - v1[2] * y))
+            store4(F, p1 + j, load4(F, p1 + j) + (k * dt) * (v1[2] * x - v1[0] * z))
+            store4(F, p2 + j, load4(F, p2 + j) + (k * dt) * (v1[0] * y - v1[1] * x))
         d = (k * (v1[0] - v4[0]), k * (v1[1] - v4[1]), k * (v1[2] - v4[2]))
-        o = f + at_v + i
+        o = at_v + i
         _add_unit(F, o + p0 + 1, -1.0 * d[2])
         _add_unit(F, o + p0 + 2, d[1])
         _add_unit(F, o + p1, d[2])
@@ -282,64 +264,64 @@ def _add_end_commutators(m, r, dt, lane, width, F, f, A2):
 
 
 @part
-def runge_kutta(m, r, dt, lane, width, F, f):
-    """Rows of (B | A) of an RK4 step at offset f of F, from D of its four stages and the rotations kept."""
-    nv, balls, block = m[NV], m[NBALLS], r[BLOCK]
-    D, A0, Xa = floats(r, DIRECT), floats(r, CHAINED), floats(r, XA)
-    at_q = r[FIRST_X]
+def runge_kutta(m, r, dt, lane, width, F):
+    """The rows F of (B | A) of an RK4 step, from D of its four stages and the rotations kept."""
+    nv, balls, block = m[TREE.nv], m[TREE.nballs], r[MEMORY.block]
+    direct, A0, Xa = floats(r, MEMORY.direct), floats(r, MEMORY.chained), floats(r, MEMORY.Xa)
+    at_q = r[MEMORY.first]
     at_v = at_q + nv
     _begin_activations(m, Xa)
     _sum_activations(m, Xa, 1.0)
     for i in range(4):
-        d, A = (i * WIDTH + lane) * block, at(A0, i * block)
+        D, A = at(direct, (i * WIDTH + lane) * block), at(A0, i * block)
         factor = 0.0 if i == 0 else dt if i == 3 else 0.5 * dt
-        _copy(D, d, A, width, nv, at_q, factor)
+        _copy(D, A, width, nv, at_q, factor)
         if i == 0:
             continue
         if balls > 0:
-            _turn_columns(m, r, i, lane, factor, 0.25 * dt if i == 2 else 0.0, D, d, A, width, at_q)
+            _turn_columns(m, r, i, lane, (factor, 0.25 * dt if i == 2 else 0.0), D, A, width)
         _stage_activations(m, Xa, factor)
         _sum_activations(m, Xa, 1.0 if i == 3 else 2.0)
         _add_activations(m, Xa, A, width, at_q)
-        _add_product(A, D, d, at_v, at(A0, (i - 1) * block), factor, nv, width)
+        _add_product(A, D, at_v, at(A0, (i - 1) * block), factor, nv, width)
         if i > 1:
-            _add_product(A, D, d, at_q, at(A0, (i - 2) * block), 0.5 * dt * factor, nv, width)
+            _add_product(A, D, at_q, at(A0, (i - 2) * block), 0.5 * dt * factor, nv, width)
     A1, A2, A3 = at(A0, block), at(A0, 2 * block), at(A0, 3 * block)
     sixth = dt / 6.0
     for i in range(nv):
-        o, q, v = i * width, f + i * width, f + (nv + i) * width
+        q, v = i * width, (nv + i) * width
         for j in range(0, width, WIDTH):
-            inner = load4(A1, o + j) + load4(A2, o + j)
-            first = load4(A0, o + j)
+            inner = load4(A1, q + j) + load4(A2, q + j)
+            first = load4(A0, q + j)
             store4(F, q + j, (dt * sixth) * (first + inner))
-            store4(F, v + j, sixth * (first + 2.0 * inner + load4(A3, o + j)))
+            store4(F, v + j, sixth * (first + 2.0 * inner + load4(A3, q + j)))
         _add_unit(F, q + at_v + i, dt)
         _add_unit(F, v + at_v + i, 1.0)
     if balls > 0:
-        _add_end_commutators(m, r, dt, lane, width, F, f, A2)
-        _turn_balls(m, r, 4, lane, width, F, f)
-    _add_unit_rows(m, F, f, width, at_q)
+        _add_end_commutators(m, r, dt, lane, width, F, A2)
+        _turn_balls(m, r, 4, lane, width, F)
+    _add_unit_rows(m, F, width, at_q)
     _end_activations(m, Xa, sixth)
-    _activation_rows(m, Xa, F, f + 2 * nv * width, width, at_q)
+    _activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)
 
 
 @part
-def euler(m, r, dt, lane, width, F, f):
+def euler(m, r, dt, lane, width, F):
     """The same for the two Euler integrators, from D of the one stage."""
-    nv, D, Xa, at_q = m[NV], floats(r, DIRECT), floats(r, XA), r[FIRST_X]
-    at_v, semi_implicit = at_q + nv, r[INTEGRATOR] == SEMI_IMPLICIT_EULER
+    nv, Xa, at_q = m[TREE.nv], floats(r, MEMORY.Xa), r[MEMORY.first]
+    D = at(floats(r, MEMORY.direct), lane * r[MEMORY.block])
+    at_v, semi_implicit = at_q + nv, r[MEMORY.integrator] == SEMI_IMPLICIT_EULER
     later = dt if semi_implicit else 0.0
-    d = lane * r[BLOCK]
     for i in range(nv):
-        o, q, v = d + i * width, f + i * width, f + (nv + i) * width
+        q, v = i * width, (nv + i) * width
         for j in range(0, width, WIDTH):
-            x = dt * load4(D, o + j)
+            x = dt * load4(D, q + j)
             store4(F, v + j, x)
             store4(F, q + j, later * x)
         _add_unit(F, q + at_v + i, dt)
         _add_unit(F, v + at_v + i, 1.0)
-    _turn_balls(m, r, 0, lane, width, F, f)
-    _add_unit_rows(m, F, f, width, at_q)
+    _turn_balls(m, r, 0, lane, width, F)
+    _add_unit_rows(m, F, width, at_q)
     _begin_activations(m, Xa)
     _stage_activations(m, Xa, dt)
-    _activation_rows(m, Xa, F, f + 2 * nv * width, width, at_q)
+    _activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)

@@ -20,25 +20,11 @@ from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, rotate
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, select, spread, store
-from planner.kernels.tree.model import (  # fmt: skip
-    CONTACT_ADDRESS,
-    CONTACT_LINK,
-    CONTACT_SIZE,
-    CONTACT_SLIDE,
-    CONTACT_VALUE,
-    CONTACTS,
-    FIRST,
-    PARENT,
-    Q_ADDRESS,
-    STOP_DOF,
-    STOP_SIZE,
-    STOP_VALUE,
-    STOPS,
-)
+from planner.kernels.tree.model import CONTACT_SIZE, STOP_SIZE, TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
-# Offsets in a contact's and a stop's numbers, as kernels.model lays them out
+# Offsets in a contact's and a stop's numbers, as `model` lays them out
 CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, TOUCH = 0, 3, 6, 7, 8, 11, 14
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, SLIP, FRICTION, RAISE, SHARE, BEND = range(11)
 SIDE, END, LAW = 0, 1, 2
@@ -72,8 +58,8 @@ def _bent(law, o, slip, fn):
 @inline
 def _touched(m, k, q, ws):
     """Contact k's penetration, place, the velocity of the link there and relative to the surface, normal and link."""
-    link, address = load(integers(m, CONTACT_LINK), k), load(integers(m, CONTACT_ADDRESS), k)
-    value, o, b = floats(m, CONTACT_VALUE), k * CONTACT_SIZE, link * RECORD
+    link, address = load(integers(m, TREE.contact_link), k), load(integers(m, TREE.contact_address), k)
+    value, o, b = floats(m, TREE.contact_value), k * CONTACT_SIZE, link * RECORD
     n = load3(value, o + NORMAL)
     R = (
         load(ws, b), load(ws, b + 1), load(ws, b + 2), load(ws, b + 3), load(ws, b + 4), load(ws, b + 5),
@@ -87,7 +73,7 @@ def _touched(m, k, q, ws):
     w, u = load3(ws, b + TWIST), load3(ws, b + TWIST + 3)
     V = add(u, cross(w, p))
     v = sub(V, load3(value, o + SURFACE))
-    slide = load(integers(m, CONTACT_SLIDE), k)
+    slide = load(integers(m, TREE.contact_slide), k)
     if slide >= 0:
         v = sub(v, load3(ws, slide * RECORD + TWIST + 3))
     return e, c, p, w, V, v, n, link, slide
@@ -111,8 +97,8 @@ def touch_force(value, o, e, v, n):
 @part
 def add_contact_wrenches(m, q, ws):
     """Take the contacts' wrenches from the bias forces of links whose poses and twists are known."""
-    value = floats(m, CONTACT_VALUE)
-    for k in range(m[CONTACTS]):
+    value = floats(m, TREE.contact_value)
+    for k in range(m[TREE.contacts]):
         e, _, p, _, _, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
@@ -128,7 +114,7 @@ def add_contact_wrenches(m, q, ws):
 
 @inline
 def differentiated(value, o, e, v, n):
-    """The force f, its derivative by e, and what its derivative by v is made of."""
+    """The force f, its derivative by e, and the numbers that `by_velocity` takes."""
     opening = dot(v, n)
     vt = axpy(v, spread(0.0) - opening, n)
     g, g_e, g_n, s, ds = _normal(value, o, e, opening)
@@ -161,10 +147,10 @@ def by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
 
 @part
 def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
-    """What contacts take from dtau/dq and dtau/dv of inverse dynamics, (nv, ld) lanes; ws is as that left it."""
-    value, parent, first = floats(m, CONTACT_VALUE), integers(m, PARENT), integers(m, FIRST)
+    """Subtract the derivatives of contacts from dtau/dq and dtau/dv, (nv, ld) lanes; ws as inverse dynamics left it."""
+    value, parent, first = floats(m, TREE.contact_value), integers(m, TREE.parent), integers(m, TREE.first)
     zero = spread(0.0)
-    for k in range(m[CONTACTS]):
+    for k in range(m[TREE.contacts]):
         e, c, p, w, V, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
@@ -217,10 +203,10 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
 @inline
 def _stopped(m, k, q, v):
     """Stop k's degree of freedom, its side, and the force with its derivatives by the penetration and its opening."""
-    i = load(integers(m, STOP_DOF), k)
-    value, o = floats(m, STOP_VALUE), k * STOP_SIZE
+    i = load(integers(m, TREE.stop_dof), k)
+    value, o = floats(m, TREE.stop_value), k * STOP_SIZE
     side = load(value, o + SIDE)
-    e = side * (load(q, load(integers(m, Q_ADDRESS), i)) - load(value, o + END))
+    e = side * (load(q, load(integers(m, TREE.q_address), i)) - load(value, o + END))
     g, g_e, g_n, _, _ = _normal(value, o + LAW, e, -side * load(v, i))
     force, slope = _ramped(value, o + LAW, g)
     return i, side, force, slope * g_e, slope * g_n
@@ -229,15 +215,15 @@ def _stopped(m, k, q, v):
 @part
 def add_stops(m, q, v, tau):
     """The forces of the joints' stops onto tau (nv lanes)."""
-    for k in range(m[STOPS]):
+    for k in range(m[TREE.stops]):
         i, side, force, _, _ = _stopped(m, k, q, v)
         store(tau, i, load(tau, i) - side * force)
 
 
 @part
 def add_stop_derivatives(m, q, v, Dq, Dv, ld):
-    """What stops add to dtau/dq and dtau/dv of inverse dynamics."""
-    for k in range(m[STOPS]):
+    """Add the derivatives of the stops' forces to dtau/dq and dtau/dv of inverse dynamics."""
+    for k in range(m[TREE.stops]):
         i, _, _, by_depth, by_opening = _stopped(m, k, q, v)
         d = i * ld + i  # the side counts twice
         store(Dq, d, load(Dq, d) + by_depth)

@@ -11,26 +11,16 @@ from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, sp
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
-from planner.kernels.tree.memory import COLUMNS, DQ, DV, FIRST_X, HELD, LD, LINKS, M_LANES, SCRATCH, TAU  # fmt: skip
-from planner.kernels.tree.model import (  # fmt: skip
-    INPUT_DOF,
-    INPUT_INDEX,
-    INPUT_VALUE,
-    INPUTS,
-    NU,
-    NV,
-    PAIRS,
-    PRESCRIBED,
-    RELATED_ROWS,
-    RELATED_START,
-)
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
 
 
 @inline
-def _minus_product(M, D, ld, i0, i1, j0, rows, start, stop):
-    """Rows i0 and i1 of -M D in four columns from j0, over the listed rows of D, which are all that are not zero."""
+def _minus_product(M, D, ld, i0, i1, j0, nonzero):
+    """Rows i0 and i1 of -M D in four columns from j0; nonzero: a list, and from where to where D's rows are in it."""
+    rows, start, stop = nonzero
     z = spread(0.0)
     a0, a1, a2, a3, b0, b1, b2, b3 = z, z, z, z, z, z, z, z
     for t in range(start, stop):
@@ -60,23 +50,23 @@ def store_four(p, k, v):
 @part
 def acceleration_derivatives(m, r, q, v, a, dA, external):
     """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); external: see Model."""
-    nv, nu, ld, columns, x0 = m[NV], m[NU], r[LD], r[COLUMNS], r[FIRST_X]
-    M, Dq, Dv, held = lanes(r, M_LANES), lanes(r, DQ), lanes(r, DV), lanes(r, HELD)
+    nv, nu, ld, columns, x0 = m[TREE.nv], m[TREE.nu], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
+    M, Dq, Dv, held = lanes(r, MEMORY.M), lanes(r, MEMORY.Dq), lanes(r, MEMORY.Dv), lanes(r, MEMORY.held)
     zero = spread(0.0)
     for k in range(nv * ld):
         store(M, k, zero)
         store(Dq, k, zero)
         store(Dv, k, zero)
-    inverse_dynamics_derivatives(m, q, v, a, lanes(r, LINKS), lanes(r, TAU), M, Dq, Dv, ld)
-    add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, SCRATCH))
+    inverse_dynamics_derivatives(m, q, v, a, lanes(r, MEMORY.links), lanes(r, MEMORY.tau), (M, Dq, Dv), ld)
+    add_passive_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.scratch))
     add_actuator_derivatives(m, Dq, Dv, ld)
     if external is not None:
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
         subtract_curve_derivatives(m, q, Dq, ld)
-        subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
-        if m[PAIRS] > 0:
-            subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, LINKS))
-    prescribed = integers(m, PRESCRIBED)
+        subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
+        if m[TREE.pairs] > 0:
+            subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
+    prescribed = integers(m, TREE.prescribed)
     for p in range(nv):
         given = load(prescribed, p)
         if given >= 0:  # its column of M acts on the others like a force; its own row says nothing
@@ -91,14 +81,14 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
                 store(Dv, p * ld + i, zero)
             store(M, p * ld + p, zero + 1.0)
     invert(M, nv, ld)
-    starts, rows = integers(m, RELATED_START), integers(m, RELATED_ROWS)
+    starts, rows = integers(m, TREE.related_start), integers(m, TREE.related_rows)
     for half in range(2):
         D = Dq if half == 0 else Dv
         for j0 in range(0, nv, WIDTH):
-            start, stop = load(starts, j0 // WIDTH), load(starts, j0 // WIDTH + 1)
+            nonzero = rows, load(starts, j0 // WIDTH), load(starts, j0 // WIDTH + 1)
             for i0 in range(0, nv, 2):
                 i1 = min(i0 + 1, nv - 1)
-                first, second = _minus_product(M, D, ld, i0, i1, j0, rows, start, stop)
+                first, second = _minus_product(M, D, ld, i0, i1, j0, nonzero)
                 store_four(dA, i0 * columns + x0 + half * nv + j0, first)
                 store_four(dA, i1 * columns + x0 + half * nv + j0, second)
     for i in range(nv):
@@ -106,8 +96,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
             store(dA, i * columns + k, zero)
         for k in range(x0 + 2 * nv, columns):
             store(dA, i * columns + k, zero)
-    dof, index, value = integers(m, INPUT_DOF), integers(m, INPUT_INDEX), floats(m, INPUT_VALUE)
-    for t in range(m[INPUTS]):
+    dof, index, value = integers(m, TREE.input_dof), integers(m, TREE.input_index), floats(m, TREE.input_value)
+    for t in range(m[TREE.inputs]):
         k = load(index, t) if load(index, t) < nu else load(index, t) - nu + x0 + 2 * nv
         j, x = load(dof, t), load(value, t)
         for i in range(nv):

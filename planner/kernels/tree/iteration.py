@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference
-from planner.kernels.lq import workspace as W
 from planner.kernels.lq.quadratic import control_terms, hinges_of, state_terms
 from planner.kernels.lq.search import batches, choose, ladder, refine
-from planner.kernels.lq.workspace import accept, take_lane
+from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
-from planner.kernels.tree.memory import ACCELERATIONS, LINKS, STAGES, TRIAL_A
-from planner.kernels.tree.model import NV
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.penalties import penalty_cost
 from planner.kernels.tree.step import stage
 
@@ -18,13 +17,13 @@ from planner.kernels.tree.step import stage
 @inline
 def _deviations(w, X, reference, e):
     """Deviations e (ndx lanes) of the candidates' states X (nx lanes) from one reference (nx floats)."""
-    vector_x, vector_dx = integers(w, W.VECTOR_X), integers(w, W.VECTOR_DX)
-    for i in range(w[W.VECTORS]):
+    vector_x, vector_dx = integers(w, W.vector_x), integers(w, W.vector_dx)
+    for i in range(w[W.vectors]):
         k = load(vector_x, i)
         store(e, load(vector_dx, i), load(X, k) - load(reference, k))
-    for b in range(w[W.QUATERNIONS]):
-        k = load(integers(w, W.QUATERNION_X), b)
-        difference(X, k, reference, k, e, load(integers(w, W.QUATERNION_DX), b))
+    for b in range(w[W.quaternions]):
+        k = load(integers(w, W.quaternion_x), b)
+        difference(X, k, reference, k, e, load(integers(w, W.quaternion_dx), b))
 
 
 @inline
@@ -44,7 +43,7 @@ def _state_cost(w, X, n, e):
     row, column, value, terms, _ = state_terms(w, n)
     if terms == 0 and hinges_of(w, n) == 0:
         return spread(0.0)
-    _deviations(w, X, at(floats(w, W.X_REF), n * w[W.NX]), e)
+    _deviations(w, X, at(floats(w, W.x_ref), n * w[W.nx]), e)
     J = _quadratic(row, column, value, terms, e)
     if hinges_of(w, n) > 0:
         J += _hinges(w, n, e)
@@ -54,9 +53,9 @@ def _state_cost(w, X, n, e):
 @inline
 def _hinges(w, n, e):
     """1/2 w (max(0, e - upper)^2 + max(0, lower - e)^2)."""
-    o, component, J = n * w[W.HINGES], integers(w, W.HINGE_DX), spread(0.0)
-    lower, upper = at(floats(w, W.HINGE_LOWER), o), at(floats(w, W.HINGE_UPPER), o)
-    weight = at(floats(w, W.HINGE_WEIGHT), o)
+    o, component, J = n * w[W.hinges], integers(w, W.hinge_dx), spread(0.0)
+    lower, upper = at(floats(w, W.hinge_lower), o), at(floats(w, W.hinge_upper), o)
+    weight = at(floats(w, W.hinge_weight), o)
     for t in range(hinges_of(w, n)):
         d = load(e, load(component, t))
         above, below = maximum(d - load(upper, t), 0.0), maximum(load(lower, t) - d, 0.0)
@@ -67,8 +66,8 @@ def _hinges(w, n, e):
 @inline
 def _clip(w, n, U):
     """Controls of stage n put back within their bounds."""
-    nu = w[W.NU]
-    lower, upper = at(floats(w, W.LOWER), n * nu), at(floats(w, W.UPPER), n * nu)
+    nu = w[W.nu]
+    lower, upper = at(floats(w, W.lower), n * nu), at(floats(w, W.upper), n * nu)
     for a in range(nu):
         store(U, a, minimum(maximum(load(U, a), load(lower, a)), load(upper, a)))
 
@@ -76,7 +75,7 @@ def _clip(w, n, U):
 @inline
 def _control_cost(w, U, n, e):
     """1/2 |u - u_ref|^2 of stage n."""
-    nu, u_ref = w[W.NU], at(floats(w, W.U_REF), n * w[W.NU])
+    nu, u_ref = w[W.nu], at(floats(w, W.u_ref), n * w[W.nu])
     for i in range(nu):
         store(e, i, load(U, i) - load(u_ref, i))
     row, column, value, terms = control_terms(w, n)
@@ -86,14 +85,14 @@ def _control_cost(w, U, n, e):
 @inline
 def _controls(w, n, alpha, feedback, dx, U):
     """U = us + alpha k + K dx with feedback, us + alpha dus without (Eq. 36)."""
-    nu, ndx, width = w[W.NU], w[W.NDX], w[W.WIDTH_Z]
-    us = at(floats(w, W.US), n * nu)
-    step = at(floats(w, W.FEEDFORWARD), n * nu) if feedback else at(floats(w, W.DIRECTION), n * nu)
+    nu, ndx, width = w[W.nu], w[W.ndx], w[W.width]
+    us = at(floats(w, W.us), n * nu)
+    step = at(floats(w, W.k), n * nu) if feedback else at(floats(w, W.dus), n * nu)
     for a in range(nu):
         store(U, a, load(us, a) + alpha * load(step, a))
     if not feedback:
         return
-    K = at(floats(w, W.GAINS), n * nu * width + w[W.FIRST_X])
+    K = at(floats(w, W.K), n * nu * width + w[W.first])
     zero = spread(0.0)
     for a in range(0, nu - 3, 4):
         k0, k1, k2, k3 = at(K, a * width), at(K, (a + 1) * width), at(K, (a + 2) * width), at(K, (a + 3) * width)
@@ -122,15 +121,15 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 @part
 def rollout(w, m, r, search, dt, feedback, external, p):
-    """Four step lengths at once: states TRIAL_X, controls TRIAL_U, accelerations TRIAL_A and costs.
+    """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
 
     p is the table of penalties or, where there are none, None: then nothing of them is compiled.
     """
-    nx, nu, ndx, kept = w[W.NX], w[W.NU], w[W.NDX], r[STAGES] * m[NV]
-    X_, U_, A_, e = lanes(w, W.TRIAL_X), lanes(w, W.TRIAL_U), lanes(r, TRIAL_A), lanes(w, W.DEVIATIONS)
-    xs = floats(w, W.XS)
+    nx, nu, ndx, kept = w[W.nx], w[W.nu], w[W.ndx], r[MEMORY.stages] * m[TREE.nv]
+    X_, U_, A_, e = lanes(w, W.trial_x), lanes(w, W.trial_u), lanes(r, MEMORY.trial_a), lanes(w, W.deviations)
+    xs = floats(w, W.xs)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
-    alpha, length = load(search, W.ALPHA), spread(dt)
+    alpha, length = load(search, ALPHA), spread(dt)
     for i in range(nx):
         store(X_, i, spread(load(xs, i)))
     J = spread(0.0)
@@ -138,36 +137,37 @@ def rollout(w, m, r, search, dt, feedback, external, p):
         X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
         if p is not None:
-            J += penalty_cost(m, pointer(p), X, lanes(r, LINKS), n)
+            J += penalty_cost(m, pointer(p), X, lanes(r, MEMORY.links), n)
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
-        if w[W.BOUNDED] > 0:
+        if w[W.bounded] > 0:
             _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
-        J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, LINKS), w[W.N])
-    store(search, W.COSTS, J)
+        J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N])
+    store(search, COSTS, J)
 
 
 @inline
 def _take(w, m, r, lane):
     """Make candidate `lane` the nominal trajectory, its accelerations with it."""
     accept(w, lane)
-    take_lane(floats(r, ACCELERATIONS), floats(r, TRIAL_A), w[W.N] * r[STAGES] * m[NV], lane)
+    take_lane(floats(r, MEMORY.accelerations), floats(r, MEMORY.trial_a), w[W.N] * r[MEMORY.stages] * m[TREE.nv], lane)
 
 
 @jit
-def search_step(w, m, r, search, dt, rule, feedback, cost, slope, external, p):
-    """Search along the direction and take a step, or with rule START roll out US as it is; (step, cost after).
+def search_step(w, m, r, search, rule, feedback, external, p):
+    """Search along the direction and take a step, or with rule START only roll the controls out; (step, cost after).
 
     The step is 0 when there is none. p is the table of penalties or None, external as in Model: what is None is not
     compiled.
     """
     w, m, r = pointer(w), pointer(m), pointer(r)
-    alpha, costs, slopes, bracket = search[W.ALPHA], search[W.COSTS], search[W.SLOPES], search[W.BRACKET]
+    alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
+    cost, slope, dt = search[GIVEN, 0], search[GIVEN, 1], search[GIVEN, 2]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(w, m, r, pointer(search), dt, feedback, external, p)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import store3
+from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
@@ -25,25 +26,8 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.chain import euler, keep_turns, runge_kutta
 from planner.kernels.tree.derivatives import acceleration_derivatives
-from planner.kernels.tree.memory import (  # fmt: skip
-    A_LANES,
-    ACCELERATIONS,
-    BLOCK,
-    BY_STAGE,
-    COLUMNS,
-    DIRECT,
-    INTEGRATOR,
-    Q_STAGE,
-    RK4,
-    SCRATCH,
-    SEMI_IMPLICIT_EULER,
-    STAGES,
-    THETA,
-    U_LANES,
-    V_STAGES,
-    X_LANES,
-)
-from planner.kernels.tree.model import BALL_V, NA, NBALLS, NQ, NU, NV
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.step import end_rotation, gather, stage_state
 
 
@@ -65,7 +49,7 @@ def scatter_row(X, row, F, f, count, stride, width):
 @inline
 def _transport(m, r, x, a, dt, transport, first, count):
     """E's blocks of the balls, [T J] with dq+ = T dq + dt J dv+, for semi-implicit Euler."""
-    balls, ball_v, v, scratch = m[NBALLS], integers(m, BALL_V), at(x, m[NQ]), lanes(r, SCRATCH)
+    balls, ball_v, v, scratch = m[TREE.nballs], integers(m, TREE.ball_v), at(x, m[TREE.nq]), lanes(r, MEMORY.scratch)
     one, zero = spread(1.0), spread(0.0)
     flat = as_floats(scratch)
     for b in range(balls):
@@ -89,36 +73,37 @@ def _transport(m, r, x, a, dt, transport, first, count):
 @inline
 def _gathered(m, r, xs, us, first, count):
     """States, controls and the rollout's accelerations of four stages onto lanes."""
-    gather(doubles(xs), first, count, m[NQ] + m[NV] + m[NA], lanes(r, X_LANES))
-    gather(doubles(us), first, count, m[NU], lanes(r, U_LANES))
-    gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * m[NV], lanes(r, A_LANES))
+    gather(doubles(xs), first, count, m[TREE.nq] + m[TREE.nv] + m[TREE.na], lanes(r, MEMORY.x))
+    gather(doubles(us), first, count, m[TREE.nu], lanes(r, MEMORY.u))
+    gather(floats(r, MEMORY.accelerations), first, count, r[MEMORY.stages] * m[TREE.nv], lanes(r, MEMORY.a))
 
 
 @jit
 def linearize_structured(m, r, dt, xs, us, F, transport, external):
     """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
 
-    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS; so for linearize_dense.
+    The accelerations are those that a rollout, or `steps`, left in MEMORY.accelerations; so for linearize_dense.
     """
     m, r = pointer(m), pointer(r)
-    nv, columns, count, width = m[NV], r[COLUMNS], us.shape[0], F.shape[2]
-    x, a, dA = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, BY_STAGE)
+    nv, columns, count, width = m[TREE.nv], r[MEMORY.columns], us.shape[0], F.shape[2]
+    x, a, dA = lanes(r, MEMORY.x), lanes(r, MEMORY.a), lanes(r, MEMORY.by_stage)
     flat, blocks, stride = doubles(F), doubles(transport), nv * width
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
-        acceleration_derivatives(m, r, x, at(x, m[NQ]), a, dA, external)
+        acceleration_derivatives(m, r, x, at(x, m[TREE.nq]), a, dA, external)
         for i in range(nv):
             scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
         _transport(m, r, x, a, dt, blocks, first, present)
 
 
 @inline
-def _stage_derivatives(m, r, q, v, a, i, present, width, external):
-    """D of stage i, (nv, width) for each of the knots present, into DIRECT."""
-    dA, D, block, columns = lanes(r, BY_STAGE), floats(r, DIRECT), r[BLOCK], r[COLUMNS]
+def _stage_derivatives(m, r, i, state, present, width, external):
+    """D of stage i at its state (q, v, a), (nv, width) for each of the knots present, into MEMORY.direct."""
+    q, v, a = state
+    dA, D, block, columns = lanes(r, MEMORY.by_stage), floats(r, MEMORY.direct), r[MEMORY.block], r[MEMORY.columns]
     acceleration_derivatives(m, r, q, v, a, dA, external)
-    for row in range(m[NV]):
+    for row in range(m[TREE.nv]):
         scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
 
@@ -126,30 +111,30 @@ def _stage_derivatives(m, r, q, v, a, i, present, width, external):
 def linearize_dense(m, r, dt, xs, us, F, external):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
     m, r = pointer(m), pointer(r)
-    nv, count, width = m[NV], us.shape[0], F.shape[2]
-    x, a, v_stages, theta = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, V_STAGES), lanes(r, THETA)
-    flat, stride, length = doubles(F), (2 * nv + m[NA]) * width, spread(dt)
+    nv, count, width = m[TREE.nv], us.shape[0], F.shape[2]
+    x, a, v_stages, theta = lanes(r, MEMORY.x), lanes(r, MEMORY.a), lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
+    flat, stride, length = doubles(F), (2 * nv + m[TREE.na]) * width, spread(dt)
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
-        v = at(x, m[NQ])
-        for i in range(r[STAGES]):
+        v = at(x, m[TREE.nq])
+        for i in range(r[MEMORY.stages]):
             if i == 0:
-                _stage_derivatives(m, r, x, v, a, 0, present, width, external)
+                _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
             else:
                 stage_state(m, r, x, i, a, length)
                 keep_turns(m, r, i)
-                v, ai = at(v_stages, i * nv), at(a, i * nv)
-                _stage_derivatives(m, r, lanes(r, Q_STAGE), v, ai, i, present, width, external)
-        if r[INTEGRATOR] == RK4:
+                state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * nv))
+                _stage_derivatives(m, r, i, state, present, width, external)
+        if r[MEMORY.integrator] == RK4:
             end_rotation(m, r, x, a, length)
             keep_turns(m, r, 4)
             for lane in range(present):
-                runge_kutta(m, r, dt, lane, width, flat, (first + lane) * stride)
+                runge_kutta(m, r, dt, lane, width, at(flat, (first + lane) * stride))
         else:
             for i in range(nv):
-                later = dt * load(a, i) if r[INTEGRATOR] == SEMI_IMPLICIT_EULER else spread(0.0)
+                later = dt * load(a, i) if r[MEMORY.integrator] == SEMI_IMPLICIT_EULER else spread(0.0)
                 store(theta, i, dt * (load(v, i) + later))
             keep_turns(m, r, 0)
             for lane in range(present):
-                euler(m, r, dt, lane, width, flat, (first + lane) * stride)
+                euler(m, r, dt, lane, width, at(flat, (first + lane) * stride))

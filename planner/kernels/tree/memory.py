@@ -6,21 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from planner.kernels.integrators import RK4
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
+from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.recursion import RECORD
 
-EULER, SEMI_IMPLICIT_EULER, RK4 = 0, 1, 2  # as planner.dynamics.INTEGRATORS
-
-_SIZES = ("integrator", "stages", "ld", "columns", "first", "block")
-_ARRAYS = (
-    "links", "x", "u", "tau", "scratch", "rates", "theta", "q_stage", "v_stages", "act_stage", "act_rates", "a",
-    "trial_a", "accelerations", "M", "Dq", "Dv", "held", "by_stage", "turns", "direct", "chained", "Xa",
-)  # fmt: skip
-INTEGRATOR, STAGES, LD, COLUMNS, FIRST_X, BLOCK = range(6)
-(
-    LINKS, X_LANES, U_LANES, TAU, SCRATCH, RATES, THETA, Q_STAGE, V_STAGES, ACT_STAGE, ACT_RATES, A_LANES,
-    TRIAL_A, ACCELERATIONS, M_LANES, DQ, DV, HELD, BY_STAGE, TURNS, DIRECT, CHAINED, XA,
-) = range(6, 29)  # fmt: skip
+MEMORY = Layout(
+    "integrator stages ld columns first block",
+    "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
+    "by_stage turns direct chained Xa",
+)
 
 
 class TreeMemory:
@@ -54,5 +49,7 @@ class TreeMemory:
         kept = block if linearizing else 0
         self._arrays["direct"] = lane_array(stages * WIDTH * kept + slack)
         self._arrays["chained"] = lane_array((stages if integrator == RK4 else 0) * kept + slack)
-        sizes = (integrator, stages, ld, columns, first, block)
-        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+        sizes = {
+            "integrator": integrator, "stages": stages, "ld": ld, "columns": columns, "first": first, "block": block,
+        }  # fmt: skip
+        self.table = MEMORY.table(sizes, self._arrays)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
+from planner.kernels.numba.layout import Layout
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
 
@@ -26,31 +27,14 @@ CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
-# What the table holds: sizes first, then addresses.
-_SIZES = (
-    "nv", "nq", "nballs", "nu", "na", "inputs", "position_terms", "velocity_terms", "contacts", "stops", "pairs",
-    "curves",
-)  # fmt: skip
-_ARRAYS = (
-    "parent", "base", "kind", "first", "q_address", "home", "inertia", "subtree_mass", "armature",
-    "base_acceleration", "damping", "stiffness", "rest", "ball_q", "ball_v", "ball_stiffness", "ball_rest", "constant",
-    "input_dof", "input_index", "input_value", "position_row", "position_column", "position_value", "velocity_row",
-    "velocity_column", "velocity_value", "activation_input", "activation_gain", "activation_rate", "prescribed",
-    "related_start", "related_rows", "contact_link", "contact_address", "contact_slide", "contact_value", "stop_dof",
-    "stop_value", "pair_links", "pair_value", "curve_dof", "curve_value", "curve_start", "curve_slope_dof",
-    "curve_slope",
-)  # fmt: skip
-(
-    NV, NQ, NBALLS, NU, NA, INPUTS, POSITION_TERMS, VELOCITY_TERMS, CONTACTS, STOPS, PAIRS, CURVES,
-) = range(len(_SIZES))  # fmt: skip
-(
-    PARENT, BASE, KIND, FIRST, Q_ADDRESS, HOME, INERTIA, SUBTREE_MASS, ARMATURE,
-    BASE_ACCELERATION, DAMPING, STIFFNESS, REST, BALL_Q, BALL_V, BALL_STIFFNESS, BALL_REST, CONSTANT,
-    INPUT_DOF, INPUT_INDEX, INPUT_VALUE, POSITION_ROW, POSITION_COLUMN, POSITION_VALUE, VELOCITY_ROW,
-    VELOCITY_COLUMN, VELOCITY_VALUE, ACTIVATION_INPUT, ACTIVATION_GAIN, ACTIVATION_RATE, PRESCRIBED,
-    RELATED_START, RELATED_ROWS, CONTACT_LINK, CONTACT_ADDRESS, CONTACT_SLIDE, CONTACT_VALUE, STOP_DOF, STOP_VALUE,
-    PAIR_LINKS, PAIR_VALUE, CURVE_DOF, CURVE_VALUE, CURVE_START, CURVE_SLOPE_DOF, CURVE_SLOPE,
-) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
+TREE = Layout(
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves",
+    "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
+    "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
+    "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
+    "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
+    "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope",
+)
 
 
 class Model:
@@ -103,9 +87,8 @@ class Model:
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves),
         }  # fmt: skip
-        self.arrays = {name: _plain(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
-        addresses = [self.arrays[n].ctypes.data for n in _ARRAYS]
-        self.table = np.array([*(sizes[n] for n in _SIZES), *addresses], dtype=np.int64)
+        self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
+        self.table = TREE.table(sizes, self.arrays)
         self.own_frames = arrays["frames"]  # (nv, 4, 4) the kernels' frames in the mechanism's
         self.origin = arrays["origin"]  # (nv, 3) what world positions are relative to, but for floating trees
         self.floating = arrays["kind"] == FLOATING

@@ -20,11 +20,11 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
 from planner.kernels.tree.contact import by_velocity, differentiated, touch_force
-from planner.kernels.tree.model import FIRST, PAIR_LINKS, PAIR_LINKS_SIZE, PAIR_SIZE, PAIR_VALUE, PAIRS, PARENT
+from planner.kernels.tree.model import PAIR_LINKS_SIZE, PAIR_SIZE, TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
-# Offsets in a pair's numbers, as kernels.model lays them out: of each part, then of both; and in its links
+# Offsets in a pair's numbers, as `model` lays them out: of each part, then of both; and in its links
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7
 BETWEEN, REACH, SHIFT, BLUNT, PARALLEL, TOUCH = 14, 17, 18, 19, 20, 21
 COMMON, ADDRESS = 2, 3
@@ -71,7 +71,7 @@ def _closest(value, o, D, a1, a2):
 @inline
 def _met(m, k, q, ws):
     """Pair k's links and law; penetration, distance and normal; axes, points, p and motion of both; their freedom."""
-    links, value, o = integers(m, PAIR_LINKS), floats(m, PAIR_VALUE), k * PAIR_SIZE
+    links, value, o = integers(m, TREE.pair_links), floats(m, TREE.pair_value), k * PAIR_SIZE
     t = k * PAIR_LINKS_SIZE
     link1, link2, q1, q2 = load(links, t), load(links, t + 1), load(links, t + ADDRESS), load(links, t + ADDRESS + 1)
     m1, a1, w1, u1 = _part(link1, value, o, ws)
@@ -97,8 +97,8 @@ def _met(m, k, q, ws):
 @part
 def add_pair_wrenches(m, q, ws):
     """Take the wrenches of contacts of two bodies from the bias forces of links whose poses and twists are known."""
-    value = floats(m, PAIR_VALUE)
-    for k in range(m[PAIRS]):
+    value = floats(m, TREE.pair_value)
+    for k in range(m[TREE.pairs]):
         link1, link2, e, _, n, _, _, _, _, _, p1, p2, _, _, V1, V2, _ = _met(m, k, q, ws)
         if not any_less(0.0, e):
             continue
@@ -129,15 +129,15 @@ def _inverse(value, o, freedom, a1, a2):
 
 @part
 def subtract_pair_derivatives(m, q, Dq, Dv, ld, ws):
-    """What contacts of two bodies take from dtau/dq and dtau/dv of inverse dynamics, as in kernels.contact."""
-    value, parent, first = floats(m, PAIR_VALUE), integers(m, PARENT), integers(m, FIRST)
-    for k in range(m[PAIRS]):
+    """Subtract the derivatives of the contacts of two bodies from dtau/dq and dtau/dv of inverse dynamics."""
+    value, parent, first = floats(m, TREE.pair_value), integers(m, TREE.parent), integers(m, TREE.first)
+    for k in range(m[TREE.pairs]):
         own, other, e, distance, n, D, a, a_other, x, x_other, p, p_other, w1, w2, V, V_other, freedom = _met(
             m, k, q, ws
         )
         if not any_less(0.0, e):
             continue
-        o, common = k * PAIR_SIZE, load(integers(m, PAIR_LINKS), k * PAIR_LINKS_SIZE + COMMON)
+        o, common = k * PAIR_SIZE, load(integers(m, TREE.pair_links), k * PAIR_LINKS_SIZE + COMMON)
         shift, per = load(value, o + SHIFT), 1.0 / distance
         k_own, k_other, between = _inverse(value, o, freedom, a, a_other)
         v, spin, w, w_other, sign = sub(V, V_other), sub(w1, w2), w1, w2, spread(1.0)

@@ -14,8 +14,8 @@ tree's origin. The velocity V of a point, along d, has by q_i and v_i the deriva
 from __future__ import annotations
 
 from planner.kernels.algebra.ramp import clamp, ramp
-from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, rotated, scaled, store3, sub
-from planner.kernels.lq import workspace as W
+from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, load9, rotated, scaled, store3, sub
+from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import (
@@ -32,12 +32,21 @@ from planner.kernels.numba.lanes import (
     spread,
     store,
 )
-from planner.kernels.tree import penalty_table as T
 from planner.kernels.tree.linearize import scatter_row
-from planner.kernels.tree.memory import LINKS, X_LANES
-from planner.kernels.tree.model import BASE, FIRST, HOME, KIND, NQ, NV, PARENT, Q_ADDRESS
-from planner.kernels.tree.penalty_table import DISTANCE, HEIGHT, PARALLEL, TINY, VELOCITY
-from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS, TWIST, place
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
+from planner.kernels.tree.penalty_table import (
+    DISTANCE,
+    HEIGHT,
+    PARALLEL,
+    PENALTY,
+    PLACE_SIZE,
+    POINT_SIZE,
+    TERM_SIZE,
+    TINY,
+    VELOCITY,
+)
+from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS, TWIST, place, placement
 from planner.kernels.tree.step import gather
 
 LEVEL, SIDE, RAMP, PER_RAMP = 3, 4, 5, 6  # offsets in a term's constants, after its normal
@@ -51,40 +60,37 @@ def _stage(values, k, knots):
 
 @inline
 def _place_points(m, p, x, ws, n, knots):
-    """Places of all points at stage n (or four from there on), in PLACES; where terms ask for them also velocities."""
-    q, v, fast = x, at(x, m[NQ]), p[T.FAST]
-    parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
-    home, first, moved = floats(m, HOME), integers(m, FIRST), integers(p, T.LINKS)
-    for k in range(p[T.MOVED]):
+    """Place all points at stage n (or four from there on), with velocities where terms need them; in PENALTY.places."""
+    q, v, fast = x, at(x, m[TREE.nq]), p[PENALTY.fast]
+    tree, parent, moved = placement(m), integers(m, TREE.parent), integers(p, PENALTY.links)
+    for k in range(p[PENALTY.moved]):
         i = load(moved, k)
-        _, _, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
+        _, _, sw, sv = place(tree, i, q, ws)
         if fast > 0:
             w, u, b = scaled(load(v, i), sw), scaled(load(v, i), sv), load(parent, i) * RECORD + TWIST
             if load(parent, i) >= 0:
                 w, u = add(w, load3(ws, b)), add(u, load3(ws, b + 3))
             store3(ws, i * RECORD + TWIST, w)
             store3(ws, i * RECORD + TWIST + 3, u)
-    link, address, value = integers(p, T.POINT_LINK), integers(p, T.POINT_ADDRESS), floats(p, T.POINT_VALUE)
-    world, places, stride = floats(p, T.WORLD), lanes(p, T.PLACES), p[T.STRIDE]
-    for i in range(p[T.POINTS]):
+    link, address = integers(p, PENALTY.point_link), integers(p, PENALTY.point_address)
+    value = floats(p, PENALTY.point_value)
+    world, places, stride = floats(p, PENALTY.world), lanes(p, PENALTY.places), p[PENALTY.stride]
+    for i in range(p[PENALTY.points]):
         o, k = 3 * i * stride + n, load(link, i)
         seen = (_stage(world, o, knots), _stage(world, o + stride, knots), _stage(world, o + 2 * stride, knots))
         if k >= 0:
-            b, own, share = k * RECORD, T.POINT_SIZE * i, load(value, T.POINT_SIZE * i + 3)
-            R = (
-                load(ws, b), load(ws, b + 1), load(ws, b + 2), load(ws, b + 3), load(ws, b + 4), load(ws, b + 5),
-                load(ws, b + 6), load(ws, b + 7), load(ws, b + 8),
-            )  # fmt: skip
+            b, own, share = k * RECORD, POINT_SIZE * i, load(value, POINT_SIZE * i + 3)
+            R = load9(ws, b)
             c = add(load3(ws, b + PLACE), rotated(R, load3(value, own)))
-            store3(places, T.PLACE_SIZE * i, c)
+            store3(places, PLACE_SIZE * i, c)
             seen = axpy(seen, share, c)
             a = load(address, i)
             if a >= 0:  # a floating tree is described about where it is
                 seen = axpy(seen, share, load3(q, a))
             if fast > 0:
                 V = add(load3(ws, b + TWIST + 3), cross(load3(ws, b + TWIST), c))
-                store3(places, T.PLACE_SIZE * i + 6, V)
-        store3(places, T.PLACE_SIZE * i + 3, seen)
+                store3(places, PLACE_SIZE * i + 6, V)
+        store3(places, PLACE_SIZE * i + 3, seen)
 
 
 @inline
@@ -101,27 +107,27 @@ def _nearest(a0, a1, b0, b1):
 
 @inline
 def _speed(p, i, d):
-    """Of point i along d; the world's is zero."""
+    """Velocity of point i along d; the world's is zero."""
     speed = spread(0.0)
-    if load(integers(p, T.POINT_LINK), i) >= 0:
-        share = load(floats(p, T.POINT_VALUE), T.POINT_SIZE * i + 3)
-        speed = share * dot(load3(lanes(p, T.PLACES), T.PLACE_SIZE * i + 6), d)
+    if load(integers(p, PENALTY.point_link), i) >= 0:
+        share = load(floats(p, PENALTY.point_value), POINT_SIZE * i + 3)
+        speed = share * dot(load3(lanes(p, PENALTY.places), PLACE_SIZE * i + 6), d)
     return speed
 
 
 @inline
 def _measured(p, t):
     """Term t's value and direction, and where along their lines its points are."""
-    ends, places, term = integers(p, T.ENDS), lanes(p, T.PLACES), at(floats(p, T.TERM), T.TERM_SIZE * t)
-    zero, kind = spread(0.0), load(integers(p, T.KIND), t)
-    i = T.PLACE_SIZE * load(ends, 4 * t) + 3
+    ends, places, term = integers(p, PENALTY.ends), lanes(p, PENALTY.places), at(floats(p, PENALTY.term), TERM_SIZE * t)
+    zero, kind = spread(0.0), load(integers(p, PENALTY.kind), t)
+    i = PLACE_SIZE * load(ends, 4 * t) + 3
     d = add((zero, zero, zero), load3(term, 0))
     value, s, u = dot(load3(places, i), d), zero, zero
     if kind == VELOCITY:
         value = _speed(p, load(ends, 4 * t), d) - _speed(p, load(ends, 4 * t + 1), d)
     elif kind == DISTANCE:
-        j, k = T.PLACE_SIZE * load(ends, 4 * t + 1) + 3, T.PLACE_SIZE * load(ends, 4 * t + 2) + 3
-        l = T.PLACE_SIZE * load(ends, 4 * t + 3) + 3
+        j, k = PLACE_SIZE * load(ends, 4 * t + 1) + 3, PLACE_SIZE * load(ends, 4 * t + 2) + 3
+        l = PLACE_SIZE * load(ends, 4 * t + 3) + 3
         d, s, u = _nearest(load3(places, i), load3(places, j), load3(places, k), load3(places, l))
         value = sqrt(dot(d, d) + TINY)
         d = scaled(1.0 / value, d)
@@ -131,7 +137,7 @@ def _measured(p, t):
 @inline
 def _ramped(p, t, value, bound):
     """The residual times the tolerance, and its derivative by the value."""
-    term = at(floats(p, T.TERM), T.TERM_SIZE * t)
+    term = at(floats(p, PENALTY.term), TERM_SIZE * t)
     side, a = load(term, SIDE), load(term, RAMP)
     if side == 0.0:
         return value - bound, spread(1.0)
@@ -141,12 +147,12 @@ def _ramped(p, t, value, bound):
 
 @part
 def penalty_cost(m, p, x, ws, n):
-    """What the terms cost four candidates x (nx lanes) at stage n; ws (links) is overwritten."""
+    """Cost of the terms for four candidates x (nx lanes) at stage n; ws (links) is overwritten."""
     J = spread(0.0)
-    if load(floats(p, T.ACTIVE), n) > 0.0:
+    if load(floats(p, PENALTY.active), n) > 0.0:
         _place_points(m, p, x, ws, n, False)
-        weights, bounds, stride = floats(p, T.WEIGHT), floats(p, T.BOUND), p[T.STRIDE]
-        for t in range(p[T.TERMS]):
+        weights, bounds, stride = floats(p, PENALTY.weight), floats(p, PENALTY.bound), p[PENALTY.stride]
+        for t in range(p[PENALTY.terms]):
             weight = load(weights, t * stride + n)
             if weight > 0.0:
                 value, _, _, _ = _measured(p, t)
@@ -157,17 +163,17 @@ def penalty_cost(m, p, x, ws, n):
 
 @inline
 def _row(m, p, ws, t, d, s, u):
-    """The derivative of term t's value, on ROW, which was zero."""
-    parent, link, ends = integers(m, PARENT), integers(p, T.POINT_LINK), integers(p, T.ENDS)
-    value, places, row = floats(p, T.POINT_VALUE), lanes(p, T.PLACES), lanes(p, T.ROW)
-    for k in range(1 if load(integers(p, T.KIND), t) == HEIGHT else 4):
+    """The derivative of term t's value, in PENALTY.row, which was zero."""
+    parent, link, ends = integers(m, TREE.parent), integers(p, PENALTY.point_link), integers(p, PENALTY.ends)
+    value, places, row = floats(p, PENALTY.point_value), lanes(p, PENALTY.places), lanes(p, PENALTY.row)
+    for k in range(1 if load(integers(p, PENALTY.kind), t) == HEIGHT else 4):
         i = load(ends, 4 * t + k)
         j = load(link, i)
         if j >= 0:
             along = s if k < 2 else u
             factor = along if k % 2 == 1 else 1.0 - along
-            g = scaled((load(value, T.POINT_SIZE * i + 3) if k < 2 else -load(value, T.POINT_SIZE * i + 3)) * factor, d)
-            moment = cross(load3(places, T.PLACE_SIZE * i), g)
+            g = scaled((load(value, POINT_SIZE * i + 3) if k < 2 else -load(value, POINT_SIZE * i + 3)) * factor, d)
+            moment = cross(load3(places, PLACE_SIZE * i), g)
             while j >= 0:
                 b = j * RECORD + SCREW_AXIS
                 store(row, j, load(row, j) + dot(load3(ws, b), moment) + dot(load3(ws, b + 3), g))
@@ -176,16 +182,17 @@ def _row(m, p, ws, t, d, s, u):
 
 @inline
 def _velocity_row(m, p, ws, t, d):
-    """The same of a velocity, by positions and by velocities."""
-    parent, base, nv = integers(m, PARENT), integers(m, BASE), m[NV]
-    link, ends, row = integers(p, T.POINT_LINK), integers(p, T.ENDS), lanes(p, T.ROW)
+    """The derivative of a velocity, by positions and by velocities, in PENALTY.row."""
+    parent, base, nv = integers(m, TREE.parent), integers(m, TREE.base), m[TREE.nv]
+    link, ends, row = integers(p, PENALTY.point_link), integers(p, PENALTY.ends), lanes(p, PENALTY.row)
     for k in range(2):
         i = load(ends, 4 * t + k)
-        o, share = T.PLACE_SIZE * i, load(floats(p, T.POINT_VALUE), T.POINT_SIZE * i + 3)
+        o, share = PLACE_SIZE * i, load(floats(p, PENALTY.point_value), POINT_SIZE * i + 3)
         g = scaled(share if k == 0 else -share, d)
         j = load(link, i)
         if j >= 0:
-            moment, turned = cross(load3(lanes(p, T.PLACES), o), g), cross(load3(lanes(p, T.PLACES), o + 6), g)
+            moment = cross(load3(lanes(p, PENALTY.places), o), g)
+            turned = cross(load3(lanes(p, PENALTY.places), o + 6), g)
             while j >= 0:
                 b = j * RECORD + SCREW_AXIS
                 sw, sv = load3(ws, b), load3(ws, b + 3)
@@ -201,9 +208,9 @@ def _velocity_row(m, p, ws, t, d):
 
 @inline
 def _add_term(p, t, gradient, curvature):
-    """ROW's part in gradient and Hessian; makes ROW zero again."""
-    start, dof, row = integers(p, T.START), integers(p, T.DOF), lanes(p, T.ROW)
-    g, H, ld, end = lanes(p, T.GRADIENT), lanes(p, T.HESSIAN), p[T.LD], load(start, t + 1)
+    """Add the row's part to gradient and Hessian, and make the row zero again."""
+    start, dof, row = integers(p, PENALTY.start), integers(p, PENALTY.dof), lanes(p, PENALTY.row)
+    g, H, ld, end = lanes(p, PENALTY.gradient), lanes(p, PENALTY.hessian), p[PENALTY.ld], load(start, t + 1)
     for k in range(load(start, t), end):
         i = load(dof, k)
         x = load(row, i)
@@ -218,35 +225,36 @@ def _add_term(p, t, gradient, curvature):
 
 @inline
 def _scatter(w, p, first, present):
-    """Gradients of up to four stages onto STAGE_GRADIENT, Hessians into PENALTY_HESSIAN."""
-    rows, ld, width = p[T.ROWS], p[T.LD], w[W.WIDTH_Z]
-    l, H = at(floats(w, W.STAGE_GRADIENT), w[W.FIRST_X]), floats(w, W.PENALTY_HESSIAN)
-    g = as_floats(lanes(p, T.GRADIENT))
+    """Gradients of up to four stages onto W.l, Hessians into W.penalty_hessian."""
+    rows, ld, width = p[PENALTY.rows], p[PENALTY.ld], w[W.width]
+    l, H = at(floats(w, W.l), w[W.first]), floats(w, W.penalty_hessian)
+    g = as_floats(lanes(p, PENALTY.gradient))
     for lane in range(present):
         for i in range(rows):
             k = (first + lane) * width + i
             store(l, k, load(l, k) + load(g, i * WIDTH + lane))
     for i in range(rows):
-        scatter_row(lanes(p, T.HESSIAN), i * ld, H, first * rows * ld + i * ld, present, rows * ld, ld)
+        scatter_row(lanes(p, PENALTY.hessian), i * ld, H, first * rows * ld + i * ld, present, rows * ld, ld)
 
 
 @jit
 def penalise(w, m, r, p):
-    """Add the terms' gradients to STAGE_GRADIENT of every stage and of the end, and leave their PENALTY_HESSIAN."""
+    """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.penalty_hessian."""
     w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
-    stages, nx, x, ws = w[W.N] + 1, w[W.NX], lanes(r, X_LANES), lanes(r, LINKS)
-    weights, bounds, stride, active = floats(p, T.WEIGHT), floats(p, T.BOUND), p[T.STRIDE], floats(p, T.ACTIVE)
-    kinds = integers(p, T.KIND)
+    stages, nx, x, ws = w[W.N] + 1, w[W.nx], lanes(r, MEMORY.x), lanes(r, MEMORY.links)
+    weights, bounds, stride = floats(p, PENALTY.weight), floats(p, PENALTY.bound), p[PENALTY.stride]
+    active = floats(p, PENALTY.active)
+    kinds = integers(p, PENALTY.kind)
     for first in range(0, stages, WIDTH):
         if not any_less(0.0, load4(active, first)):
             continue  # their Hessians are zero for good
-        gather(floats(w, W.XS), first, stages, nx, x)
+        gather(floats(w, W.xs), first, stages, nx, x)
         _place_points(m, p, x, ws, first, True)
-        for i in range(p[T.ROWS]):
-            store(lanes(p, T.GRADIENT), i, 0.0)
-            for j in range(p[T.LD]):
-                store(lanes(p, T.HESSIAN), i * p[T.LD] + j, 0.0)
-        for t in range(p[T.TERMS]):
+        for i in range(p[PENALTY.rows]):
+            store(lanes(p, PENALTY.gradient), i, 0.0)
+            for j in range(p[PENALTY.ld]):
+                store(lanes(p, PENALTY.hessian), i * p[PENALTY.ld] + j, 0.0)
+        for t in range(p[PENALTY.terms]):
             weight = load4(weights, t * stride + first)
             if any_less(0.0, weight):
                 value, d, s, u = _measured(p, t)

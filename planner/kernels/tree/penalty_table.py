@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
+from planner.kernels.numba.layout import Layout
 
 HEIGHT, DISTANCE, VELOCITY = 0, 1, 2  # kinds of terms
 PARALLEL = 1e-12
@@ -20,16 +21,11 @@ TERM_SIZE = 7  # of a term's constants: normal (3), level, side, ramp and its in
 POINT_SIZE = 4  # of a point's: its place in the link's frame (3), share
 PLACE_SIZE = 9  # of a point where it is: about its tree's origin (3), as terms see it (3); how its link moves it (3)
 
-_SIZES = ("points", "terms", "stride", "rows", "ld", "moved", "fast")
-_ARRAYS = (
-    "links", "point_link", "point_address", "point_value", "world", "active", "kind", "ends", "term", "bound", "weight",
-    "start", "dof", "places", "row", "gradient", "hessian",
-)  # fmt: skip
-POINTS, TERMS, STRIDE, ROWS, LD, MOVED, FAST = range(len(_SIZES))
-(
-    LINKS, POINT_LINK, POINT_ADDRESS, POINT_VALUE, WORLD, ACTIVE, KIND, ENDS, TERM, BOUND, WEIGHT, START, DOF, PLACES,
-    ROW, GRADIENT, HESSIAN,
-) = range(len(_SIZES), len(_SIZES) + len(_ARRAYS))  # fmt: skip
+PENALTY = Layout(
+    "points terms stride rows ld moved fast",
+    "links point_link point_address point_value world active kind ends term bound weight start dof places row "
+    "gradient hessian",
+)
 
 
 class PenaltyTable:
@@ -70,10 +66,15 @@ class PenaltyTable:
             "places": lane_array(PLACE_SIZE * len(link), WIDTH), "row": lane_array(rows, WIDTH),
             "gradient": lane_array(rows, WIDTH), "hessian": lane_array(rows * ld, WIDTH),
         }  # fmt: skip
-        self._arrays = {name: np.ascontiguousarray(arrays[name]) for name in _ARRAYS}  # keeps the addresses alive
-        sizes = (len(link), T, stride, rows, ld, len(arrays["links"]), int(fast.any()))
+        self._arrays = {
+            name: np.ascontiguousarray(arrays[name]) for name in PENALTY.arrays
+        }  # keeps the addresses alive
         self.rows = rows
-        self.table = np.array([*sizes, *(self._arrays[name].ctypes.data for name in _ARRAYS)], dtype=np.int64)
+        sizes = {
+            "points": len(link), "terms": T, "stride": stride, "rows": rows, "ld": ld, "moved": len(arrays["links"]),
+            "fast": fast.any(),
+        }  # fmt: skip
+        self.table = PENALTY.table(sizes, self._arrays)
 
 
 def _chain(parent: np.ndarray, link: int) -> list[int]:

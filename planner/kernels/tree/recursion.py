@@ -28,23 +28,7 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sincos
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import (  # fmt: skip
-    ARMATURE,
-    BALL,
-    BALL_NEXT,
-    BASE,
-    BASE_ACCELERATION,
-    FIRST,
-    HOME,
-    HOME_SIZE,
-    INERTIA,
-    INERTIA_SIZE,
-    KIND,
-    NV,
-    PARENT,
-    PRESCRIBED,
-    Q_ADDRESS,
-)
+from planner.kernels.tree.model import BALL, BALL_NEXT, HOME_SIZE, INERTIA_SIZE, TREE
 
 RECORD = 88
 # Offsets in a record; the second group is the forward dynamics' own.
@@ -64,8 +48,16 @@ def quaternion_rows(w, x, y, z):
 
 
 @inline
-def place(parent, kind, first, q_address, home, i, q, ws):
-    """Pose and screw of link i, stored; returns rotation, position and the screw's two halves."""
+def placement(m):
+    """The arrays that `place` reads."""
+    integer = integers(m, TREE.parent), integers(m, TREE.kind), integers(m, TREE.first), integers(m, TREE.q_address)
+    return integer, floats(m, TREE.home)
+
+
+@inline
+def place(tree, i, q, ws):
+    """Pose and screw of link i of a tree's `placement`, stored; returns rotation, position and the screw's halves."""
+    (parent, kind, first, q_address), home = tree
     b, p, k, own = i * RECORD, load(parent, i), load(kind, i), i * HOME_SIZE
     pb = p * RECORD
     if k == BALL_NEXT:
@@ -127,10 +119,9 @@ def moved_inertia(inertia, i, R, P):
 @part
 def place_all(m, q, ws):
     """Poses and screws of all links."""
-    parent, kind, q_address = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS)
-    home, first = floats(m, HOME), integers(m, FIRST)
-    for i in range(m[NV]):
-        place(parent, kind, first, q_address, home, i, q, ws)
+    tree = placement(m)
+    for i in range(m[TREE.nv]):
+        place(tree, i, q, ws)
 
 
 @part
@@ -147,13 +138,13 @@ def forward_dynamics(m, q, v, tau, a, ws, reaction):
 @part
 def move_links(m, q, v, ws):
     """Forward dynamics' way out: poses, twists, and each link's own inertia and bias force."""
-    n = m[NV]
-    parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    home, first, inertia = floats(m, HOME), integers(m, FIRST), floats(m, INERTIA)
+    n = m[TREE.nv]
+    tree, inertia = placement(m), floats(m, TREE.inertia)
+    parent, base = integers(m, TREE.parent), integers(m, TREE.base)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
+        R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate = load(v, i)
@@ -190,9 +181,9 @@ def move_links(m, q, v, ws):
 @part
 def accelerate(m, tau, a, ws, reaction):
     """Forward dynamics' way back and out again, of links that move_links has seen."""
-    n = m[NV]
-    parent, g = integers(m, PARENT), floats(m, BASE_ACCELERATION)
-    armature, prescribed = floats(m, ARMATURE), integers(m, PRESCRIBED)
+    n = m[TREE.nv]
+    parent, g = integers(m, TREE.parent), floats(m, TREE.base_acceleration)
+    armature, prescribed = floats(m, TREE.armature), integers(m, TREE.prescribed)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n - 1, -1, -1):
@@ -263,12 +254,12 @@ def accelerate(m, tau, a, ws, reaction):
 @part
 def inverse_dynamics(m, q, v, a, tau, ws):
     """Forces from accelerations (Fig. 2, left): tau (nv lanes) without springs and damping, with armature."""
-    n = m[NV]
-    parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    home, first, inertia = floats(m, HOME), integers(m, FIRST), floats(m, INERTIA)
-    armature, g = floats(m, ARMATURE), floats(m, BASE_ACCELERATION)
+    n = m[TREE.nv]
+    tree, inertia = placement(m), floats(m, TREE.inertia)
+    parent, base = integers(m, TREE.parent), integers(m, TREE.base)
+    armature, g = floats(m, TREE.armature), floats(m, TREE.base_acceleration)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, first, q_address, home, i, q, ws)
+        R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate, acceleration = load(v, i), load(a, i)

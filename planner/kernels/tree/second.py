@@ -27,8 +27,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
+from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.duals import duals
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import (
@@ -41,51 +40,24 @@ from planner.kernels.numba.lanes import (
     lane_array,
     lanes,
     load,
+    padded,
     pointer,
     spread,
     store,
 )
+from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.derivatives import acceleration_derivatives
-from planner.kernels.tree.memory import (  # fmt: skip
-    A_LANES,
-    ACCELERATIONS,
-    COLUMNS,
-    FIRST_X,
-    INTEGRATOR,
-    LD,
-    M_LANES,
-    Q_STAGE,
-    RK4,
-    SEMI_IMPLICIT_EULER,
-    STAGES,
-    U_LANES,
-    V_STAGES,
-    X_LANES,
-    XA,
-)
-from planner.kernels.tree.model import (
-    ACTIVATION_GAIN,
-    ACTIVATION_INPUT,
-    ACTIVATION_RATE,
-    NA,
-    NQ,
-    NU,
-    NV,
-    PRESCRIBED,
-    Q_ADDRESS,
-)
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree.step import gather, stage_state
 
-_ARRAYS = (
-    "costate", "q", "D", "inverse", "mu", "eta", "carried", "Sq", "Svv", "Xq", "Xv", "A", "Wq", "Wv", "T",
-    "q_dual", "a_dual", "links_dual", "tau_dual", "M_dual", "Dq_dual", "Dv_dual",
-)  # fmt: skip
-(
-    COSTATE, Q_ALL, D_ALL, INVERSE, MU, ETA, CARRIED, SQ, SVV, XQ, XV, A_CHAIN, WQ, WV, T_LANES,
-    Q_DUAL, A_DUAL, LINKS_DUAL, TAU_DUAL, M_DUAL, DQ_DUAL, DV_DUAL,
-) = range(len(_ARRAYS))  # fmt: skip
+SECOND = Layout(
+    "",
+    "costate q D inverse mu eta carried Sq Svv Xq Xv A Wq Wv T "
+    "q_dual a_dual links_dual tau_dual M_dual Dq_dual Dv_dual",
+)
 
 
 class SecondOrderMemory:
@@ -99,8 +71,7 @@ class SecondOrderMemory:
     def __init__(self, model: Any, integrator: int) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
         stages = 4 if integrator == RK4 else 1
-        ld = -(-nv // WIDTH) * WIDTH
-        columns = -(-nu // WIDTH) * WIDTH + -(-(2 * nv + na) // WIDTH) * WIDTH + WIDTH
+        ld, columns = padded(nv), padded(nu) + padded(2 * nv + na) + WIDTH
         square, rows = nv * ld, nv * columns
         lengths = {
             "costate": 2 * nv + na, "q": stages * nq, "D": stages * rows, "inverse": stages * square, "mu": stages * nv,
@@ -113,30 +84,30 @@ class SecondOrderMemory:
         }  # fmt: skip
         self._arrays = {name: lane_array(count, WIDTH) for name, count in lengths.items()}
         self._arrays |= {name: lane_array(count, 2 * WIDTH) for name, count in dual.items()}
-        self.table = np.array([self._arrays[name].ctypes.data for name in _ARRAYS], dtype=np.int64)
+        self.table = SECOND.table({}, self._arrays)
 
 
 @inline
 def _velocity(m, r, x, i):
     """The velocities of stage i."""
-    return at(x, m[NQ]) if i == 0 else at(lanes(r, V_STAGES), i * m[NV])
+    return at(x, m[TREE.nq]) if i == 0 else at(lanes(r, MEMORY.v_stages), i * m[TREE.nv])
 
 
 @inline
 def _first_derivatives(m, r, s, dt):
     """D = (Du | Dq | Dv | Dact), M^-1 and q of every stage, kept."""
-    nv, nq, ld, columns = m[NV], m[NQ], r[LD], r[COLUMNS]
-    x, a = lanes(r, X_LANES), lanes(r, A_LANES)
-    for i in range(r[STAGES]):
-        q = at(lanes(s, Q_ALL), i * nq)
+    nv, nq, ld, columns = m[TREE.nv], m[TREE.nq], r[MEMORY.ld], r[MEMORY.columns]
+    x, a = lanes(r, MEMORY.x), lanes(r, MEMORY.a)
+    for i in range(r[MEMORY.stages]):
+        q = at(lanes(s, SECOND.q), i * nq)
         if i > 0:
             stage_state(m, r, x, i, a, spread(dt))
-        source = x if i == 0 else lanes(r, Q_STAGE)
+        source = x if i == 0 else lanes(r, MEMORY.q_stage)
         for k in range(nq):
             store(q, k, load(source, k))
-        D = at(lanes(s, D_ALL), i * nv * columns)
+        D = at(lanes(s, SECOND.D), i * nv * columns)
         acceleration_derivatives(m, r, q, _velocity(m, r, x, i), at(a, i * nv), D, None)  # nothing touches
-        inverse, M = at(lanes(s, INVERSE), i * nv * ld), lanes(r, M_LANES)
+        inverse, M = at(lanes(s, SECOND.inverse), i * nv * ld), lanes(r, MEMORY.M)
         for k in range(nv * ld):
             store(inverse, k, load(M, k))
 
@@ -153,10 +124,10 @@ def _column_sum(D, columns, c, mu, nv):
 @inline
 def _adjoints(m, r, s, dt):
     """Mu of every stage, from the costate of the end."""
-    nv, columns, x0, last = m[NV], r[COLUMNS], r[FIRST_X], r[STAGES] - 1
-    l, all_mu, all_D = lanes(s, COSTATE), lanes(s, MU), lanes(s, D_ALL)
+    nv, columns, x0, last = m[TREE.nv], r[MEMORY.columns], r[MEMORY.first], r[MEMORY.stages] - 1
+    l, all_mu, all_D = lanes(s, SECOND.costate), lanes(s, SECOND.mu), lanes(s, SECOND.D)
     if last == 0:
-        later = dt * dt if r[INTEGRATOR] == SEMI_IMPLICIT_EULER else 0.0
+        later = dt * dt if r[MEMORY.integrator] == SEMI_IMPLICIT_EULER else 0.0
         for k in range(nv):
             store(all_mu, k, dt * load(l, nv + k) + later * load(l, k))
         return
@@ -176,9 +147,9 @@ def _adjoints(m, r, s, dt):
 @inline
 def _eta(m, r, s, i):
     """Eta = M^-1 mu of stage i, zero where the acceleration is prescribed."""
-    nv, ld = m[NV], r[LD]
-    inverse, mu, eta = at(lanes(s, INVERSE), i * nv * ld), at(lanes(s, MU), i * nv), lanes(s, ETA)
-    prescribed = integers(m, PRESCRIBED)
+    nv, ld = m[TREE.nv], r[MEMORY.ld]
+    inverse, mu, eta = at(lanes(s, SECOND.inverse), i * nv * ld), at(lanes(s, SECOND.mu), i * nv), lanes(s, SECOND.eta)
+    prescribed = integers(m, TREE.prescribed)
     for k in range(nv):
         total = spread(0.0)
         if load(prescribed, k) < 0:
@@ -190,14 +161,19 @@ def _eta(m, r, s, i):
 
 @inline
 def _along_positions(m, r, s, i, x):
-    """Rows of S by q, into SQ (nv, columns), and S by v and v, into SVV (nv, nv)."""
-    nv, nq, ld, columns, x0 = m[NV], m[NQ], r[LD], r[COLUMNS], r[FIRST_X]
-    q, a, v = at(lanes(s, Q_ALL), i * nq), at(lanes(r, A_LANES), i * nv), _velocity(m, r, x, i)
-    D, eta, carried, S = at(lanes(s, D_ALL), i * nv * columns), lanes(s, ETA), lanes(s, CARRIED), lanes(s, SQ)
-    Svv = lanes(s, SVV)
+    """Rows of S by q, into Sq (nv, columns), and S by v and v, into Svv (nv, nv)."""
+    nv, nq, ld, columns, x0 = m[TREE.nv], m[TREE.nq], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
+    q, a, v = at(lanes(s, SECOND.q), i * nq), at(lanes(r, MEMORY.a), i * nv), _velocity(m, r, x, i)
+    D, eta, carried = at(lanes(s, SECOND.D), i * nv * columns), lanes(s, SECOND.eta), lanes(s, SECOND.carried)
+    S = lanes(s, SECOND.Sq)
+    Svv = lanes(s, SECOND.Svv)
     # As lanes, the derivatives of duals lie at odd places.
-    dq, da, dM, dDq, dDv = lanes(s, Q_DUAL), lanes(s, A_DUAL), lanes(s, M_DUAL), lanes(s, DQ_DUAL), lanes(s, DV_DUAL)
-    address, zero, one = integers(m, Q_ADDRESS), spread(0.0), spread(1.0)
+    dq, da, dM = lanes(s, SECOND.q_dual), lanes(s, SECOND.a_dual), lanes(s, SECOND.M_dual)
+    dDq, dDv = lanes(s, SECOND.Dq_dual), lanes(s, SECOND.Dv_dual)
+    qs, accelerations = duals(s, SECOND.q_dual), duals(s, SECOND.a_dual)
+    links, tau = duals(s, SECOND.links_dual), duals(s, SECOND.tau_dual)
+    derivatives = (duals(s, SECOND.M_dual), duals(s, SECOND.Dq_dual), duals(s, SECOND.Dv_dual))
+    address, zero, one = integers(m, TREE.q_address), spread(0.0), spread(1.0)
     for k in range(nq):
         store(dq, 2 * k, load(q, k))
         store(dq, 2 * k + 1, zero)
@@ -208,10 +184,7 @@ def _along_positions(m, r, s, i, x):
         for k in range(nv):
             store(da, 2 * k, load(a, k))
             store(da, 2 * k + 1, load(D, k * columns + x0 + d))
-        inverse_dynamics_derivatives(
-            m, duals(s, Q_DUAL), v, duals(s, A_DUAL), duals(s, LINKS_DUAL), duals(s, TAU_DUAL), duals(s, M_DUAL),
-            duals(s, DQ_DUAL), duals(s, DV_DUAL), ld,
-        )  # fmt: skip
+        inverse_dynamics_derivatives(m, qs, v, accelerations, links, tau, derivatives, ld)
         store(dq, 2 * load(address, d) + 1, zero)
         own = load(eta, d)
         for k in range(nv):
@@ -227,15 +200,15 @@ def _along_positions(m, r, s, i, x):
             store(Svv, k * nv + d, load(Svv, k * nv + d) - by_a)
             store(S, d * columns + x0 + k, zero - by_q)
             store(S, d * columns + x0 + nv + k, zero - by_v)
-        for c in range(m[NU]):
+        for c in range(m[TREE.nu]):
             store(S, d * columns + c, zero)
-        for c in range(x0 + 2 * nv, x0 + 2 * nv + m[NA]):
+        for c in range(x0 + 2 * nv, x0 + 2 * nv + m[TREE.na]):
             store(S, d * columns + c, zero)
         for k in range(nv):
             e = load(carried, k)
-            for c in range(m[NU]):
+            for c in range(m[TREE.nu]):
                 store(S, d * columns + c, load(S, d * columns + c) - e * load(D, k * columns + c))
-            for c in range(x0, x0 + 2 * nv + m[NA]):
+            for c in range(x0, x0 + 2 * nv + m[TREE.na]):
                 store(S, d * columns + c, load(S, d * columns + c) - e * load(D, k * columns + c))
 
 
@@ -248,8 +221,8 @@ def _column(i, nu, x0):
 @inline
 def _move_activations(m, r, i, length):
     """How far the activations of stage i have come on their own, and by their input, from those of the stage before."""
-    gain, rate, Xa = floats(m, ACTIVATION_GAIN), floats(m, ACTIVATION_RATE), floats(r, XA)
-    for k in range(m[NA]):
+    gain, rate, Xa = floats(m, TREE.activation_gain), floats(m, TREE.activation_rate), floats(r, MEMORY.Xa)
+    for k in range(m[TREE.na]):
         own, given = (load(Xa, 2 * k), load(Xa, 2 * k + 1)) if i > 0 else (0.0, 0.0)
         store(Xa, 2 * k, 1.0 + length * load(rate, k) * own)
         store(Xa, 2 * k + 1, length * (load(gain, k) + load(rate, k) * given) if i > 0 else 0.0)
@@ -258,12 +231,12 @@ def _move_activations(m, r, i, length):
 @inline
 def _move_states(m, r, s, i, length):
     """Xq = dq/dz and Xv = dv/dz of stage i, from those of the stage before."""
-    nv, columns, x0, nz = m[NV], r[COLUMNS], r[FIRST_X], m[NU] + 2 * m[NV] + m[NA]
-    Xq, Xv, A = lanes(s, XQ), lanes(s, XV), lanes(s, A_CHAIN)
+    nv, columns, x0, nz = m[TREE.nv], r[MEMORY.columns], r[MEMORY.first], m[TREE.nu] + 2 * m[TREE.nv] + m[TREE.na]
+    Xq, Xv, A = lanes(s, SECOND.Xq), lanes(s, SECOND.Xv), lanes(s, SECOND.A)
     zero = spread(0.0)
     for k in range(nv):
         for j in range(nz):
-            o = k * columns + _column(j, m[NU], x0)
+            o = k * columns + _column(j, m[TREE.nu], x0)
             store(Xq, o, length * load(Xv, o) if i > 0 else zero)
             store(Xv, o, length * load(A, o) if i > 0 else zero)
         o = k * columns + x0 + k
@@ -274,9 +247,10 @@ def _move_states(m, r, s, i, length):
 @inline
 def _move_accelerations(m, r, s, i):
     """A = da/dz of stage i."""
-    nv, na, columns, x0, nu = m[NV], m[NA], r[COLUMNS], r[FIRST_X], m[NU]
-    D, A, Xq, Xv = at(lanes(s, D_ALL), i * nv * columns), lanes(s, A_CHAIN), lanes(s, XQ), lanes(s, XV)
-    index, Xa = integers(m, ACTIVATION_INPUT), floats(r, XA)
+    nv, na, columns, x0, nu = m[TREE.nv], m[TREE.na], r[MEMORY.columns], r[MEMORY.first], m[TREE.nu]
+    D, A, Xq = at(lanes(s, SECOND.D), i * nv * columns), lanes(s, SECOND.A), lanes(s, SECOND.Xq)
+    Xv = lanes(s, SECOND.Xv)
+    index, Xa = integers(m, TREE.activation_input), floats(r, MEMORY.Xa)
     for k in range(nv):
         for j in range(nu + 2 * nv + na):
             c = _column(j, nu, x0)
@@ -294,9 +268,11 @@ def _move_accelerations(m, r, s, i):
 @inline
 def _add_terms(m, r, s):
     """T plus X' S X of a stage: R + R' with R = Xq' Wq + Xv' Wv."""
-    nv, na, columns, x0, nu = m[NV], m[NA], r[COLUMNS], r[FIRST_X], m[NU]
-    Xq, Xv, Wq, Wv, T = lanes(s, XQ), lanes(s, XV), lanes(s, WQ), lanes(s, WV), lanes(s, T_LANES)
-    Sq, Svv, index, Xa = lanes(s, SQ), lanes(s, SVV), integers(m, ACTIVATION_INPUT), floats(r, XA)
+    nv, na, columns, x0, nu = m[TREE.nv], m[TREE.na], r[MEMORY.columns], r[MEMORY.first], m[TREE.nu]
+    Xq, Xv, Wq, Wv = lanes(s, SECOND.Xq), lanes(s, SECOND.Xv), lanes(s, SECOND.Wq), lanes(s, SECOND.Wv)
+    T = lanes(s, SECOND.T)
+    Sq, Svv, index = lanes(s, SECOND.Sq), lanes(s, SECOND.Svv), integers(m, TREE.activation_input)
+    Xa = floats(r, MEMORY.Xa)
     nz = nu + 2 * nv + na
     for d in range(nv):
         for j in range(nz):
@@ -325,24 +301,25 @@ def _add_terms(m, r, s):
 
 
 @jit
-def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
-    """Upper triangles T (N, width, width) along xs (N+1, nx), us (N, nu), for the costates (N+1, first_costate + ndx).
+def second_order(m, r, s, dt, xs, us, costates, T):
+    """Upper triangles T (N, width, width) along xs (N+1, nx), us (N, nu), for the costates (N+1, width).
 
-    The accelerations are those that a rollout, or `steps`, left in ACCELERATIONS. What is not in the upper triangle
-    stays as it is, zero.
+    The accelerations are those that a rollout, or `steps`, left in MEMORY.accelerations. The lower triangle
+    stays zero.
     """
     m, r, s = pointer(m), pointer(r), pointer(s)
-    nv, nu, columns, x0, count, width = m[NV], m[NU], r[COLUMNS], r[FIRST_X], us.shape[0], T.shape[2]
-    ndx, row = 2 * nv + m[NA], costates.shape[1]
-    x, T_lanes, l = lanes(r, X_LANES), lanes(s, T_LANES), lanes(s, COSTATE)
+    nv, nu, columns, x0, count = m[TREE.nv], m[TREE.nu], r[MEMORY.columns], r[MEMORY.first], us.shape[0]
+    width = T.shape[2]
+    ndx, row = 2 * nv + m[TREE.na], costates.shape[1]
+    x, T_lanes, l = lanes(r, MEMORY.x), lanes(s, SECOND.T), lanes(s, SECOND.costate)
     T_flat, to = as_floats(T_lanes), doubles(T)
     costate, l_flat = doubles(costates), as_floats(l)
     for first in range(0, count, WIDTH):
         gather(doubles(xs), first, count, xs.shape[1], x)
-        gather(doubles(us), first, count, nu, lanes(r, U_LANES))
-        gather(floats(r, ACCELERATIONS), first, count, r[STAGES] * nv, lanes(r, A_LANES))
+        gather(doubles(us), first, count, nu, lanes(r, MEMORY.u))
+        gather(floats(r, MEMORY.accelerations), first, count, r[MEMORY.stages] * nv, lanes(r, MEMORY.a))
         for lane in range(WIDTH):
-            o = (min(first + lane, count - 1) + 1) * row + first_costate
+            o = (min(first + lane, count - 1) + 1) * row + x0
             for k in range(ndx):
                 store(l_flat, k * WIDTH + lane, load(costate, o + k))
         _first_derivatives(m, r, s, dt)
@@ -350,13 +327,13 @@ def second_order(m, r, s, dt, xs, us, costates, first_costate, T):
         for i in range(nu + ndx):
             for j in range(i, nu + ndx):
                 store(T_lanes, _column(i, nu, x0) * columns + _column(j, nu, x0), spread(0.0))
-        for i in range(r[STAGES]):
+        for i in range(r[MEMORY.stages]):
             length = dt if i == 3 else 0.5 * dt
             _move_activations(m, r, i, length)
             _eta(m, r, s, i)
             _along_positions(m, r, s, i, x)
             _move_states(m, r, s, i, length)
-            if i + 1 < r[STAGES]:
+            if i + 1 < r[MEMORY.stages]:
                 _move_accelerations(m, r, s, i)
             _add_terms(m, r, s)
         for lane in range(min(WIDTH, count - first)):

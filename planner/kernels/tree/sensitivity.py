@@ -34,23 +34,8 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 )
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import (  # fmt: skip
-    ARMATURE,
-    BALL,
-    BALL_NEXT,
-    BASE,
-    BASE_ACCELERATION,
-    FIRST,
-    HOME,
-    INERTIA,
-    INERTIA_SIZE,
-    KIND,
-    NV,
-    PARENT,
-    Q_ADDRESS,
-    SUBTREE_MASS,
-)
-from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST, moved_inertia, place
+from planner.kernels.tree.model import BALL, BALL_NEXT, INERTIA_SIZE, TREE
+from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST, moved_inertia, place, placement
 
 # Offsets in a link's record, beside those of kernels.tree
 Y, Z, YS, FIRST_MOMENT, SECOND_MOMENT, B_SYMMETRIC, MOMENTUM, FORCE = 30, 36, 42, 48, 51, 57, 63, 69
@@ -64,20 +49,21 @@ def _crossed(bw, bv, sw, sv):
 
 
 @part
-def inverse_dynamics_derivatives(m, q, v, a, ws, tau, M, Dq, Dv, ld):
-    """Forces tau, M = dtau/da, Dq = dtau/dq and Dv = dtau/dv at (q, v, a), without springs and damping.
+def inverse_dynamics_derivatives(m, q, v, a, ws, tau, D, ld):
+    """Forces tau and their derivatives D = (dtau/da, dtau/dq, dtau/dv) at (q, v, a), without springs and damping.
 
-    M, Dq, Dv are lanes, (nv, ld) row by row; entries of unrelated links are not written and must be zero.
+    Each of D is lanes, (nv, ld) row by row; entries of unrelated links are not written and must be zero.
     """
-    n = m[NV]
-    parent, kind, q_address, base = integers(m, PARENT), integers(m, KIND), integers(m, Q_ADDRESS), integers(m, BASE)
-    home, inertia = floats(m, HOME), floats(m, INERTIA)
-    armature, g, subtree = floats(m, ARMATURE), floats(m, BASE_ACCELERATION), floats(m, SUBTREE_MASS)
-    firsts = integers(m, FIRST)
+    M, Dq, Dv = D
+    n = m[TREE.nv]
+    tree, kind, firsts = placement(m), integers(m, TREE.kind), integers(m, TREE.first)
+    parent, base, inertia = integers(m, TREE.parent), integers(m, TREE.base), floats(m, TREE.inertia)
+    armature, g = floats(m, TREE.armature), floats(m, TREE.base_acceleration)
+    subtree = floats(m, TREE.subtree_mass)
     zero = spread(0.0)
     none = (zero, zero, zero)
     for i in range(n):
-        R, P, sw, sv = place(parent, kind, firsts, q_address, home, i, q, ws)
+        R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD
         p = load(parent, i)
         rate, acceleration = load(v, i), load(a, i)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import turned
 from planner.kernels.algebra.spatial import cross, load3, store3
+from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
@@ -29,38 +30,8 @@ from planner.kernels.numba.lanes import (
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.forces import activation_rates, applied_forces
 from planner.kernels.tree.joint_curves import add_curves
-from planner.kernels.tree.memory import (  # fmt: skip
-    A_LANES,
-    ACCELERATIONS,
-    ACT_RATES,
-    ACT_STAGE,
-    INTEGRATOR,
-    LINKS,
-    Q_STAGE,
-    RK4,
-    SCRATCH,
-    SEMI_IMPLICIT_EULER,
-    STAGES,
-    TAU,
-    THETA,
-    U_LANES,
-    V_STAGES,
-    X_LANES,
-)
-from planner.kernels.tree.model import (  # fmt: skip
-    BALL,
-    BALL_NEXT,
-    BALL_Q,
-    BALL_V,
-    KIND,
-    NA,
-    NBALLS,
-    NQ,
-    NU,
-    NV,
-    PAIRS,
-    Q_ADDRESS,
-)
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
 from planner.kernels.tree.recursion import accelerate, move_links
 
@@ -68,13 +39,13 @@ from planner.kernels.tree.recursion import accelerate, move_links
 @inline
 def moved(m, q, theta, q_next):
     """Configuration q moved by theta (nv)."""
-    kind, q_address = integers(m, KIND), integers(m, Q_ADDRESS)
-    for i in range(m[NV]):
+    kind, q_address = integers(m, TREE.kind), integers(m, TREE.q_address)
+    for i in range(m[TREE.nv]):
         if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
             k = load(q_address, i)
             store(q_next, k, load(q, k) + load(theta, i))
-    ball_q, ball_v = integers(m, BALL_Q), integers(m, BALL_V)
-    for b in range(m[NBALLS]):
+    ball_q, ball_v = integers(m, TREE.ball_q), integers(m, TREE.ball_v)
+    for b in range(m[TREE.nballs]):
         k = load(ball_q, b)
         w, x, y, z = turned(load(q, k), load(q, k + 1), load(q, k + 2), load(q, k + 3), load3(theta, load(ball_v, b)))
         store(q_next, k, w)
@@ -86,8 +57,8 @@ def moved(m, q, theta, q_next):
 @inline
 def add_commutator(m, theta, first, second, factor):
     """Add factor times first x second to theta on every ball."""
-    ball_v = integers(m, BALL_V)
-    for b in range(m[NBALLS]):
+    ball_v = integers(m, TREE.ball_v)
+    for b in range(m[TREE.nballs]):
         k = load(ball_v, b)
         c = cross(load3(first, k), load3(second, k))
         t = load3(theta, k)
@@ -100,15 +71,15 @@ def accelerations(m, r, q, v, u, act, a, external):
 
     With `external` None the machine has no contacts, stops and curves, and their code is left out: see Model.external.
     """
-    tau, links = lanes(r, TAU), lanes(r, LINKS)
-    applied_forces(m, q, v, u, act, tau, a, lanes(r, SCRATCH))
+    tau, links = lanes(r, MEMORY.tau), lanes(r, MEMORY.links)
+    applied_forces(m, q, v, u, act, tau, a, lanes(r, MEMORY.scratch))
     if external is not None:
         add_stops(m, q, v, tau)
         add_curves(m, q, tau)
     move_links(m, q, v, links)
     if external is not None:
         add_contact_wrenches(m, q, links)
-        if m[PAIRS] > 0:
+        if m[TREE.pairs] > 0:
             add_pair_wrenches(m, q, links)
     accelerate(m, tau, a, links, False)
 
@@ -116,13 +87,13 @@ def accelerations(m, r, q, v, u, act, a, external):
 @inline
 def _stage_state(m, r, x, i, factor, velocity, acceleration):
     """State i (1, 2, 3) of a Runge-Kutta stage: velocity, activation and theta from those before."""
-    nv, na = m[NV], m[NA]
-    v, act = at(x, m[NQ]), at(x, m[NQ] + nv)
-    vi, theta = at(lanes(r, V_STAGES), i * nv), lanes(r, THETA)
+    nv, na = m[TREE.nv], m[TREE.na]
+    v, act = at(x, m[TREE.nq]), at(x, m[TREE.nq] + nv)
+    vi, theta = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.theta)
     for k in range(nv):
         store(vi, k, load(v, k) + factor * load(acceleration, k))
         store(theta, k, factor * load(velocity, k))
-    rate, act_i = at(lanes(r, ACT_RATES), (i - 1) * na), lanes(r, ACT_STAGE)
+    rate, act_i = at(lanes(r, MEMORY.act_rates), (i - 1) * na), lanes(r, MEMORY.act_stage)
     for k in range(na):
         store(act_i, k, load(act, k) + factor * load(rate, k))
 
@@ -130,25 +101,25 @@ def _stage_state(m, r, x, i, factor, velocity, acceleration):
 @part
 def stage_state(m, r, x, i, a, dt):
     """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
-    nv = m[NV]
-    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    nv = m[TREE.nv]
+    v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     if i == 1:
         for k in range(nv):
-            store(v1, k, load(x, m[NQ] + k))
+            store(v1, k, load(x, m[TREE.nq] + k))
         _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
     elif i == 2:
         _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, nv))
         add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
     else:
         _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * nv))
-    moved(m, x, theta, lanes(r, Q_STAGE))
+    moved(m, x, theta, lanes(r, MEMORY.q_stage))
 
 
 @part
 def end_rotation(m, r, x, a, dt):
-    """What moves the configuration over a whole RK4 stage, into theta; v_stages are filled."""
-    nv = m[NV]
-    v1, theta = lanes(r, V_STAGES), lanes(r, THETA)
+    """The displacement theta of the configuration over a whole RK4 stage, from v_stages."""
+    nv = m[TREE.nv]
+    v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     for k in range(nv):
         inner = 2.0 * (load(v1, nv + k) + load(v1, 2 * nv + k))
         store(theta, k, (1.0 / 6.0) * dt * (load(v1, k) + inner + load(v1, 3 * nv + k)))
@@ -158,9 +129,9 @@ def end_rotation(m, r, x, a, dt):
 @part
 def stage(m, r, x, u, a, dt, x_next, external):
     """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
-    nq, nv, na, integrator = m[NQ], m[NV], m[NA], r[INTEGRATOR]
-    v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, THETA)
-    v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, ACT_RATES)
+    nq, nv, na, integrator = m[TREE.nq], m[TREE.nv], m[TREE.na], r[MEMORY.integrator]
+    v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.theta)
+    v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, MEMORY.act_rates)
     accelerations(m, r, x, v, u, act, a, external)
     activation_rates(m, u, act, rates)
     if integrator != RK4:
@@ -174,8 +145,8 @@ def stage(m, r, x, u, a, dt, x_next, external):
         return
     for i in range(1, 4):
         stage_state(m, r, x, i, a, dt)
-        vi, act_i = at(lanes(r, V_STAGES), i * nv), lanes(r, ACT_STAGE)
-        accelerations(m, r, lanes(r, Q_STAGE), vi, u, act_i, at(a, i * nv), external)
+        vi, act_i = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.act_stage)
+        accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * nv), external)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_rotation(m, r, x, a, dt)
     moved(m, x, theta, x_next)
@@ -220,31 +191,31 @@ def scatter(source, first, count, width, destination):
 def steps(m, r, dt, xs, us, xs_next, keep, external):
     """xs_next[i] = the end of a stage of length dt[i] from xs[i] (K, nx) with us[i] (K, nu).
 
-    With `keep` the stages' accelerations are left in ACCELERATIONS.
+    With `keep` the stages' accelerations are left in MEMORY.accelerations.
     """
     m, r = pointer(m), pointer(r)
-    nx, nu, K = xs.shape[1], m[NU], xs.shape[0]
-    x, a, scratch = lanes(r, X_LANES), lanes(r, A_LANES), lanes(r, SCRATCH)
+    nx, nu, K = xs.shape[1], m[TREE.nu], xs.shape[0]
+    x, a, scratch = lanes(r, MEMORY.x), lanes(r, MEMORY.a), lanes(r, MEMORY.scratch)
     for first in range(0, K, WIDTH):
         gather(doubles(xs), first, K, nx, x)
-        gather(doubles(us), first, K, nu, lanes(r, U_LANES))
+        gather(doubles(us), first, K, nu, lanes(r, MEMORY.u))
         gather(pointer(dt), first, K, 1, scratch)
         length = load(scratch, 0)
-        stage(m, r, x, lanes(r, U_LANES), a, length, x, external)
+        stage(m, r, x, lanes(r, MEMORY.u), a, length, x, external)
         scatter(x, first, K, nx, doubles(xs_next))
         if keep:
-            scatter(a, first, K, r[STAGES] * m[NV], floats(r, ACCELERATIONS))
+            scatter(a, first, K, r[MEMORY.stages] * m[TREE.nv], floats(r, MEMORY.accelerations))
 
 
 @jit
 def rates(m, r, xs, us, out, external):
     """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
     m, r = pointer(m), pointer(r)
-    nx, nq, nv, na, K = xs.shape[1], m[NQ], m[NV], m[NA], xs.shape[0]
-    x, u, a, rate = lanes(r, X_LANES), lanes(r, U_LANES), lanes(r, A_LANES), lanes(r, LINKS)
+    nx, nq, nv, na, K = xs.shape[1], m[TREE.nq], m[TREE.nv], m[TREE.na], xs.shape[0]
+    x, u, a, rate = lanes(r, MEMORY.x), lanes(r, MEMORY.u), lanes(r, MEMORY.a), lanes(r, MEMORY.links)
     for first in range(0, K, WIDTH):
         gather(doubles(xs), first, K, nx, x)
-        gather(doubles(us), first, K, m[NU], u)
+        gather(doubles(us), first, K, m[TREE.nu], u)
         accelerations(m, r, x, at(x, nq), u, at(x, nq + nv), a, external)
         for k in range(nv):
             store(rate, k, load(x, nq + k))

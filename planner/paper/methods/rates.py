@@ -11,11 +11,12 @@ import numpy as np
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
+from planner.kernels.integrators import EULER
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree import linearize as tree_linearize
 from planner.kernels.tree import step as tree_step
-from planner.kernels.tree.memory import EULER, TreeMemory
+from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
 from planner.model.space import space_of
 

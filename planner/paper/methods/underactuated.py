@@ -18,9 +18,10 @@ import numpy as np
 
 from planner.base.arguments import array, number, shown
 from planner.base.errors import PlannerError
+from planner.kernels.integrators import EULER
 from planner.kernels.numba.jit import announce
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree.memory import EULER, TreeMemory
+from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
 from planner.model.mechanism import Mechanism
 from planner.paper.methods.adjoint import AdjointCost, Integration, Partials

@@ -1,10 +1,14 @@
-"""Engine: the memory and the arithmetic of one solve, compiled where dynamics and cost are, in NumPy otherwise."""
+"""Engine: the memory and the arithmetic of one solve, compiled where dynamics and cost are, in NumPy otherwise.
+
+`borrow` chooses the engine of a solve. It keeps no problem alive: an engine holds its parts, never the Problem.
+"""
 
 from __future__ import annotations
 
 from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, PenalisedDynamics
+from planner.kernels.lq import search
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.tracking import SumCost, TrackingCost
 from planner.problem.problem import Problem
@@ -14,22 +18,34 @@ from planner.solvers.engine.protocol import Engine, Outcome
 
 __all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "borrow", "give_back"]
 
-# Engines that no solve is using, so that a warm solve allocates nothing but its result.
-_idle: WeakKeyDictionary[Problem, list[Engine]] = WeakKeyDictionary()
+# Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
+# problem, or no problem would ever be freed.
+_idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
-def borrow(problem: Problem) -> Engine:
-    """An engine for a problem, for one solve."""
-    idle = _idle.setdefault(problem, [])
+def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
+    """An engine for one solve of a problem: compiled if kernels have all of it and of the line search."""
     try:
-        return idle.pop()
+        return _idle_of(problem, rule).pop()
     except IndexError:
         pass
-    ranges = problem.ranges is None or getattr(problem.dynamics, "has_ranges", True)
-    costs = compiled_costs(problem)
-    if costs is not None and isinstance(problem.dynamics, CompiledDynamics) and ranges:
-        return CompiledEngine(problem, problem.dynamics, *costs)
+    dynamics, costs = problem.dynamics, compiled_costs(problem)
+    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
+        return CompiledEngine(problem, dynamics, *costs)
     return NumpyEngine(problem)
+
+
+def _idle_of(problem: Problem, rule: int) -> list[Engine]:
+    """Idle engines of a problem for a line search: those for the Wolfe rule may be others."""
+    return _idle.setdefault(problem, {}).setdefault(rule == search.WOLFE, [])
+
+
+def _has(dynamics: CompiledDynamics, problem: Problem, rule: int) -> bool:
+    """Whether the rollouts of compiled dynamics give what the problem's ranges and the line search need."""
+    if problem.ranges is not None and not getattr(dynamics, "has_ranges", True):
+        return False
+    # A clipped control does not change with the step length, which the slopes of the kernels do not know.
+    return rule != search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
 def compiled_costs(problem: Problem) -> tuple[TrackingCost, tuple[PenaltyCost, ...]] | None:
@@ -47,6 +63,6 @@ def compiled_costs(problem: Problem) -> tuple[TrackingCost, tuple[PenaltyCost, .
     return None
 
 
-def give_back(problem: Problem, engine: Engine) -> None:
-    """Keep an engine for the next solve of the same problem."""
-    _idle.setdefault(problem, []).append(engine)
+def give_back(problem: Problem, engine: Engine, rule: int = search.ARMIJO) -> None:
+    """Keep an engine for the next solve of the same problem with the same line search."""
+    _idle_of(problem, rule).append(engine)

@@ -22,7 +22,6 @@ from planner.problem.costs.penalty_measures import joined
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import Outcome, promised
 
 
@@ -32,7 +31,7 @@ class CompiledEngine:
     def __init__(
         self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost, penalties: Sequence[PenaltyCost] = ()
     ) -> None:
-        self._problem, self._dynamics = problem, dynamics
+        self._bounds, self._dynamics = problem.bounds, dynamics
         ranges = problem.ranges
         hinges = None if ranges is None else (ranges.component, ranges.at_end)
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured, problem.bounds, hinges)
@@ -43,12 +42,9 @@ class CompiledEngine:
         self.largest_control_weight = float(np.abs(cost.R).max())
         self._second: Any = None
         self._exact = False
-        self._numpy: NumpyEngine | None = None  # goes on where rollouts give no slopes for the Wolfe rule
-        self._hinges: Hinges | None = None
 
     def hinge(self, hinges: Hinges | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
-        self._hinges = hinges
         if hinges is None:
             self._w.hinge_weight[:] = 0.0
         else:
@@ -56,40 +52,29 @@ class CompiledEngine:
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._numpy, self._exact = None, exact
+        self._exact = exact
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
-        sweep += "" if self._problem.bounds is None else " bounded"
+        sweep += "" if self._bounds is None else " bounded"
         more = self._dynamics.second_order_kernels if exact else ()
         kernels = self._dynamics.kernels if self._penalised is None else self._penalised.penalised_kernels
         compile_together((sweep, "gradients", *kernels, *more))
         self._w.xs[0] = x0
-        self._w.us[:] = self._problem.clipped(us)
+        self._w.us[:] = us if self._bounds is None else np.clip(us, *self._bounds)
         self._w.dus[:] = 0.0
         return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
         self._w.use_second_order(exact)
-        if self._numpy is not None:
-            self._numpy.use_second_order(exact)
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
         gradient_tolerance: float, decrease_tolerance: float,
     ) -> Outcome:  # fmt: skip
         """Linearise (if `fresh`), sweep, search, accept."""
-        # a clipped control does not change with the step length: the slopes of the kernels do not know
-        has_slopes = self._dynamics.has_slopes and self._problem.bounds is None
-        if rule == search.WOLFE and not has_slopes and self._numpy is None:
-            xs, us = self.trajectory()
-            self._numpy = NumpyEngine(self._problem)
-            self._numpy.hinge(self._hinges)
-            self._numpy.start(xs[0], us, self._exact)
-        if self._numpy is not None:
-            return self._numpy.iterate(feedback, rule, mu, fresh, cost, gradient_tolerance, decrease_tolerance)
         w, dynamics = self._w, self._dynamics
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
@@ -99,7 +84,7 @@ class CompiledEngine:
             if self._exact:
                 costates(w.table, dynamics.dt)
                 dynamics.second_order_nominal(w, self._memory, self._second)
-        if self._problem.bounds is not None:
+        if self._bounds is not None:
             return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
         riccati = riccati_structured if dynamics.structured else riccati_dense
         norm, slope, definite = riccati(w.table, mu, dynamics.dt)
@@ -117,7 +102,7 @@ class CompiledEngine:
     def _iterate_bounded(
         self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
     ) -> Outcome:
-        """The same with bounds, once linearised."""
+        """The sweep and search of iterate, with bounds."""
         w, dynamics = self._w, self._dynamics
         riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
         norm, value, definite = riccati(w.table, mu, dynamics.dt)
@@ -137,15 +122,13 @@ class CompiledEngine:
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""
-        return self._w.gradient.copy() if self._numpy is None else self._numpy.gradient()
+        return self._w.gradient.copy()
 
     def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Copies of xs (N+1, nx) and us (N, nu)."""
-        return (self._w.xs.copy(), self._w.us.copy()) if self._numpy is None else self._numpy.trajectory()
+        return self._w.xs.copy(), self._w.us.copy()
 
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
-        if self._numpy is not None:
-            return self._numpy.gains()
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()

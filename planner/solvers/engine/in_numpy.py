@@ -26,7 +26,7 @@ class NumpyEngine:
     def __init__(self, problem: Problem) -> None:
         announce(search.choose)
         self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
-        self._clipped, self._ranges = problem.clipped, problem.ranges
+        self._ranges = problem.ranges
         self._hinges: Hinges | None = None
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
         self._together = bool(getattr(problem.dynamics, "batched", True))
@@ -63,7 +63,7 @@ class NumpyEngine:
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
-        us = self._clipped(us)
+        us = us if self._bounds is None else np.clip(us, *self._bounds)
         xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), us.copy()
         if np.isfinite(J[0]):

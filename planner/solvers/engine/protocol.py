@@ -10,7 +10,7 @@ from planner.problem.state_ranges import Hinges
 
 
 class Outcome(NamedTuple):
-    """What one iteration did."""
+    """The result of one iteration."""
 
     kind: int  # ACCEPTED, CONVERGED, INDEFINITE or NO_STEP
     gradient_norm: float  # of Eq. 19, before the step
