@@ -161,17 +161,6 @@ def test_hat_is_the_cross_product():
     np.testing.assert_allclose((hat(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
 
 
-def exp_jacobian(rotation: np.ndarray) -> np.ndarray:
-    """SO(3)'s right Jacobian (..., 3, 3): exp(r + e) = exp(r) exp(Jr(r) e) to first order in e."""
-    square = np.sum(rotation**2, axis=-1)[..., None, None]
-    angle2 = np.maximum(square, 1e-4**2)
-    angle = np.sqrt(angle2)
-    first = np.where(square > 1e-4**2, 2.0 * np.sin(0.5 * angle) ** 2 / angle2, 0.5 - square / 24.0)
-    second = np.where(square > 1e-4**2, (angle - np.sin(angle)) / (angle2 * angle), 1.0 / 6.0 - square / 120.0)
-    H = hat(rotation)
-    return np.eye(3) - first * H + second * (H @ H)
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_jacobians_of_log_and_exp(size):
     vectors = rotation_vectors(size)
