@@ -84,7 +84,7 @@ def test_run_writes_plan_proof_plots_and_report(finished):
     with np.load(folder / "out" / "plan.npz", allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
         assert file["us"].shape == (200, 1)
-    assert meta["parameters"]["height"] == 12.0
+    assert meta["recipe"]["parameters"]["height"] == 12.0
     page = (folder / "out" / "report.html").read_text()
     assert page.index("PASS") < page.index("<table")
     assert "http" not in page.replace("http://www.w3.org", "")  # self-contained
@@ -308,10 +308,10 @@ def test_a_failed_run_leaves_older_results_alone(finished, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     refused(run("run", "hopper", "--height", "-1", "--out", tmp_path, cwd=tmp_path), "height")
-    # A file-size limit stands in for a full disk: the plots are larger than what is allowed.
+    # A file-size limit stands in for a full disk: the plan is larger than that.
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000));"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (12000, 12000));"
         "from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
     )
     words = ["run", "hopper", "--no-video", "--quiet", "--rollouts", "0", "--out", str(tmp_path)]
