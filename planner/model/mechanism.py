@@ -128,6 +128,7 @@ class Mechanism:
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
         assets: Files that the text names, by the name it uses.
         ignored: What was taken out of the file, one phrase each.
+        original: The XML text as the file gave it, includes resolved, where `mjcf` was edited; else "".
     """
 
     nq: int
@@ -163,6 +164,7 @@ class Mechanism:
     mjcf: str = ""
     assets: dict[str, bytes] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
+    original: str = ""
     body_contacts: tuple[BodyContact, ...] = ()
     curves: tuple[ExponentialTorque, ...] = ()
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _MAPS: dict[str, tuple[int | str, ...]] = {
     "to_x": ("nx", "nw"), "to_x_offset": ("nx",), "to_sim": ("K", "nw", "nx"), "to_sim_offset": ("K", "nw"),
 }  # fmt: skip
+_TEXTS = ("source", "original")
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Twin:
         to_sim_offset: (K, nw).
         assets: Files that the text names, meshes for example, by the name it uses.
         source: The text that the plan's mechanism was read from, where it is another one: see model.mjcf.driven.
+        original: The text as the user gave it, where it was edited before planning; "" where it was not.
         curves: Torques that act beside what the text says: see planner.proof.curve_callback.
     """
 
@@ -54,6 +56,7 @@ class Twin:
     to_sim_offset: np.ndarray
     assets: dict[str, bytes] = field(default_factory=dict)
     source: str = ""
+    original: str = ""
     curves: tuple[ExponentialTorque, ...] = ()
 
     def __post_init__(self) -> None:
@@ -70,7 +73,10 @@ class Twin:
     def of(cls, mechanism: Mechanism) -> Twin:
         """The model that a mechanism was read from; the plan's state is MuJoCo's own, x = (qpos, qvel, act)."""
         same, none = np.eye(mechanism.space.nx), np.zeros(mechanism.space.nx)
-        return cls(mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), curves=mechanism.curves)
+        return cls(
+            mechanism.mjcf, same, none, same[None], none[None], dict(mechanism.assets), original=mechanism.original,
+            curves=mechanism.curves,
+        )  # fmt: skip
 
     def x_of(self, w: np.ndarray) -> np.ndarray:
         """The plan's state (..., nx) of simulator states w (..., nw)."""
@@ -86,9 +92,9 @@ class Twin:
         return self.source or self.mjcf
 
     def to_dict(self) -> dict[str, Any]:
-        """The maps (not the text and its files) as JSON values; source and curves where there are any."""
+        """The maps (not the text and its files) as JSON values; source, original and curves where there are any."""
         maps = {name: getattr(self, name).tolist() for name in _MAPS}
-        maps |= {"source": self.source} if self.source else {}
+        maps |= {name: text for name in _TEXTS if (text := getattr(self, name))}
         return maps | ({"curves": [curve.to_list() for curve in self.curves]} if self.curves else {})
 
     @classmethod
@@ -98,12 +104,12 @@ class Twin:
         Raises:
             PlannerError: The maps or the text are missing, or do not fit together.
         """
-        maps, source = dict(maps), maps.get("source", "")
-        maps.pop("source", None)
+        maps = dict(maps)
+        texts = {name: maps.pop(name, "") for name in _TEXTS}
         curves = maps.pop("curves", [])
         if not (isinstance(curves, list) and all(isinstance(row, list) and len(row) == 4 for row in curves)):
             raise PlannerError("a twin's curves are not rows of dof, amplitude, constant and slopes.")
-        if not (isinstance(mjcf, str) and isinstance(source, str)) or set(maps) != set(_MAPS):
+        if not all(isinstance(text, str) for text in (mjcf, *texts.values())) or set(maps) != set(_MAPS):
             raise PlannerError(f"a twin needs its MJCF text and exactly these maps: {', '.join(_MAPS)}.")
         torques = tuple(ExponentialTorque(*row) for row in curves)
-        return cls(mjcf, **maps, assets=assets or {}, source=source, curves=torques)
+        return cls(str(mjcf), **maps, assets=assets or {}, **texts, curves=torques)

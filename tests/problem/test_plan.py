@@ -270,3 +270,17 @@ def test_scipy_names(plan):
     assert plan.message == plan.status.value
     assert plan.nit == len(plan.history) - 1
     assert isinstance(plan.history[0], Iteration)
+
+
+def test_the_users_own_text_stays_with_a_plan_that_left_something_out(tmp_path):
+    text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 1"><joint name="hinge" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/></body></worldbody>
+      <actuator><motor joint="hinge"/></actuator></mujoco>"""
+    arm = planner.Mechanism.from_mjcf(text, contacts="off")
+    assert 'type="plane"' in arm.original
+    dynamics = planner.RigidBodyDynamics(arm, 0.05)
+    cost = planner.TrackingCost.joints(dynamics, [0.1, 0.0], 5, effort=1.0, final_position=1.0)
+    plan = planner.solve(planner.Problem(dynamics, cost, arm.home))
+    stored = planner.load_plan(plan.save(tmp_path / "plan.npz"))
+    assert stored.twin.original == plan.twin.original == arm.original
+    assert planner.Mechanism.from_mjcf(arm.original, contacts="off").mjcf == arm.mjcf

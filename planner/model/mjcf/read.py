@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -61,6 +62,7 @@ def read(
     survey = Survey(compile_model(root, files, name))
     if coarsen_visual_meshes(root, files, survey.model):
         survey = Survey(compile_model(root, files, name))
+    original = ElementTree.tostring(root, encoding="unicode")
     law = contacts if isinstance(contacts, ContactLaw) else None
     left_out = [] if law is None else give_law(root, survey, law)
     found = [*unmodelled(survey.model), *(contact_refusals(survey, all_of_them=off) if law is None else ())]
@@ -72,7 +74,8 @@ def read(
         _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
-    return _mechanism(survey, text, files, (*phrases, *left_out), name)
+    mechanism = _mechanism(survey, text, files, (*phrases, *left_out), name)
+    return mechanism if text == original else replace(mechanism, original=original)
 
 
 def _refuse(found: list[Refusal], name: str) -> None:
