@@ -11,8 +11,8 @@ from planner.dynamics.statics import supported
 from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 
 
-def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """Controls (nu,) that hold a pose against gravity and springs, as far as the actuators can.
+def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """Controls (nu,) that keep a pose against gravity and springs, as far as the actuators can.
 
     Least squares, and of all least squares the smallest: zero for what no actuator reaches. An actuator whose
     activation integrates its control holds what it has. Where contacts are near the ground it carries the machine as

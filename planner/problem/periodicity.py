@@ -23,7 +23,7 @@ class Periodic:
             back, like the travel of a belt. A number holds for all.
         step: How solve_periodic changes the start: "newton" or "follow".
         passes: Most solves of solve_periodic.
-        settled: Part of the cost: what changed it by less in a pass "newton" has done with, and only closes the gap.
+        cost_tolerance: Part of the cost: after a pass that changes it by less, "newton" only closes the gap.
 
     Raises:
         PlannerError: Negative, not numbers, or nothing that must come back.
@@ -32,7 +32,7 @@ class Periodic:
     tolerance: np.ndarray
     step: str = "newton"
     passes: int = 8
-    settled: float = 1e-3
+    cost_tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
         try:
@@ -46,7 +46,7 @@ class Periodic:
             )
         choice("step", self.step, STEPS)
         count("passes", self.passes)
-        number("settled", self.settled, least=0.0)
+        number("cost_tolerance", self.cost_tolerance, least=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 
@@ -82,7 +82,7 @@ class Periodic:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
-        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "settled": self.settled}
+        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "cost_tolerance": self.cost_tolerance}
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
