@@ -32,7 +32,7 @@ from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 LEFT = 1e-4
-"""Newton passes go on until the decrease that they promise is below this part of the cost, or the cost hardly changes."""
+"""Newton passes end when the decrease that they promise is below this part of the cost, or the cost hardly changes."""
 _TO_CLOSE = 2  # passes kept for the end, which only close the gap
 _SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
