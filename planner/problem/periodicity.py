@@ -18,21 +18,16 @@ STEPS = ("newton", "follow")
 class Periodic:
     """What of a motion's state is to be at the end what it was at the start, and how nearly.
 
-    Attributes:
-        tolerance: (ndx,) the largest difference of each component of the deviation; infinite where it need not come
-            back, like the travel of a belt. A number holds for all.
-        step: How solve_periodic changes the start: "newton" or "follow".
-        passes: Most solves of solve_periodic.
-        cost_tolerance: Part of the cost: after a pass that changes it by less, "newton" only closes the gap.
-
     Raises:
         PlannerError: Negative, not numbers, or nothing that must come back.
     """
 
+    # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
+    # travel of a belt. A number holds for all.
     tolerance: np.ndarray
-    step: str = "newton"
-    passes: int = 8
-    cost_tolerance: float = 1e-3
+    step: str = "newton"  # How solve_periodic changes the start: "newton" or "follow"
+    passes: int = 8  # Most solves of solve_periodic
+    cost_tolerance: float = 1e-3  # Part of the cost: after a pass that changes it by less, "newton" only closes the gap
 
     def __post_init__(self) -> None:
         try:

@@ -59,25 +59,15 @@ class Status(StrEnum):
 
 
 class Iteration(NamedTuple):
-    """One line of the iteration table. Costs and gradients are those before the step.
+    """One line of the iteration table. Costs and gradients are those before the step."""
 
-    Attributes:
-        iteration: Counted from 0.
-        cost: J of Eq. 9.
-        gradient_norm: Euclidean norm of the gradient of J with respect to all controls (Eq. 19).
-        step: Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised).
-        expected: Decrease that the LQ model promised for that step.
-        actual: Decrease that came.
-        regularisation: What was added to the diagonal of R + B'PB.
-    """
-
-    iteration: int
-    cost: float
-    gradient_norm: float
-    step: float
-    expected: float
-    actual: float
-    regularisation: float
+    iteration: int  # Counted from 0
+    cost: float  # J of Eq. 9
+    gradient_norm: float  # Euclidean norm of the gradient of J with respect to all controls (Eq. 19)
+    step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised)
+    expected: float  # Decrease that the LQ model promised for that step
+    actual: float  # Decrease that came
+    regularisation: float  # What was added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
         return (
@@ -92,21 +82,13 @@ class Iteration(NamedTuple):
 
 
 class Start(NamedTuple):
-    """How one of several starts of a solve ended.
+    """How one of several starts of a solve ended."""
 
-    Attributes:
-        number: 0 is the problem's own first guess.
-        status: How it ended.
-        cost: J of Eq. 9.
-        iterations: It took.
-        score: What it is ranked by: the cost, or what solve()'s `rank` made of the plan.
-    """
-
-    number: int
-    status: Status
-    cost: float
-    iterations: int
-    score: float
+    number: int  # 0 is the problem's own first guess
+    status: Status  # How it ended
+    cost: float  # J of Eq. 9
+    iterations: int  # It took
+    score: float  # What it is ranked by: the cost, or what solve()'s `rank` made of the plan
 
     @property
     def rank(self) -> tuple[bool, float, int]:

@@ -26,31 +26,23 @@ from planner.problem.state_ranges import StateRanges
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional.
+    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional."""
 
-    Attributes:
-        equal_states: (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the
-            plan's dynamics do.
-        rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
-        start: Keyframe of the twin that must be the plan's own start.
-        no_same_step: Why a replay at the plan's own step says nothing here.
-        tracking: planner.Replay -> the Section that judges it.
-        goal: planner.Replay -> the Section that judges whether the goal was reached.
-        success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
-        follows: In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the
-            plan's (T, nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
-        perturbation: What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its
-            defaults.
-    """
-
+    # (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the plan's dynamics do.
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
+    # (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    start: str = ""
-    no_same_step: str = ""
-    tracking: Callable[[Any], Section] | None = None
+    start: str = ""  # Keyframe of the twin that must be the plan's own start
+    no_same_step: str = ""  # Why a replay at the plan's own step says nothing here
+    tracking: Callable[[Any], Section] | None = None  # planner.Replay -> the Section that judges it
+    # planner.Replay -> the Section that judges whether the goal was reached.
     goal: Callable[[Any], Section] | None = None
+    # End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
     success: Callable[[np.ndarray], np.ndarray] | None = None
+    # In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the plan's (T,
+    # nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    # What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its defaults.
     perturbation: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -13,16 +13,11 @@ from planner.base.errors import PlannerError
 
 @dataclass(frozen=True)
 class Recipe:
-    """The function that builds a problem, and its arguments.
+    """The function that builds a problem, and its arguments."""
 
-    Attributes:
-        name: Of the function, as a plan's file has it: a case of planner.cases, or "problem-file".
-        parameters: Every argument by name, as JSON values.
-        build: (**parameters) -> Problem; None in a plan whose problem was not built again.
-    """
-
-    name: str
-    parameters: dict[str, Any]
+    name: str  # Of the function, as a plan's file has it: a case of planner.cases, or "problem-file"
+    parameters: dict[str, Any]  # Every argument by name, as JSON values
+    # (**parameters) -> Problem; None in a plan whose problem was not built again.
     build: Callable[..., Any] | None = field(default=None, compare=False, repr=False)
     _parts: tuple[Any, ...] = field(default=(), compare=False, repr=False)  # of the problem that was built
 

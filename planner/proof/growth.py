@@ -31,21 +31,13 @@ _ROUNDING = 1e-10  # errors below are not of the integrator
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Growth of errors along a plan. Modes are "open-loop" and "feedback".
+    """Growth of errors along a plan. Modes are "open-loop" and "feedback"."""
 
-    Attributes:
-        t: (N+1,) s.
-        transition: Mode -> (N+1,) log10 of the norm of the state transition from the start.
-        predicted: Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s.
-        measured: Mode -> (N+1,) the replay error measured at the knots, likewise.
-        switches: Whether a contact opened or closed during the replay.
-    """
-
-    t: np.ndarray
-    transition: dict[str, np.ndarray]
-    predicted: dict[str, np.ndarray]
-    measured: dict[str, np.ndarray]
-    switches: bool
+    t: np.ndarray  # (N+1,) s
+    transition: dict[str, np.ndarray]  # Mode -> (N+1,) log10 of the norm of the state transition from the start
+    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s
+    measured: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error measured at the knots, likewise
+    switches: bool  # Whether a contact opened or closed during the replay
 
     def rate(self, mode: str) -> float:
         """1/s, of the norm of the transition over the whole plan."""

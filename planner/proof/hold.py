@@ -33,19 +33,12 @@ _NEWTON = 20  # iterations
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The regulator u = u_goal + K difference(x, x_goal).
+    """The regulator u = u_goal + K difference(x, x_goal)."""
 
-    Attributes:
-        x_goal: (nx,) the equilibrium that is held: the goal where the cost's final weight acts.
-        u_goal: (nu,) the control that keeps it.
-        K: (nu, ndx).
-        space: Of the states.
-    """
-
-    x_goal: np.ndarray
-    u_goal: np.ndarray
-    K: np.ndarray
-    space: StateSpace
+    x_goal: np.ndarray  # (nx,) the equilibrium that is held: the goal where the cost's final weight acts
+    u_goal: np.ndarray  # (nu,) the control that keeps it
+    K: np.ndarray  # (nu, ndx)
+    space: StateSpace  # Of the states
 
     def control(self, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at a state (nx,)."""
@@ -141,27 +134,17 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """MuJoCo's motion after a replay, with a regulator acting at every step.
+    """MuJoCo's motion after a replay, with a regulator acting at every step."""
 
-    Attributes:
-        hold: The regulator.
-        t: (M+1,) s; goes on from the replay's.
-        qpos: (M+1, nq).
-        qvel: (M+1, nv).
-        act: (M+1, na).
-        ctrl: (M, nu) what was applied.
-        xs: (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
-        warnings: What MuJoCo complained of, one sentence each.
-    """
-
-    hold: Hold
-    t: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    act: np.ndarray
-    ctrl: np.ndarray
+    hold: Hold  # The regulator
+    t: np.ndarray  # (M+1,) s; goes on from the replay's
+    qpos: np.ndarray  # (M+1, nq)
+    qvel: np.ndarray  # (M+1, nv)
+    act: np.ndarray  # (M+1, na)
+    ctrl: np.ndarray  # (M, nu) what was applied
+    # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
     xs: np.ndarray
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # What MuJoCo complained of, one sentence each
 
     @property
     def deviation(self) -> np.ndarray:

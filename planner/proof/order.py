@@ -35,35 +35,20 @@ _SAFETY = 1.25  # Roache's factor for three grids and more
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Replays of one plan at halved steps.
+    """Replays of one plan at halved steps."""
 
-    Attributes:
-        steps: (L,) s, halved from one to the next.
-        ends: (L, nx) end states.
-        costs: (L,) J reached.
-        changes: (L-1,) from each end state to the next, Euclidean.
-        nominal: Order of the integrator.
-        observed: Of the end state, over the last steps whose changes are above rounding; None when none are.
-        judged: Why the order is only shown; "" when it is judged.
-        extrapolated_cost: J at a step of zero.
-        cost_uncertainty: Of it.
-        end_uncertainty: Of the end state, largest component.
-        plan_cost: What the plan says.
-        scale: What cost changes are relative to.
-    """
-
-    steps: np.ndarray
-    ends: np.ndarray
-    costs: np.ndarray
-    changes: np.ndarray
-    nominal: float
-    observed: float | None
-    judged: str
-    extrapolated_cost: float
-    cost_uncertainty: float
-    end_uncertainty: float
-    plan_cost: float
-    scale: float
+    steps: np.ndarray  # (L,) s, halved from one to the next
+    ends: np.ndarray  # (L, nx) end states
+    costs: np.ndarray  # (L,) J reached
+    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean
+    nominal: float  # Order of the integrator
+    observed: float | None  # Of the end state, over the last steps whose changes are above rounding; None when none are
+    judged: str  # Why the order is only shown; "" when it is judged
+    extrapolated_cost: float  # J at a step of zero
+    cost_uncertainty: float  # Of it
+    end_uncertainty: float  # Of the end state, largest component
+    plan_cost: float  # What the plan says
+    scale: float  # What cost changes are relative to
 
     @property
     def section(self) -> Section:

@@ -40,41 +40,27 @@ _USUAL = 0.3  # of the budget is what the estimate may fill, so that its error d
 
 @dataclass(frozen=True, eq=False)
 class Perturbed:
-    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback".
+    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
-    Attributes:
-        perturbation: What was varied.
-        seed: Of the random numbers.
-        asked: Rollouts that were asked for, in each mode.
-        done: Rollouts that were run; with a budget it may be fewer.
-        step: The simulator's step, s.
-        control_step: How often the gains act, s.
-        tolerance: On the end state, rad, m, rad/s, m/s; NaN where the machine has a rule of its own.
-        end_error: Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for
-            a simulation that exploded.
-        success: Per mode (done,), whether the rollout counts as one.
-        margin: Per mode, the largest mass error, relative, at which and below which 95 % succeed; NaN if not known.
-        per_level: Rollouts of each mass error behind the margin.
-        t: (T,) s, all knots of the plan, of a long one at most 201.
-        fans: Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts
-            that had not exploded by then.
-        notes: What there is to say about how it was done, one sentence each.
-    """
-
-    perturbation: Perturbation
-    seed: int
-    asked: int
-    done: int
-    step: float
-    control_step: float
-    tolerance: float
+    perturbation: Perturbation  # What was varied
+    seed: int  # Of the random numbers
+    asked: int  # Rollouts that were asked for, in each mode
+    done: int  # Rollouts that were run; with a budget it may be fewer
+    step: float  # The simulator's step, s
+    control_step: float  # How often the gains act, s
+    tolerance: float  # On the end state, rad, m, rad/s, m/s; NaN where the machine has a rule of its own
+    # Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for a simulation
+    # that exploded.
     end_error: dict[str, np.ndarray]
-    success: dict[str, np.ndarray]
+    success: dict[str, np.ndarray]  # Per mode (done,), whether the rollout counts as one
+    # Per mode, the largest mass error, relative, at which and below which 95 % succeed; NaN if not known.
     margin: dict[str, float]
-    per_level: int
-    t: np.ndarray
+    per_level: int  # Rollouts of each mass error behind the margin
+    t: np.ndarray  # (T,) s, all knots of the plan, of a long one at most 201
+    # Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts that had
+    # not exploded by then.
     fans: dict[str, np.ndarray]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # What there is to say about how it was done, one sentence each
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -144,20 +130,14 @@ class Perturbed:
 class Trials:
     """The random machines of a Monte Carlo, and which of their motions count as successes.
 
-    Attributes:
-        rollouts: How many machines, in each mode; the k-th is the same whatever their number.
-        seed: Of the random numbers, at least 0.
-        perturbation: What is varied; None for Perturbation.usual() of the plan's problem.
-        tolerance: Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s.
-
     Raises:
         PlannerError: A number that cannot be.
     """
 
-    rollouts: int = 512
-    seed: int = 0
-    perturbation: Perturbation | None = None
-    tolerance: float = TOLERANCE
+    rollouts: int = 512  # How many machines, in each mode; the k-th is the same whatever their number
+    seed: int = 0  # Of the random numbers, at least 0
+    perturbation: Perturbation | None = None  # What is varied; None for Perturbation.usual() of the plan's problem
+    tolerance: float = TOLERANCE  # Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)

@@ -43,21 +43,13 @@ class OutOfTime(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Perturbed machines, ready to run.
+    """Perturbed machines, ready to run."""
 
-    Attributes:
-        models: K of MuJoCo's.
-        start: (K, nw) simulator states.
-        noise: (K, N, nu) added to the controls.
-        delay: (K,) steps of the simulator.
-        stiffness: (K, curves) factors of the twin's exponential torques.
-    """
-
-    models: list[Any]
-    start: np.ndarray
-    noise: np.ndarray
-    delay: np.ndarray
-    stiffness: np.ndarray
+    models: list[Any]  # K of MuJoCo's
+    start: np.ndarray  # (K, nw) simulator states
+    noise: np.ndarray  # (K, N, nu) added to the controls
+    delay: np.ndarray  # (K,) steps of the simulator
+    stiffness: np.ndarray  # (K, curves) factors of the twin's exponential torques
 
 
 class Rollouts:

@@ -68,18 +68,12 @@ def model_tree(
 
 @dataclass
 class _Reading:
-    """A model being read.
+    """A model being read."""
 
-    Attributes:
-        folder: Of its main file.
-        budget: What the files have come to, shared with the models that it attaches.
-        parents: The files of the models that attach it, and its own.
-        origins: The folder of the file that an element was included from.
-    """
-
-    folder: Path
-    budget: Budget
-    parents: tuple[Path, ...]
+    folder: Path  # Of its main file
+    budget: Budget  # What the files have come to, shared with the models that it attaches
+    parents: tuple[Path, ...]  # The files of the models that attach it, and its own
+    # The folder of the file that an element was included from.
     origins: dict[ElementTree.Element, Path] = field(default_factory=dict)
 
 
