@@ -31,9 +31,7 @@ def appearance_of(problem: Any) -> Appearance | None:
 def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Appearance:
     """A camera across the plane of motion, the first joints as numbers, and plots of states and controls.
 
-    Args:
-        mechanism: The machine.
-        prescribed: Names of joints whose accelerations are controls too.
+    The accelerations of prescribed joints are controls too.
     """
     azimuth, elevation = _view(mechanism)
     name = re.search(r"<mujoco[^>]*\bmodel=[\"']([^\"']+)[\"']", mechanism.mjcf)

@@ -16,11 +16,7 @@ STEPS = ("newton", "follow")
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What of a motion's state is to be at the end what it was at the start, and how nearly.
-
-    Raises:
-        PlannerError: Negative, not numbers, or nothing that must come back.
-    """
+    """What of a motion's state is to be at the end what it was at the start, and how nearly."""
 
     # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
     # travel of a belt. A number holds for all.
@@ -46,11 +42,7 @@ class Periodic:
         object.__setattr__(self, "tolerance", tolerance)
 
     def of_size(self, ndx: int) -> Periodic:
-        """The same with a tolerance (ndx,).
-
-        Raises:
-            PlannerError: It is of another size.
-        """
+        """The same with a tolerance (ndx,)."""
         if self.tolerance.shape not in ((), (ndx,)):
             raise PlannerError(
                 f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."

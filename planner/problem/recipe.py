@@ -33,11 +33,7 @@ class Recipe:
         return self if same and np.array_equal(x0, own_start) else None
 
     def rebuilt(self, **changes: Any) -> Any:
-        """The problem built with some arguments changed.
-
-        Raises:
-            PlannerError: The function refuses them, or is not known.
-        """
+        """The problem built with some arguments changed."""
         if self.build is None:
             raise PlannerError(f"what builds {self.name!r} is not known here, expected the problem that was solved.")
         return self.build(**self.parameters | changes)

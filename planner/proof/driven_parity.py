@@ -34,18 +34,9 @@ _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
 def driven_parity(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> Section:
-    """Compare a mechanism whose joints are prescribed with the MuJoCo model that replays it.
+    """Compare a mechanism whose joints are prescribed with the MuJoCo model that drives them.
 
-    Args:
-        mechanism: Ours.
-        prescribed: Names of joints.
-        model: MuJoCo's, with these joints driven; its ranges and contacts are switched off.
-        states: How many random states.
-        bound: What passes, relative.
-        seed: Of the random states.
-
-    Raises:
-        ModelError: The model has other joints or actuators.
+    The model's ranges and contacts are switched off; `bound` is what passes, relative.
     """
     dofs, free = prescribed_dofs(mechanism, prescribed), released(mechanism, prescribed)
     inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()

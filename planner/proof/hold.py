@@ -153,16 +153,7 @@ class Held:
 
 
 def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
-    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal.
-
-    Args:
-        replay: Of a plan that arrives.
-        hold: What holds the goal.
-        seconds: For so long.
-
-    Raises:
-        PlannerError: Too many steps, or a regulator of another machine.
-    """
+    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
     steps = round(number("seconds", seconds, above=0.0) / replay.timestep)
     if not 1 <= steps <= MOST_STEPS:
         raise PlannerError(f"{seconds:g} s are {steps} steps of the replay, expected 1 to {MOST_STEPS}.")

@@ -77,12 +77,7 @@ class Order:
 
 
 def order(problem: Problem, run: Replay) -> Order:
-    """Replay a plan open loop at halved steps.
-
-    Args:
-        problem: The plan's.
-        run: Its refined replay, open loop, whose model is taken.
-    """
+    """Replay a plan open loop at halved steps, in the model of its refined replay."""
     plan = run.plan
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)

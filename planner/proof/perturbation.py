@@ -184,11 +184,7 @@ class Nominal:
         return bool(self.model.opt.disableflags & (bits.mjDSBL_FRICTIONLOSS | bits.mjDSBL_CONSTRAINT))
 
     def with_errors(self, draw: Draw, data: Any) -> Any:
-        """A copy of the model with these errors; `data` is overwritten.
-
-        Raises:
-            PlannerError: MuJoCo cannot work with the masses.
-        """
+        """A copy of the model with these errors; `data` is overwritten."""
         mujoco, nominal = load_mujoco(), self.model
         moves = nominal.body_weldid != 0  # what is welded to the world has no inertia to speak of
         model = copy.copy(nominal)

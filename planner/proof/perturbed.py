@@ -128,11 +128,7 @@ class Perturbed:
 
 @dataclass(frozen=True)
 class Trials:
-    """The random machines of a Monte Carlo, and which of their motions count as successes.
-
-    Raises:
-        PlannerError: A number that cannot be.
-    """
+    """The random machines of a Monte Carlo, and which of their motions count as successes."""
 
     rollouts: int = 512  # How many machines, in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
@@ -157,21 +153,10 @@ def perturbed(
 ) -> Perturbed:
     """Simulate a plan many times with errors drawn at random, open loop and with its gains.
 
-    A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say.
-
-    Args:
-        plan: A plan of a problem.
-        compiled: The MuJoCo model it is simulated in.
-        trials: How many rollouts, with which errors; by default Trials().
-        budget: s; fewer rollouts where they would take too long, and an end when it is used up.
-        partial: An .npz that keeps finished rollouts; those of this plan, seed and perturbation are not run again.
-        progress: Called with (rollouts finished, all), those behind the margin included.
-        threads: Of the simulator; by default one per core. No result depends on it.
-
-    Raises:
-        PlannerError: The plan cannot be simulated, or an argument that cannot be.
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
-        FileError: `partial` cannot be read or written.
+    A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say. With a budget (s)
+    there are fewer rollouts where they would take too long, and an end when it is used up. An .npz `partial` keeps
+    finished rollouts: those of this plan, seed and perturbation are not run again. `progress` is called with the
+    rollouts finished and all, those behind the margin included. No result depends on the number of threads.
     """
     trials = trials or Trials()
     asked, seed = trials.rollouts, trials.seed

@@ -164,11 +164,7 @@ def replay_in(
 
 
 def problem_of(plan: Plan) -> Problem:
-    """The problem of a plan that can be simulated.
-
-    Raises:
-        PlannerError: The plan comes without its problem or is not finite.
-    """
+    """The problem of a plan that can be simulated."""
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
     for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):

@@ -53,19 +53,10 @@ def rigid_parity(
     mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, states: int, bound: float, seed: int,
     spread: np.ndarray | float = 1.0,
 ) -> Section:  # fmt: skip
-    """Compare a mechanism with a MuJoCo model.
+    """Compare a mechanism with MuJoCo's model at random states, with random controls times `spread` (nu,).
 
-    Args:
-        mechanism: Ours.
-        model: MuJoCo's.
-        dynamics: Whose accelerations are compared, with nothing prescribed; by default the mechanism's.
-        states: How many random states.
-        bound: What passes, relative.
-        seed: Of the random states.
-        spread: (nu,) of the random controls.
-
-    Raises:
-        ModelError: The model has other joints or actuators.
+    The accelerations are of `dynamics` with nothing prescribed, by default the mechanism's; `bound` is what passes,
+    relative.
     """
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)

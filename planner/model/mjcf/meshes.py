@@ -23,12 +23,9 @@ LARGE = 100_000
 
 
 def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], model: Any) -> bool:
-    """Replace large files of meshes that are only seen; returns whether there were any.
+    """Replace large files of meshes that are only seen, in the XML and the files; returns whether there were any.
 
-    Args:
-        root: The model's XML, changed in place: such a mesh becomes an OBJ without scale or reference pose.
-        files: The files that it names, changed in place.
-        model: What MuJoCo compiled of both.
+    Such a mesh becomes an OBJ without scale or reference pose.
     """
     elements = [mesh for mesh in root.iterfind("asset/mesh") if len(files.get(mesh.get("file", ""), b"")) >= LARGE]
     if not elements:

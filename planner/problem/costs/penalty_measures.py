@@ -115,11 +115,7 @@ def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
 
 
 def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> Measures:
-    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt.
-
-    Raises:
-        PlannerError: As PenaltyCost.
-    """
+    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
     points, T = _Points(mechanism, N), len(terms)
     kind, ends, normal = np.zeros(T, dtype=np.int64), np.zeros((T, 4), dtype=np.int64), np.zeros((T, 3))
     level, side, ramp, bound, weight = np.zeros(T), np.zeros(T), np.zeros(T), np.zeros((T, N + 1)), np.zeros((T, N + 1))

@@ -52,11 +52,7 @@ def check_cost(name: str, value: Any) -> None:
 
 
 def remade(cost: Any, method: str, *arguments: Any) -> Any:
-    """What a cost's `resampled` or `with_effort` returns.
-
-    Raises:
-        PlannerError: The cost has no such method.
-    """
+    """What a cost's `resampled` or `with_effort` returns."""
     if not callable(getattr(cost, method, None)):
         signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
         raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
@@ -321,11 +317,7 @@ def tracking_of(cost: Any) -> TrackingCost | None:
 
 
 def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:
-    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised.
-
-    Raises:
-        PlannerError: A wrong shape, a number that is not finite, or a quaternion of length zero.
-    """
+    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised."""
     x = array(name, value, (*leading, space.nx))
     for i, _ in space.quaternions:
         length = np.linalg.norm(x[..., i : i + 4], axis=-1, keepdims=True)
