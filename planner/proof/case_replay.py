@@ -19,14 +19,9 @@ from planner.proof.simulation import RUNAWAY, set_state, state_of, warnings_of
 
 
 def replay_case(
-    plan: Plan,
-    compiled: CompiledTwin,
-    k: int,
-    *,
-    seed: int = 0,
-    perturbation: Perturbation | None = None,
+    plan: Plan, compiled: CompiledTwin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None,
     feedback: bool = True,
-) -> Replay:
+) -> Replay:  # fmt: skip
     """Rollout k of perturbed() with this seed, by plain mj_step: the same states to the last bit, NaN once it exploded.
 
     The replay keeps the compiled model, with the errors in its motion alone. The perturbation is by default

@@ -76,11 +76,9 @@ def _driven(
     error = float((np.abs(theirs - ours) / scale[:, None]).max())
     lag = float(np.abs(left).max())
     note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
-    shown = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
-    return (
-        Measured("driven_acceleration_error", error, "", bound, note),
-        Measured("left_by_the_motors", lag, "", None, shown),
-    )
+    judged = Measured("driven_acceleration_error", error, "", bound, note)
+    note = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
+    return judged, Measured("left_by_the_motors", lag, "", None, note)
 
 
 def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:

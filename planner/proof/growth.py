@@ -77,13 +77,9 @@ def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
         found = {mode: _propagated(F, missed) for mode, F in stages.items()}
         measured = {mode: np.abs(run.error[:: run.substeps]).max(axis=1) for mode, run in runs.items()}
     forces = [run.contact_force > 0.0 for run in runs.values()]
-    return Growth(
-        t=plan.t,
-        transition={mode: norms for mode, (norms, _) in found.items()},
-        predicted={mode: errors for mode, (_, errors) in found.items()},
-        measured=measured,
-        switches=any(bool(np.any(touching != touching[0])) for touching in forces),
-    )
+    transition, predicted = ({mode: pair[k] for mode, pair in found.items()} for k in (0, 1))
+    switches = any(bool(np.any(touching != touching[0])) for touching in forces)
+    return Growth(plan.t, transition, predicted, measured, switches)
 
 
 def _missed(plan: Plan, problem: Problem) -> np.ndarray:

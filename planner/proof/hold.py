@@ -19,9 +19,9 @@ from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
-from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
+from planner.proof.goal import costs_with_goals
 from planner.proof.replaying import Replay
 from planner.proof.simulation import MOST_STEPS, simulate
 
@@ -81,7 +81,7 @@ def _goal(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
     if len(wanted) != 1:
         raise PlannerError(
-            f"the cost has {len(wanted)} terms with a goal state, expected one TrackingCost with a final weight."
+            f"the cost has {len(wanted)} terms with a goal, expected one TrackingCost with a final weight."
         )
     return wanted[0].x_ref[-1].copy(), ~np.any(wanted[0].Q[-1], axis=0)
 
@@ -175,12 +175,10 @@ def hold_section(held: Held) -> Section:
     last = held.t >= held.t[-1] - 1.0
     note = "largest component of the deviation from the goal, rad, m, rad/s, m/s"
     lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
-    return Section(
-        "hold",
-        (
-            Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
-            Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
-            Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
-            Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
-        ),
+    measured = (
+        Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
+        Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
+        Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
+        Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
     )
+    return Section("hold", measured)

@@ -72,7 +72,7 @@ class Order:
             measured.append(Measured("order_shortfall", self.nominal - self.observed, "", bound, note))
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
-            measured.append(Measured("observed_order", float("nan"), "", None, note))
+            measured.append(Measured("observed_order", np.nan, "", None, note))
         return Section("order, open loop", tuple(measured))
 
 
@@ -88,9 +88,9 @@ def order(problem: Problem, run: Replay) -> Order:
     with np.errstate(all="ignore"):
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        while not refined_only and observed is not None and observed < nominal - ORDER_BOUND:
-            if len(levels) == MOST_LEVELS:
-                break
+        while (
+            not refined_only and len(levels) < MOST_LEVELS and observed is not None and observed < nominal - ORDER_BOUND
+        ):
             substeps.append(2 * substeps[-1])
             levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)

@@ -70,10 +70,8 @@ class Perturbed:
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
         """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_case."""
-        return {
-            mode: tuple(int(k) for k in np.argsort(-error, kind="stable")[:_WORST])
-            for mode, error in self.end_error.items()
-        }
+        order = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
+        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in order.items()}
 
     @property
     def section(self) -> Section:
@@ -107,23 +105,18 @@ class Perturbed:
     def to_dict(self) -> dict[str, Any]:
         """All but the fans as JSON values; what is not finite becomes null."""
         return {
-            "perturbation": self.perturbation.to_dict(),
-            "seed": self.seed,
-            "rollouts": {"asked": self.asked, "done": self.done},
-            "timestep": self.step,
-            "control_step": self.control_step,
-            "tolerance": finite(self.tolerance),
-            "notes": list(self.notes),
+            "perturbation": self.perturbation.to_dict(), "seed": self.seed,
+            "rollouts": {"asked": self.asked, "done": self.done}, "timestep": self.step,
+            "control_step": self.control_step, "tolerance": finite(self.tolerance), "notes": list(self.notes),
             "modes": {
                 mode: {
-                    "success": rate.to_dict(),
-                    "worst": list(self.worst[mode]),
+                    "success": rate.to_dict(), "worst": list(self.worst[mode]),
                     "mass_margin": finite(self.margin[mode]),
                     "end_error": finite([float(error) for error in self.end_error[mode]]),
                 }
                 for mode, rate in self.rates.items()
             },
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -142,15 +135,9 @@ class Trials:
 
 
 def perturbed(
-    plan: Plan,
-    compiled: CompiledTwin,
-    trials: Trials | None = None,
-    *,
-    budget: float | None = None,
-    partial: Path | None = None,
-    progress: Callable[[int, int], object] | None = None,
-    threads: int | None = None,
-) -> Perturbed:
+    plan: Plan, compiled: CompiledTwin, trials: Trials | None = None, *, budget: float | None = None,
+    partial: Path | None = None, progress: Callable[[int, int], object] | None = None, threads: int | None = None,
+) -> Perturbed:  # fmt: skip
     """Simulate a plan many times with errors drawn at random, open loop and with its gains.
 
     A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say. With a budget (s)
@@ -175,10 +162,8 @@ def perturbed(
             repeat, level = divmod(i, len(LEVELS))  # so that more rollouts per level continue the fewer
             return draw_masses(LEVELS[level], seed, level, repeat, sizes)
 
-        parts = {
-            "cases": (wanted, lambda k: draw(perturbation, seed, k, sizes)),
-            "levels": (per_level * len(LEVELS), level_draw),
-        }
+        parts = {"cases": (wanted, lambda k: draw(perturbation, seed, k, sizes))}
+        parts["levels"] = per_level * len(LEVELS), level_draw
         try:
             size = simulator.batch_size if budget is None else _affordable(budget / _PIECES, simulator.seconds, least=4)
             _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)
@@ -194,13 +179,9 @@ def _affordable(budget: float, seconds: float, least: int = _FEWEST) -> int:
 
 
 def _run(
-    simulator: Rollouts,
-    parts: dict[str, tuple[int, Callable[[int], Draw]]],
-    store: Partial,
-    size: int,
-    deadline: float,
-    progress: Callable[[int, int], object] | None,
-) -> None:
+    simulator: Rollouts, parts: dict[str, tuple[int, Callable[[int], Draw]]], store: Partial, size: int,
+    deadline: float, progress: Callable[[int, int], object] | None,
+) -> None:  # fmt: skip
     """Run what is not in the store yet, in batches of at most `size`, in both modes each."""
     total, before = sum(wanted for wanted, _ in parts.values()), 0
     for name, (wanted, draw_one) in parts.items():

@@ -65,13 +65,9 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     note = f"{how} at the plan's step, largest component over the path, relative to the largest state"
     if bound > PATH_BOUND:
         note += f"; the bound is what rounding becomes, since this path amplifies it {amplification:.1e} times"
-    return Section(
-        "same step",
-        (
-            Measured("state_error", errors[0], "", bound, note),
-            Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot"),
-        ),
-    )
+    along = Measured("state_error", errors[0], "", bound, note)
+    alone = Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot")
+    return Section("same step", (along, alone))
 
 
 def rounding_amplification(A: np.ndarray) -> float:
