@@ -44,13 +44,10 @@ def weights_of(objective: Any) -> dict[str, float]:
     if isinstance(objective, str):
         return {choice("objective", objective, OBJECTIVES): 1.0}
     if not isinstance(objective, Mapping):
-        raise PlannerError(
-            f"objective is {shown(objective)}, expected one of {', '.join(OBJECTIVES)}, or weights by these names."
-        )
-    weights = {
-        choice("objective", name, OBJECTIVES): number(f"the weight of {name}", weight, least=0.0)
-        for name, weight in objective.items()
-    }
+        expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
+        raise PlannerError(f"objective is {shown(objective)}, {expected}.")
+    given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
+    weights = {name: number(f"the weight of {name}", weight, least=0.0) for name, weight in given.items()}
     weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
     if not weights:
         raise PlannerError(f"no weight of the objective is above 0, expected some of {', '.join(OBJECTIVES)}.")

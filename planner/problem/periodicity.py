@@ -44,9 +44,8 @@ class Periodic:
     def of_size(self, ndx: int) -> Periodic:
         """The same with a tolerance (ndx,)."""
         if self.tolerance.shape not in ((), (ndx,)):
-            raise PlannerError(
-                f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."
-            )
+            shape = self.tolerance.shape
+            raise PlannerError(f"the tolerance of what is periodic has shape {shape}, expected ({ndx},).")
         return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
 
     @property

@@ -31,7 +31,7 @@ from planner.problem.criteria import plain
 from planner.problem.digests import digest_of
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import Built, Recipe
 from planner.problem.state_ranges import Hinges
 
 
@@ -105,7 +105,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Built):
     """An optimized motion with the gains that hold it.
 
     Attributes:
@@ -146,16 +146,6 @@ class Plan:
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
     hinges: Hinges | None = None
-
-    @property
-    def case(self) -> str | None:
-        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
-        return None if self.recipe is None else self.recipe.name
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Arguments of the recipe by name; none without a recipe."""
-        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:
@@ -234,20 +224,14 @@ class Plan:
         names = {name: digest_of(content) for name, content in files.items()}
         meta = {
             "recipe": None if recipe is None else {"name": recipe.name, "parameters": recipe.parameters},
-            "status": self.status.name,
-            "cost": float(self.cost),
-            "gradient_norm": float(self.gradient_norm),
-            "iterations": self.nit,
-            "versions": self.versions,
+            "status": self.status.name, "cost": float(self.cost), "gradient_norm": float(self.gradient_norm),
+            "iterations": self.nit, "versions": self.versions,
             "twin": None if self.twin is None else self.twin.to_dict(),
-            "mjcf": None if self.twin is None else self.twin.mjcf,
-            "files": names,
-            "space": self.space.to_dict(),
+            "mjcf": None if self.twin is None else self.twin.mjcf, "files": names, "space": self.space.to_dict(),
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
-            "options": self.options,
-            "objective": None if objective is None else objective.weights,
+            "options": self.options, "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
-        }
+        }  # fmt: skip
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
         if self.hinges is not None:

@@ -20,7 +20,7 @@ from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
 from planner.problem.limits import Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import Built, Recipe
 from planner.problem.state_ranges import StateRanges
 
 
@@ -47,7 +47,7 @@ class Requirements:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Built):
     """Minimize J = phi(x(N)) + sum L(x(n), u(n), n) subject to x(n+1) = f(x(n), u(n)), x(0) = x0.
 
     Attributes:
@@ -98,9 +98,8 @@ class Problem:
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
         us = None if self.us is None else array("us", self.us, ("N", nu))
-        N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
-        if N is None and us is not None:
-            N = len(us)
+        told = (self.horizon, getattr(self.cost, "N", None), None if us is None else len(us))
+        N = next((number for number in told if number is not None), None)
         if N is None:
             raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
         N = count("horizon", N, most=LONGEST_HORIZON)
@@ -151,16 +150,6 @@ class Problem:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
-
-    @property
-    def case(self) -> str | None:
-        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
-        return None if self.recipe is None else self.recipe.name
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Arguments of the recipe by name; none without a recipe."""
-        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:

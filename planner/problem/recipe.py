@@ -11,6 +11,22 @@ import numpy as np
 from planner.base.errors import PlannerError
 
 
+class Built:
+    """A problem or a plan of one, which may have a recipe."""
+
+    recipe: Recipe | None
+
+    @property
+    def case(self) -> str | None:
+        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
+        return None if self.recipe is None else self.recipe.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Arguments of the recipe by name; none without a recipe."""
+        return {} if self.recipe is None else self.recipe.parameters
+
+
 @dataclass(frozen=True)
 class Recipe:
     """The function that builds a problem, and its arguments."""

@@ -77,12 +77,10 @@ def hold_gain(problem: Problem) -> Hold:
 
 def _goal(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """The last reference (nx,) and which components (ndx,) of a deviation from it cost nothing at the end."""
-    costs = getattr(problem.cost, "costs", (problem.cost,))
-    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    wanted = costs_with_goals(problem)
     if len(wanted) != 1:
-        raise PlannerError(
-            f"the cost has {len(wanted)} terms with a goal, expected one TrackingCost with a final weight."
-        )
+        has = f"the cost has {len(wanted)} terms with a goal state"
+        raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
     return wanted[0].x_ref[-1].copy(), ~np.any(wanted[0].Q[-1], axis=0)
 
 

@@ -88,9 +88,8 @@ def order(problem: Problem, run: Replay) -> Order:
     with np.errstate(all="ignore"):
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        while (
-            not refined_only and len(levels) < MOST_LEVELS and observed is not None and observed < nominal - ORDER_BOUND
-        ):
+        most = len(levels) if refined_only else MOST_LEVELS
+        while len(levels) < most and observed is not None and observed < nominal - ORDER_BOUND:
             substeps.append(2 * substeps[-1])
             levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)

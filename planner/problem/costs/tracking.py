@@ -248,13 +248,10 @@ class TrackingCost(Term):
         joints, inputs, activations = places(mechanism, getattr(machine, "prescribed", ()))
 
         def weights(prefix: str, p: Any, v: Any, a: Any) -> np.ndarray:
-            return np.concatenate(
-                [
-                    diagonal(f"{prefix}position", p, mechanism.nv, "joint", joints),
-                    diagonal(f"{prefix}velocity", v, mechanism.nv, "joint", joints),
-                    diagonal(f"{prefix}activation", a, mechanism.na, "actuator", activations),
-                ]
-            )
+            of_q = diagonal(f"{prefix}position", p, mechanism.nv, "joint", joints)
+            of_v = diagonal(f"{prefix}velocity", v, mechanism.nv, "joint", joints)
+            of_a = diagonal(f"{prefix}activation", a, mechanism.na, "actuator", activations)
+            return np.concatenate([of_q, of_v, of_a])
 
         R = diagonal("effort", effort, nu, "control", inputs)
         if R.min(initial=np.inf) <= 0.0:
