@@ -55,7 +55,7 @@ from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.guess import hold
+from planner.problem.guess import holding_controls
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.problem import Problem, Requirements
@@ -282,7 +282,7 @@ def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
     moment = mechanism.actuators.moment.copy()
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
-    return np.concatenate([hold(free, x0), np.zeros(len(driven))])
+    return np.concatenate([holding_controls(free, x0), np.zeros(len(driven))])
 
 
 def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:

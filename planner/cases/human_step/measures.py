@@ -32,7 +32,7 @@ STANDS = (0.95, 0.66)  # fractions of a cycle between which a foot may be on the
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, between start and end of a gait
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
-PASSES, SETTLED = 6, 0.01  # of a gait: contacts that come and go change the last percent from pass to pass
+PASSES, COST_TOLERANCE = 6, 0.01  # of a gait: contacts that come and go change the last percent from pass to pass
 FOLLOWS = 2.5  # deg, RMS over joints and time: the difference between two planned cycles (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
 """Step 5 also varies the mass of the person and the stiffness of the joints, which nobody has measured."""
@@ -186,7 +186,7 @@ def closing(step: Step) -> Periodic:
         for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
     ]
     accelerations = [CLOSED_ACCELERATION] * 3 + [CLOSED_TURNING] * 3 if step.walker.jerked else []
-    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, settled=SETTLED)
+    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, cost_tolerance=COST_TOLERANCE)
 
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
