@@ -46,26 +46,15 @@ class Weights:
 
 @dataclass(frozen=True)
 class Dive:
-    """A flight from take-off to entry.
-
-    Attributes:
-        diver: The person and the tower.
-        up: Upward speed of the centre of mass at take-off, m/s.
-        ahead: Forward speed of the centre of mass at take-off, m/s.
-        rate: Rate of the somersault at take-off, rad/s.
-        duration: s.
-        somersaults: Turns over the head, positive forward.
-        twists: Turns about the long axis, positive to the left.
-        weights: Weights of the cost.
-    """
+    """A flight from take-off to entry."""
 
     diver: Diver
-    up: float
-    ahead: float
-    rate: float
-    duration: float
-    somersaults: float
-    twists: float
+    up: float  # m/s, of the centre of mass at take-off
+    ahead: float  # m/s, likewise
+    rate: float  # rad/s, of the somersault at take-off
+    duration: float  # s
+    somersaults: float  # turns over the head, positive forward
+    twists: float  # turns about the long axis, positive to the left
     weights: Weights
 
     @property

@@ -74,11 +74,7 @@ class Drive:
 
 
 def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
-    """The robot of a step, whose walker has the motors that `sparing` needs.
-
-    Raises:
-        PlannerError: No such integrator.
-    """
+    """The robot of a step, whose walker has the motors that `sparing` needs."""
     walker, effort = step.walker, np.sqrt(sparing.effort)
     led = not (walker.motors or walker.jerked)
     dynamics = RigidBodyDynamics(walker.mechanism, step.dt, integrator, prescribed=PELVIS if led else ())
