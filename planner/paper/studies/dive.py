@@ -109,22 +109,18 @@ def _by_step(plan: Plan, integrator: str) -> dict[str, list[float]]:
 def _rows(results: dict[str, Any]) -> list[Row]:
     dive, steps = results["dives"][SHOWN], results["momentum"]["by_step"]["rk4"]
     return [
-        Row(
-            "2.2, ref. [16]", "optimal high-dive motions for a human-like diver; no numbers",
+        Row("2.2, ref. [16]", "optimal high-dive motions for a human-like diver; no numbers",
             f"{dive['somersaults']:g} somersaults, {dive['twists']:g} twist: {dive['status'].lower()}, entry "
             f"{dive['turn_miss']:.1g} rad from vertical, largest torque {dive['largest_torque']:.0f} N m",
-            "solved by SLQ rather than by splines; body after Winter's tables; all numbers of the dive are ours",
-        ),
-        Row(
-            "2.2, ref. [16]: conservation", "not stated",
+            "solved by SLQ rather than by splines; body after Winter's tables; all numbers of the dive are ours"),
+        Row("2.2, ref. [16]: conservation", "not stated",
             f"angular momentum changes by {results['momentum']['plan']:.1g} of itself along the plan, of order "
             f"{steps['orders'][-1]:.1f} in the step (RK4); {results['momentum']['mujoco']:.1g} in MuJoCo",
-            "in flight it is constant: what changes is the integrator's error",
-        ),
+            "in flight it is constant: what changes is the integrator's error"),
     ]  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     alone, momentum = results["effort_alone"], results["momentum"]
     rk4, euler = momentum["by_step"]["rk4"], momentum["by_step"]["semi-implicit-euler"]
     steps = [
@@ -133,7 +129,7 @@ def _page(results: dict[str, Any]) -> str:
             rk4["dt"], rk4["change"], _orders(rk4), euler["change"], _orders(euler), strict=True
         )
     ]  # fmt: skip
-    lines = [
+    return [
         "## The high dive (ref. [16])", "",
         "A diver of 10 bodies and 14 motors (`planner run high-dive`), tower of 10 m, masses and lengths after Winter.",
         "The paper names such dives and gives no numbers. Effort is the integral of u²/2, without its weight.", "",
@@ -156,7 +152,6 @@ def _page(results: dict[str, Any]) -> str:
             "semi-implicit Euler": "{euler:.2g}", "order": "{euler_order}",
         }, steps),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _orders(kind: dict[str, Any]) -> list[str]:
@@ -190,6 +185,4 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "dive", "a high dive (reference 16)", _run, _page, _rows, {"dive.png": _draw}, seconds=25,
-)  # fmt: skip
+STUDY = Study("dive", "a high dive (reference 16)", _run, _page, _rows, {"dive.png": _draw}, seconds=25)

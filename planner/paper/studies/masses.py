@@ -166,7 +166,7 @@ def _name(arm: dict[str, Any]) -> str:
     )
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     lines = [
         "## Which arm has the efforts 73.6 and 9.9 (section 2.1)", "",
         "Every arm below has 73.6 along the first guess (a quintic in time, q2 = 0), which sets the scale of its",
@@ -190,7 +190,7 @@ def _page(results: dict[str, Any]) -> str:
             "SLQ, several starts": "{slq_starts[effort]:.1f}",
         }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    return "\n".join([*lines, "", _said(results), ""])
+    return [*lines, "", _said(results)]
 
 
 def _said(results: dict[str, Any]) -> str:
@@ -211,21 +211,15 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     ours, found = results["ours"], results["candidates"]
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     return [
-        Row(
-            "2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
-            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results),
-        ),
-        Row(
-            "2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
+        Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
+            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)),
+        Row("2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
             f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
             f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
-            "another arm, and the nearest of many local minima",
-        ),
-        Row(
-            "2.1", "The direct method takes about 2 minutes on a PIII-800",
+            "another arm, and the nearest of many local minima"),
+        Row("2.1", "The direct method takes about 2 minutes on a PIII-800",
             f"{ours['seconds']:.2f} s, {ours['iterations']} iterations",
-            "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes",
-        ),
+            "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes"),
     ]  # fmt: skip
 
 
@@ -251,7 +245,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "masses", "the direct method, and which arm has the paper's efforts (2.1)",
-    _run, _page, _rows, {"masses.png": _draw}, seconds=20,
-)  # fmt: skip
+STUDY = Study("masses", "the direct method, and which arm has the paper's efforts (2.1)",
+              _run, _page, _rows, {"masses.png": _draw}, seconds=20)  # fmt: skip

@@ -87,12 +87,8 @@ def switched(problem: Problem, bound: float, pause: tuple[float, float] | None =
     """Switching times, s, of the arm's motion with full torques; the last is its end. None where there are none.
 
     The shoulder switches once, from up to down; the elbow twice, down, up, down. Four unknowns for the four equations
-    of the end, integrated by RK4 between switches.
-
-    Args:
-        problem: The two-link arm.
-        bound: Of both torques, N m.
-        pause: Middle and length, s, of a time within the elbow's middle arc in which it pulls down.
+    of the end, integrated by RK4 between switches. Both torques are bounded, N m; `pause` is the middle and length, s,
+    of a time within the elbow's middle arc in which it pulls down.
     """
     dynamics: Any = problem.dynamics
     goal, (middle_of, length) = np.array([0.5 * np.pi, 0.0, 0.0, 0.0]), (0.0, 0.0) if pause is None else pause
@@ -177,7 +173,7 @@ def _time_facts(plan: Plan, bound: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     values = {f"{name}, {unit}": f"{{{name}}}" for name, unit in results["units"].items()}
     motions = []
     for name, motion in results["motions"].items():
@@ -190,7 +186,7 @@ def _page(results: dict[str, Any]) -> str:
         {"seconds": "" if row["known_s"] is None else f"{row['known_s']:.4f}", "share": 100 * row["stages_on_a_bound"]}
         | row for row in results["least_times"]
     ]  # fmt: skip
-    lines = [
+    return [
         "## The criteria the paper names: effort, energy, jerk, time", "",
         f"The two-link arm from horizontal to upright, torques within {results['bound_Nm']:g} N m, its goal met to",
         "1e-4. Effort is half the integral of the squared torques, energy the work of both motors whatever its sign,",
@@ -206,7 +202,6 @@ def _page(results: dict[str, Any]) -> str:
         "SLQ finds local minima, so a least time found is an upper bound of the true one. The acrobot's is not",
         "bang-bang throughout: below it SLQ found no motion, which does not prove that there is none.",
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -214,23 +209,17 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     values = {name: results["motions"][name]["values"] for name in results["motions"]}
     own = all(best[name] == name for name in MEASURES)
     return [
-        Row(
-            "1", "Criteria: effort, energy, jerk, time",
+        Row("1", "Criteria: effort, energy, jerk, time",
             ", ".join(f"{name} {values[name][name]:.4g} {unit}" for name, unit in MEASURES.items()),
             "the paper plans by effort only; two-link arm, "
-            + ("each the least of its own criterion" if own else "not each the least of its own: local minima"),
-        ),
-        Row(
-            "1", "Minimum time",
+            + ("each the least of its own criterion" if own else "not each the least of its own: local minima")),
+        Row("1", "Minimum time",
             f"cart {cart['found_s']:.4f} s (exact: 2 s); arm {arm['found_s']:.4f} s, "
             f"{100 * arm['stages_on_a_bound']:.0f} % of stages on a bound",
-            "the paper shows none; bounds met exactly, stage length by bisection",
-        ),
-        Row(
-            "2.2", "Acrobot swing-up, by effort",
+            "the paper shows none; bounds met exactly, stage length by bisection"),
+        Row("2.2", "Acrobot swing-up, by effort",
             f"in least time {acrobot['found_s']:.3f} s with {ELBOW:g} N m",
-            "the least found: a local minimum, and an upper bound",
-        ),
+            "the least found: a local minimum, and an upper bound"),
     ]  # fmt: skip
 
 
@@ -265,7 +254,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "objectives", "effort, energy, jerk and time (section 1)",
-    _run, _page, _rows, {"objectives.png": _draw}, seconds=60,
-)  # fmt: skip
+STUDY = Study("objectives", "effort, energy, jerk and time (section 1)",
+              _run, _page, _rows, {"objectives.png": _draw}, seconds=60)  # fmt: skip
