@@ -43,9 +43,7 @@ def _run() -> dict[str, Any]:
     mechanism, run = _mechanism(plan), replay(plan, feedback=True)
     names = mechanism.joint_names[1:]
     return {
-        "case": "high-dive",
-        "dives": dives,
-        "effort_alone": _dive(alone, None),
+        "case": "high-dive", "dives": dives, "effort_alone": _dive(alone, None),
         "momentum": {
             "at_take_off": angular_momentum(mechanism, plan.xs[0, : mechanism.nq], plan.xs[0, mechanism.nq :]).tolist(),
             "plan": momentum_drift(mechanism, plan.xs),
@@ -58,7 +56,7 @@ def _run() -> dict[str, Any]:
             "torques_Nm": {name: plan.us[:, i].tolist() for i, name in enumerate(names)},
             "change_of_momentum": _changes(plan).tolist(),
         },
-    }
+    }  # fmt: skip
 
 
 def _mechanism(plan: Plan) -> Any:

@@ -19,14 +19,14 @@ from planner.paper.studies.study import Row, Study
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
-from planner.view.plots.style import grid_of, save
+from planner.view.plots.style import dress, grid_of, save
 
 HEIGHTS = (1.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}  # section 4
-FINAL_WEIGHTS = (10.0, 100.0, 1000.0, 1e4, 1e5)
-TOLERANCES = (1e-3, 1e-6, 1e-10)
-FLOW_WEIGHTS = (0.1, 1.0, 10.0, 100.0)
-SMOOTHINGS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+SWEPT = {  # arguments of paper_plan() and the values that each takes
+    "final_weight": (10.0, 100.0, 1000.0, 1e4, 1e5), "tolerance": (1e-3, 1e-6, 1e-10),
+    "flow_weight": (0.1, 1.0, 10.0, 100.0), "smoothing": (1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+}  # fmt: skip
 SCENES = ((20.0, 1.0), (50.0, 1.0), (50.0, 3.0))  # (height, duration) whose phases are drawn; the last one is ours
 LIMIT = 2000  # iterations; a solve that needs more counts as failed
 
@@ -43,50 +43,37 @@ def _run() -> dict[str, Any]:
         return [plan.nit if plan.success else None for plan in plans]
 
     return {
-        "case": "hopper",
-        "heights": list(HEIGHTS),
+        "case": "hopper", "heights": list(HEIGHTS),
         "paper_iterations": [PAPER_ITERATIONS.get(height) for height in HEIGHTS],
         "iterations": {"open-loop": counts(), "feedback": counts(update="feedback")},
-        "iterations_by_final_weight": {f"{q:g}": counts(final_weight=q) for q in FINAL_WEIGHTS},
-        "iterations_by_tolerance": {f"{tolerance:g}": counts(tolerance=tolerance) for tolerance in TOLERANCES},
-        "iterations_by_flow_weight": {f"{r:g}": counts(flow_weight=r) for r in FLOW_WEIGHTS},
-        "iterations_by_smoothing": {f"{a:g}": counts(smoothing=a) for a in SMOOTHINGS},
+        **{f"iterations_by_{name}": {f"{value:g}": counts(**{name: value}) for value in values}
+           for name, values in SWEPT.items()},
         "phases": [_phases(*scene) for scene in SCENES],
-        "replayed": [_replayed(q) for q in FINAL_WEIGHTS],
-    }
-
-
-def _long_plan(height: float, duration: float) -> Plan:
-    """The same at the paper's step for another duration."""
-    return paper_plan(height, duration=duration, horizon=round(duration * int(PAPER["horizon"])))
+        "replayed": [_replayed(q) for q in SWEPT["final_weight"]],
+    }  # fmt: skip
 
 
 def _phases(height: float, duration: float) -> dict[str, Any]:
-    plan = _long_plan(height, duration)
+    """Stance and flight of the plan at the paper's step."""
+    plan = paper_plan(height, duration=duration, horizon=round(duration * int(PAPER["horizon"])))
     events = crossings(plan.t, plan.xs, float(plan.parameters["smoothing"]))
     return {
-        "height": height,
-        "duration": duration,
-        "status": plan.status.name,
+        "height": height, "duration": duration, "status": plan.status.name,
         "touchdowns_s": [float(t) for t, rate in events if rate > 0.0],
         "lift_offs_s": [float(t) for t, rate in events if rate < 0.0],
-        "t_s": plan.t.tolist(),
-        "height_in": plan.xs[:, 0].tolist(),
-        "piston_in": plan.xs[:, 2].tolist(),
+        "t_s": plan.t.tolist(), "height_in": plan.xs[:, 0].tolist(), "piston_in": plan.xs[:, 2].tolist(),
         "flow_in_per_s": plan.us[:, 0].tolist(),
-    }
+    }  # fmt: skip
 
 
 def _replayed(final_weight: float) -> dict[str, Any]:
     plan = paper_plan(20.0, final_weight=final_weight)
     proof = prove(plan, rollouts=0)  # whether the plan holds at all; how it bears perturbations is beside the point
+    planned, reached = plan.xs[-1].tolist(), proof.replay.xs[-1].tolist()
     return {
-        "final_weight": final_weight,
-        "planned_height": float(plan.xs[-1, 0]),
-        "planned_rate": float(plan.xs[-1, 1]),
-        "reached_height": float(proof.replay.xs[-1, 0]),
-        "verdict": proof.verdict,
-    }
+        "final_weight": final_weight, "planned_height": planned[0], "planned_rate": planned[1],
+        "reached_height": reached[0], "verdict": proof.verdict,
+    }  # fmt: skip
 
 
 def _table(results: dict[str, Any], rows: dict[str, Sequence[Any]]) -> list[str]:
@@ -207,7 +194,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             _on_flow_weight(results).removeprefix("Ours, "),
             "agrees where convergence is slow; where it takes a few iterations there is nothing to gain"),
         Row("4", "Failed to converge for alpha < 1e-5", _on_smoothing(results).removeprefix("Ours "),
-            f"a solve counts as failed when it has not converged after {LIMIT} iterations; the paper's limit is unknown"),
+            f"a solve that has not converged after {LIMIT} iterations counts as failed; the paper's limit is unknown"),
         Row("4, figure of the hop",
             "An alternating sequence of stance and flight, with its switches found by the algorithm",
             stances, "agrees in kind; the figure has no numbers to compare"),
@@ -236,33 +223,25 @@ def _draw(results: dict[str, Any], path: Path) -> None:
             axes.set_ylim(low, high)
             axes.set_xlim(0.0, t[-1])
             axes.legend(frameon=False, loc="upper left")
-        top.set_title(f"height {phase['height']:g} in, {phase['duration']:g} s (stance shaded)")
-        bottom.set_xlabel("time, s")
-    grid[0, 0].set_ylabel("in")
-    grid[1, 0].set_ylabel("in/s")
-    _draw_counts(grid[0, 3], results)
-    smoothing = grid[1, 3]
-    for i, height in enumerate(results["heights"]):
+        title = f"height {phase['height']:g} in, {phase['duration']:g} s (stance shaded)"
+        dress(top, title, "" if column else "in")
+        dress(bottom, "", "" if column else "in/s", "time, s")
+    counts, smoothing = grid[:, 3]
+    heights = results["heights"]
+    for name, cells in results["iterations"].items():
+        counts.semilogy(heights, [np.nan if c is None else c for c in cells], marker="o", ms=4, label=f"ours, {name}")
+    known = [(h, c) for h, c in zip(heights, results["paper_iterations"], strict=True) if c is not None]
+    counts.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color="k", label="paper")
+    dress(counts, "iterations (q_fin = 1000)", "", "goal height, in")
+    counts.legend(frameon=False)
+    for i, height in enumerate(heights):
         points = [(float(a), cells[i]) for a, cells in results["iterations_by_smoothing"].items() if cells[i]]
         if height in (1.0, 20.0, 50.0):
             smoothing.loglog(*zip(*points, strict=True), marker="o", ms=4, label=f"height {height:g}")
     smoothing.axvline(1e-5, color="0.6", lw=0.8, ls=":")
-    smoothing.set_title("failed where there is no point")
-    smoothing.set_xlabel("smoothing alpha, in")
-    smoothing.set_ylabel("iterations")
+    dress(smoothing, "failed where there is no point", "iterations", "smoothing alpha, in")
     smoothing.legend(frameon=False)
     save(figure, path)
-
-
-def _draw_counts(axes: Any, results: dict[str, Any]) -> None:
-    heights = results["heights"]
-    for name, cells in results["iterations"].items():
-        axes.semilogy(heights, [np.nan if c is None else c for c in cells], marker="o", ms=4, label=f"ours, {name}")
-    known = [(h, c) for h, c in zip(heights, results["paper_iterations"], strict=True) if c is not None]
-    axes.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color="k", label="paper")
-    axes.set_title("iterations (q_fin = 1000)")
-    axes.set_xlabel("goal height, in")
-    axes.legend(frameon=False)
 
 
 STUDY = Study("hopper", "the numerical example (section 4)", _run, _page, _rows, {"hopper.png": _draw}, seconds=25)

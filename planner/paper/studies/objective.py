@@ -26,7 +26,7 @@ from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.free_time import solve_for
-from planner.view.plots.style import grid_of, save
+from planner.view.plots.style import dress, grid_of, save
 
 BOUND = 15.0
 """N m of both motors: the arm stretched out needs 9.8 to be held, its motion of least jerk 12.7."""
@@ -145,9 +145,7 @@ def _run() -> dict[str, Any]:
     fast = _least_time(arm, SWITCHED, 2.0)
     acrobot = _least_time(cases.acrobot(horizon=150), ELBOW, 4.0)
     return {
-        "bound_Nm": BOUND,
-        "units": MEASURES,
-        "motions": motions,
+        "bound_Nm": BOUND, "units": MEASURES, "motions": motions,
         "best": {name: min(motions, key=lambda m: motions[m]["values"][name]) for name in MEASURES},
         "least_times": [
             {"machine": "cart, 1 m, 1 kg, 1 N", "known_s": 2.0, "known": "bang-bang, in closed form",
@@ -157,8 +155,7 @@ def _run() -> dict[str, Any]:
              **_time_facts(fast, SWITCHED)},
             {"machine": f"acrobot, {ELBOW:g} N m", "known_s": None, "known": "", **_time_facts(acrobot, ELBOW)},
         ],
-        "acrobot": _motion(acrobot, ELBOW),
-        "acrobot_bound_Nm": ELBOW,
+        "acrobot": _motion(acrobot, ELBOW), "acrobot_bound_Nm": ELBOW,
     }  # fmt: skip
 
 
@@ -245,10 +242,9 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         bottom.set_ylim(-1.15 * bound, 1.15 * bound)
         for axes in (top, bottom):
             axes.set_xlim(0.0, t[-1])
-        top.set_title(f"{name}\n{t[-1]:.3g} s")
-        bottom.set_xlabel("time, s")
-    grid[0, 0].set_ylabel("joint angle, rad")
-    grid[1, 0].set_ylabel("torque, N m")
+        first = top is grid[0, 0]
+        dress(top, f"{name}\n{t[-1]:.3g} s", "joint angle, rad" if first else "")
+        dress(bottom, "", "torque, N m" if first else "", "time, s")
     grid[0, 2].legend(frameon=False, loc="center left")
     figure.suptitle("dashed: bounds of the torques; grey: one of them is on its bound", fontsize="medium")
     save(figure, path)
