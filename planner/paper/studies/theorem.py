@@ -196,10 +196,6 @@ def _steps(results: dict[str, Any], update: str) -> str:
     return "; ".join(f"{case} {'none failed' if step is None else f'{step:.2g}'}" for case, step in steps.items())
 
 
-def _ended(entry: dict[str, Any]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
-
-
 def _page(results: dict[str, Any]) -> list[str]:
     along = [{"where": "random", "iterates": results["problems"], **results["random"], "lowered": ""}]
     many = []
@@ -209,9 +205,11 @@ def _page(results: dict[str, Any]) -> list[str]:
         along.append({"where": f"{name}{found['N']}, every iterate", "lowered": lowered, **found})
         for update in ("feedback", "open-loop"):
             entry = case[update]
+            ended = ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
             many.append({
-                "case": f"{name}{case['N']}", "update": update, "size": case["size"], "share": _share(entry),
-                "ended": _ended(entry), "few": _few(entry["iterations"]), "listed": _minima(entry), **entry,
+                "case": f"{case['case']}, N = {case['N']}", "update": update, "size": case["size"],
+                "share": _share(entry), "ended": ended, "few": _few(entry["iterations"]),
+                "listed": _minima(entry), **entry,
             })  # fmt: skip
     return [
         "# Theorems 1 and 2 in numbers (section 3.4)", "",
