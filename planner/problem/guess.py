@@ -6,6 +6,7 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.statics import supported
 from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
@@ -60,6 +61,15 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
         (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
         (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
     )
+
+
+def rolled(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """The states (N+1, nx) to which controls (N, nu) lead from x0 (nx,), step by step."""
+    xs = np.empty((len(us) + 1, dynamics.nx))
+    xs[0] = x0
+    for n in range(len(us)):
+        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+    return xs
 
 
 def _lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ EXAMPLES = ROOT / "examples"
 
 
 def test_the_example_converges_passes_and_is_the_same_in_python():
-    problem, starts, seed = load(EXAMPLES / "crane.toml")
+    problem, starts, seed, *_ = load(EXAMPLES / "crane.toml")
     assert (starts, seed) == (1, 0)
     plan = planner.solve(problem)
     assert plan.success
@@ -119,8 +119,8 @@ def test_weights_reach_the_cost(tmp_path):
 
 def test_starts_and_seed_are_the_files_unless_given(tmp_path):
     path = write(tmp_path, starts="3", seed="5")
-    assert load(path)[1:] == (3, 5)
-    problem, starts, seed = load(path, starts=2, seed=0)
+    assert load(path)[1:3] == (3, 5)
+    problem, starts, seed, *_ = load(path, starts=2, seed=0)
     assert (starts, seed) == (2, 0)
     assert (problem.parameters["starts"], problem.parameters["seed"]) == (2, 0)
 

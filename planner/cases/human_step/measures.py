@@ -167,15 +167,12 @@ def judge_tracking(step: Step, run: Replay) -> Section:
     rms, most = float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
     place, turn = (float(np.abs(error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
     bound, how = (FEEDBACK, "with the plan's gains") if run.feedback else (OPEN_LOOP, "without feedback")
-    return Section(
-        run.title,
-        (
-            Measured("joint_error", rms, "deg", bound, f"RMS over the legs' joints, {how}"),
-            Measured("largest_joint_error", most, "deg", None, "over the replay"),
-            Measured("pelvis_error", place, "m", None, "largest, of its place"),
-            Measured("pelvis_turn_error", turn, "rad", None, "largest"),
-        ),
-    )
+    return Section(run.title, (
+        Measured("joint_error", rms, "deg", bound, f"RMS over the legs' joints, {how}"),
+        Measured("largest_joint_error", most, "deg", None, "over the replay"),
+        Measured("pelvis_error", place, "m", None, "largest, of its place"),
+        Measured("pelvis_turn_error", turn, "rad", None, "largest"),
+    ))  # fmt: skip
 
 
 def closing(step: Step) -> Periodic:
@@ -232,14 +229,9 @@ def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
 
 
 def follows(step: Step, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray, clear: bool) -> np.ndarray:
-    """Which perturbed patients walk as planned, with legs near the plan and the swinging foot off the belt: (K,).
+    """Which perturbed patients (K,), of states (K, T, nx) at knots (T,), walk as the plan, of states (T, nx).
 
-    Args:
-        step: The step.
-        xs: States (K, T, nx).
-        plan_xs: States (T, nx) of the plan.
-        knots: Their stages (T,), 0 to N.
-        clear: Whether heel and toe must be above the belt in the middle of a swing.
+    Their legs must be near the plan's; with `clear`, heel and toe must be above the belt in the middle of a swing.
     """
     joints, nq = list(_places(step)[0].values()), step.walker.mechanism.nq
     won = np.sqrt(np.mean(np.degrees(xs[..., joints] - plan_xs[:, joints]) ** 2, axis=(1, 2))) < FOLLOWS
