@@ -1,4 +1,4 @@
-"""The grammar of the command line. The signature of a case gives the names, types and defaults of its flags."""
+"""The commands and flags of the command line. A case's signature gives the names, types and defaults of its flags."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NoReturn, get_args, get_type_hints
 
+from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.cases import CASES, problem_keys
 from planner.dynamics import INTEGRATORS
@@ -28,14 +30,15 @@ class _Parser(argparse.ArgumentParser):
     """An ArgumentParser that raises a PlannerError instead of printing the usage and exiting."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, formatter_class=_help, **options)
+        layout = partial(argparse.HelpFormatter, max_help_position=32, width=110)
+        super().__init__(allow_abbrev=False, formatter_class=layout, **options)
 
     def error(self, message: str) -> NoReturn:
-        raise PlannerError(f"{message.rstrip('.')} (see {self.prog} --help).")
+        raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
-
-def _help(prog: str) -> argparse.HelpFormatter:
-    return argparse.HelpFormatter(prog, max_help_position=32, width=110)
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None:
+            choice("/".join(action.option_strings) or str(action.metavar), value, tuple(action.choices))
 
 
 def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
@@ -50,25 +53,25 @@ def summary(case: Callable[..., Any]) -> str:
     return (inspect.getdoc(case) or "").split("\n", 1)[0]
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]:
+    """A type of add_argument() that names what it expected."""
+
+    def convert(text: str) -> Any:
+        try:
+            return parse(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}") from None
+
+    return convert
 
 
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+def _width_and_height(text: str) -> tuple[int, int]:
+    width, height = map(int, text.split("x"))
+    return width, height
 
 
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size like 1280x720")
-    return int(match[1]), int(match[2])
+_number, _whole = _word_as(float, "a number"), _word_as(int, "a whole number")
+_size = _word_as(_width_and_height, "a size like 1280x720")
 
 
 def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
@@ -106,20 +109,22 @@ def _leaves(hint: Any) -> tuple[Any, ...]:
 
 
 _LIMITS: Flags = {
-    "--control-limit": {"type": _number, "metavar": "X", "help": "Bound of all controls."},
-    "--exact-goal": {"action": "store_true", "help": "Meet the goal exactly, to 1e-4."},
+    "--control-limit": {"type": _number, "metavar": "X", "help": "Largest magnitude of every control."},
+    "--exact-goal": {"action": "store_true", "help": "Reach the goal to 1e-4 instead of weighing the distance to it."},
 }
 _SOLVER: Flags = {
     "--update": {"choices": UPDATES, "default": "feedback",
-                 "help": "feedback: us + step k + K (x - xs); open-loop: the paper's Eq. 36. Default: feedback."},
-    "--line-search": {"choices": LINE_SEARCHES, "default": "armijo", "help": "Default: armijo."},
+                 "help": "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36. "
+                         "Default: feedback."},
+    "--line-search": {"choices": LINE_SEARCHES, "default": "armijo",
+                      "help": "Rule that accepts a step length. Default: armijo."},
     "--hessian": {"choices": HESSIANS, "default": "gauss-newton",
-                  "help": "exact: with second derivatives of the dynamics (hinges, slides, hopper). "
+                  "help": "exact adds second derivatives of the dynamics (hinges, slides, hopper). "
                           "Default: gauss-newton."},
     "--max-iterations": {"type": _whole, "default": 1000, "metavar": "N",
-                         "help": "Limit of the solver. Default: 1000."},
-    "--starts": {"type": _whole, "metavar": "N", "help": "First guesses to try, the problem's own and smooth random "
-                                                         "changes of it; the best wins. Default: 1."},
+                         "help": "Largest number of iterations of the solver. Default: 1000."},
+    "--starts": {"type": _whole, "metavar": "N", "help": "Number of first guesses to try: the problem's own and smooth "
+                                                         "random changes of it; the best plan wins. Default: 1."},
     "--seed": {"type": _whole, "metavar": "N", "help": "Seed of the random first guesses. Default: 0."},
     "--rank": {"choices": ("cost", "proven-cost"), "default": "cost",
                "help": "Rank starts by the plan's cost, or by the cost of its replay in MuJoCo. Default: cost."},
@@ -129,22 +134,22 @@ _SOLVER: Flags = {
 }  # fmt: skip
 _PROOF: Flags = {
     "--rollouts": {"type": _whole, "default": 512, "metavar": "N",
-                   "help": "Perturbed rollouts of the proof, 0 for none; `run` stops them after 20 s. Default: 512."},
+                   "help": "Number of perturbed simulations, 0 for none; `run` stops them after 20 s. Default: 512."},
     "--hold": {"type": _number, "default": 0.0, "metavar": "S",
                "help": "Also hold the goal for S seconds after the end, by an infinite-horizon LQR. Default: 0."},
 }  # fmt: skip
 _ROLLOUT: Flags = {
-    "--replay-case": {"type": _whole, "metavar": "K", "help": "Show perturbed rollout K in detail."},
+    "--replay-case": {"type": _whole, "metavar": "K", "help": "Show perturbed simulation K in detail."},
     "--mode": {"choices": ("feedback", "open-loop"), "default": "feedback",
-               "help": "Mode of that rollout. Default: feedback."},
+               "help": "Simulate it with the plan's gains or open loop. Default: feedback."},
     "--seed": {"type": _whole, "default": 0, "metavar": "N", "help": "Seed of the perturbations. Default: 0."},
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0; repeat it for others (docs/proof.md)."},
 }  # fmt: skip
-_NO_VIDEO = {"--no-video": {"action": "store_true", "help": "No pictures that need OpenGL."}}
+_NO_VIDEO = {"--no-video": {"action": "store_true", "help": "Make no video and no strip of poses, which need OpenGL."}}
 _OUTPUT: Flags = {
     "--json": {"action": "store_true", "help": "Print one JSON document on stdout."},
-    "--quiet": {"action": "store_true", "help": "No progress."},
+    "--quiet": {"action": "store_true", "help": "Print no progress."},
 }
 
 
@@ -155,7 +160,7 @@ def _add(parser: argparse.ArgumentParser, *groups: Flags) -> None:
 
 
 def build() -> argparse.ArgumentParser:
-    """The whole grammar. Parsed arguments have `command` and, where a case is named, `case` and `case_*`.
+    """All commands and flags. Parsed arguments have `command` and, where a case is named, `case` and `case_*`.
 
     A problem file is parsed as a case: `run crane.toml` as `run PROBLEM.toml crane.toml`.
     """
@@ -187,22 +192,22 @@ def build() -> argparse.ArgumentParser:
         return {"--out": {"default": default, "metavar": metavar, "help": text}}
 
     plan = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
-    refine = {"--no-refine": {"action": "store_true", "help": "Do not refine a plan that fails."}}
+    refine = {"--no-refine": {"action": "store_true", "help": "Do not solve a failed plan again at a finer step."}}
     folder = out("DIR", "Folder of the results. Default: renders/CASE.")
     command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
     with_case("run", "Plan, prove, plot and film a case.", refine, _PROOF, _NO_VIDEO, folder)
-    with_case("solve", "Plan a case and save the plan.", out("FILE", "Default: plan.npz.", "plan.npz"))
+    with_case("solve", "Plan a case and save the plan.", out("FILE", "The plan's file. Default: plan.npz.", "plan.npz"))
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
         {"--mjcf": {"metavar": "FILE", "help": "Replay in this model instead of the plan's own."}},
-        out("FILE", "Write the proof as JSON here."), _PROOF, _ROLLOUT, _OUTPUT,
+        out("FILE", "Write the proof to this JSON file."), _PROOF, _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
         "render", "Film the replay of a stored plan.", plan,
-        out("FILE", "*.mp4, or *.png for a strip. Default: video.mp4.", "video.mp4"),
-        {"--size": {"type": _size, "metavar": "WxH", "help": "Pixels. Default: 1280x720."},
+        out("FILE", "A name.mp4 for a video, a name.png for a strip of poses. Default: video.mp4.", "video.mp4"),
+        {"--size": {"type": _size, "metavar": "WxH", "help": "Pixels. Default: 1280x720, of a strip 1920x540."},
          "--fps": {"type": _whole, "default": 60, "metavar": "N", "help": "Frames per second. Default: 60."},
-         "--speed": {"type": _number, "metavar": "X", "help": "Playback speed. Default: the case's."}},
+         "--speed": {"type": _number, "metavar": "X", "help": "Playback speed, e.g. 0.25. Default: the case's."}},
         _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
@@ -212,19 +217,19 @@ def build() -> argparse.ArgumentParser:
     command(
         "check", "Prove stored plans again and compare with the numbers stored beside them.",
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
-         "--update": {"action": "store_true", "help": "Store the new numbers."},
+         "--update": {"action": "store_true", "help": "Store the new numbers where they differ."},
          "--tolerance": {"type": _number, "default": 0.05, "metavar": "X",
-                         "help": "Relative change that counts. Default: 0.05."}},
+                         "help": "Relative change of a number that is reported. Default: 0.05."}},
         _OUTPUT,
     )  # fmt: skip
     names = ", ".join(study.name for study in STUDIES)
     command(
         "paper", "Compute every figure and number of the paper and show it beside the paper's.",
         {"studies": {"metavar": "STUDY", "nargs": "*",
-                     "help": f"Some studies, each on a page of its own: {names}. Default: all."},
-         "--proofs": {"action": "store_true", "help": "The table of proofs of all machines instead."}},
-        out("DIR", "Folder of the results. Default: in a checkout docs and renders/gallery/paper, elsewhere paper; for "
-                   "some studies and for --proofs renders/paper."),
+                     "help": f"Studies to compute, each on a page of its own: {names}. Default: all."},
+         "--proofs": {"action": "store_true", "help": "Write the table of proofs of all machines instead."}},
+        out("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; for single "
+                   "studies and for --proofs renders/paper."),
         _OUTPUT,
     )  # fmt: skip
     exact = {"--all": {"action": "store_true", "help": 'Also compile the kernels that only hessian="exact" needs.'}}
@@ -255,6 +260,6 @@ def parse(argv: list[str]) -> argparse.Namespace:
     word = unknown[0]
     known = [flag for action in parser._actions for flag in action.option_strings] if parser is not None else []
     near = difflib.get_close_matches(word.split("=")[0], known, n=1)
-    hint = f" Did you mean {near[0]}?" if near else f" See {where} --help."
+    hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
-    raise PlannerError(f"{where} knows no {kind} {word!r}.{hint}")
+    raise PlannerError(f"{where!r} has no {kind} {word!r}. {hint}")
