@@ -46,7 +46,9 @@ _LINEAR = 1e3  # a fan with larger deviations is drawn on a symmetric log scale
 def draw_proof(proof: Proof) -> Figure:
     """The figure of a proof's measurements."""
     plan, rollouts = proof.replay.plan, proof.monte_carlo
-    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=_bound(plan))]
+    own_rules = getattr(getattr(plan.problem, "requirements", None), "tracking", None) is not None
+    bound = None if own_rules else STATE_BOUND  # on the end state's error
+    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=bound)]
     if proof.convergence is not None:
         panels.append(partial(_draw_order, order=proof.convergence))
     if rollouts is not None and rollouts.done:
@@ -57,12 +59,6 @@ def draw_proof(proof: Proof) -> Figure:
         draw(on)
     title_above(figure, "What the proof measured")
     return figure
-
-
-def _bound(plan: Plan) -> float | None:
-    """The general bound on the end state's error; None where the case has rules of its own."""
-    own = getattr(getattr(plan.problem, "requirements", None), "tracking", None)
-    return STATE_BOUND if own is None else None
 
 
 def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
@@ -94,7 +90,13 @@ def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
 
 def _draw_order(axes: Axes, order: Order) -> None:
     """Draw the change of the end state from each step to half of it, and the slope of the integrator's order."""
-    words = "step h (s), halved to h/2\n" + _order_words(order)
+    observed = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
+    with np.errstate(all="ignore"):  # at h = 0: Richardson's extrapolation, its grid convergence index
+        words = (
+            "step h (s), halved to h/2\n"
+            f"observed order {observed}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
+            f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
+        )
     dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state", words)
     axes.xaxis.label.set_fontsize(7.5)
     steps, changes = order.steps[: len(order.changes)], positive(order.changes)
@@ -113,16 +115,6 @@ def _draw_order(axes: Axes, order: Order) -> None:
     axes.plot(steps, line, color=SOFT, lw=1.1, ls=DASHED, label=f"order {order.nominal:g}, the integrator's", zorder=2)
     axes.set_ylim(0.2 * max(low, high / 10.0**_DECADES), 5.0 * high)
     axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none")
-
-
-def _order_words(order: Order) -> str:
-    """The extrapolation to a step of zero (Richardson) and its uncertainty (grid convergence index)."""
-    seen = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
-    with np.errstate(all="ignore"):
-        return (
-            f"observed order {seen}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
-            f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
-        )
 
 
 def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:

@@ -18,9 +18,8 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,7 +62,7 @@ def _draw(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndar
     if job.kind == "strip":
         return _draw_strip(films[0], job)
     with ExitStack() as scenes:
-        rows = [[scenes.enter_context(tile) for tile in row] for row in _tiles(films, job)]
+        rows = _tiles(films, job, scenes)
 
         def picture(frame: int) -> np.ndarray:
             parts = [np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows]
@@ -85,8 +84,8 @@ def _draw_video(picture: Callable[[int], np.ndarray], frames: int, job: Job, pro
     return image
 
 
-def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
-    """The parts of a picture, row by row."""
+def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
+    """The parts of a picture, row by row; `scenes` closes their OpenGL contexts."""
     seen = [film.views for film in films]  # by film and camera
     if len(films) > 1:
         seen = [list(row) for row in zip(*seen, strict=True)]
@@ -107,9 +106,12 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
                 label=views[0].label if views else "",
             )  # fmt: skip
-            oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
-            scene = partial(Scene, oversize=oversize, beside=beside, narrow=len(row) > 1 or len(seen) > 1)
-            tiles[-1].append(_Tile(film, (widths[j], heights[i]), words, scene))
+            scene = Scene(
+                film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
+                narrow=len(row) > 1 or len(seen) > 1,
+            )  # fmt: skip
+            written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
+            tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
     return tiles
 
 
@@ -132,31 +134,20 @@ def _shares(pixels: int, parts: int) -> list[int]:
     return [each] * (parts - 1) + [pixels - each * (parts - 1)]
 
 
-class _Tile:
-    """A film from one camera, with its words. A context manager."""
+class _Tile(NamedTuple):
+    """A film from one camera, with its words."""
 
-    def __init__(self, film: Film, size: tuple[int, int], words: overlay.Words, scene: Callable[..., Scene]) -> None:
-        self.film = film
-        self._words, self._scene = overlay.Overlay(film.appearance, *size, words), scene(film, *size)
-
-    def __enter__(self) -> _Tile:
-        self._scene.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._scene.__exit__(*error)
+    film: Film
+    words: overlay.Overlay
+    scene: Scene
 
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame`: (height, width, 3), uint8."""
-        drawn, film = self._scene.draw(frame), self.film
-        return self._words.write(drawn, film.t[frame], film.readings[frame], self._marks())
-
-    def _marks(self) -> list[overlay.Mark]:
-        """The goal's label, beside the right end of its line in the last drawn picture."""
-        shown = self.film.appearance
-        ends = [self._scene.project(np.asarray(end)) for end in shown.goal_line or ()]
+        drawn, film = self.scene.draw(frame), self.film
+        ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
         seen = [end for end in ends if end is not None]
-        return [(max(seen), f" {shown.goal_label}", "lm")] if seen else []
+        marks = [(max(seen), f" {film.appearance.goal_label}", "lm")] if seen else []  # at the right end of the line
+        return self.words.write(drawn, film.t[frame], film.readings[frame], marks)
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:

@@ -96,6 +96,5 @@ def _ffmpeg(shown: PathLike) -> str:
     try:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
-        raise FileError(
-            f"Cannot write {str(shown)!r}: there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        ) from error
+        cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
+        raise FileError(f"Cannot write {str(shown)!r}: {cure}") from error

@@ -64,11 +64,14 @@ class Overlay:
         self._panels = [*([self._readout_panel()] if words.numbers else []), *self._legend_panels(words)]
         if words.label:
             self._panels.append(self._right_panel(words.label, round(self._margin)))
+        self._unstable, caption = words.unstable, words.caption
         warning = [(f"unstable at t = {words.unstable:.2f} s", self._title, _BAD)]
-        self._unstable = words.unstable
-        self._warning = self._bottom_panel(warning, 1.0 if words.caption is None else 2.3)
-        if words.caption is not None:
-            self._panels.append(self._caption_panel(words.caption))
+        self._warning = self._bottom_panel(warning, 1.0 if caption is None else 2.3)
+        if caption is not None:
+            parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK), (caption.detail, self._text, _INK)]
+            if caption.verdict:
+                parts.insert(1, (f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
+            self._panels.append(self._bottom_panel(parts, 1.0))
 
     def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
         """A copy of the picture (height, width, 3), uint8, at time t, s, with everything written on it.
@@ -133,13 +136,6 @@ class Overlay:
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
         return panel, (round(m), round(m))
 
-    def _caption_panel(self, caption: Caption) -> _Placed:
-        """The mode of the film and how it ends, at the bottom in the middle."""
-        parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK)]
-        if caption.verdict:
-            parts.append((f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
-        return self._bottom_panel([*parts, (caption.detail, self._text, _INK)], 1.0)
-
     def _bottom_panel(self, parts: Sequence[_Part], above: float) -> _Placed:
         """Words in a row in the middle, so many lines above the legend."""
         p, height = self._padding, 40 * self._unit
@@ -181,7 +177,7 @@ class Overlay:
 
 
 def decimals(largest: float) -> int:
-    """How many decimals give about four digits to a number as large as `largest`, at most four."""
+    """Number of decimals, at most four, that give about four digits to a number as large as `largest`."""
     return 4 if largest == 0 else int(np.clip(3 - math.floor(math.log10(largest)), 0, 4))
 
 

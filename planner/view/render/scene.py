@@ -127,7 +127,7 @@ class Scene:
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """(column, row) of a point of the scene in the last drawn picture, None for one behind the camera."""
-        camera, other = self._renderer.scene.camera  # two eyes; the picture is of their middle
+        camera, other = self._renderer.scene.camera  # two eyes; the picture is seen from their middle
         eye = 0.5 * (np.asarray(camera.pos) + np.asarray(other.pos))
         ahead, up = np.asarray(camera.forward), np.asarray(camera.up)
         x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)

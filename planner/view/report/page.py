@@ -52,18 +52,7 @@ def write_report(
     Raises:
         FileError: The page cannot be written, or a picture cannot be read.
     """
-    place = Path(folder) / NAME
-    page = html(plan, proof, Path(folder), video_note, path, options)
-    with write_atomically(place) as hidden:
-        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
-    return place
-
-
-def html(
-    plan: Plan, proof: Proof | None, folder: Path, video_note: str = "", path: Sequence[Refinement] = (),
-    options: Mapping[str, Any] | None = None,
-) -> str:  # fmt: skip
-    """The page that write_report() writes."""
+    folder = Path(folder)
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -79,12 +68,15 @@ def html(
         _model(plan),
     ]
     body = "\n".join(part for part in parts if part)
-    return (
+    page = (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(_word(proof))}: {escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
     )
+    with write_atomically(folder / NAME) as hidden:
+        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
+    return folder / NAME
 
 
 def _word(proof: Proof | None) -> str:
@@ -165,7 +157,7 @@ def _parameters(plan: Plan) -> str:
 
 
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
-    """How to make the plan again: the command, the problem file, the seeds."""
+    """The command, the problem file and the seeds that make the plan again."""
     line = command(plan, path, options)
     shown = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
     file = problem_text(plan, path)

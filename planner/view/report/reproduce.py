@@ -1,4 +1,4 @@
-"""How to make a plan again: the command, and the problem file where there was one."""
+"""The command that makes a plan again, and its problem file if it had one."""
 
 from __future__ import annotations
 
