@@ -1,8 +1,7 @@
 """Read inputs within limits and write outputs whole: a failure leaves the older file untouched.
 
 An input must be an ordinary file of limited size, because reading a pipe or device may never end. An output is written
-under a hidden name beside its place and moved there by os.replace, which is atomic in a file system. Files that belong
-together are written into a hidden folder and moved at the end. Every error names its path.
+under a hidden name beside its place and moved there by os.replace, which is atomic. Every error names its path.
 """
 
 from __future__ import annotations
@@ -44,14 +43,7 @@ _SENTENCES = {
 
 
 def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:
-    """The content of an ordinary file.
-
-    Args:
-        path: The file.
-        what: Its name in the message: "the model".
-        most: Largest size, bytes.
-        raises: Error for a file that cannot be read, is not ordinary or is too large.
-    """
+    """The content of an ordinary file of at most `most` bytes; a message calls it `what`, e.g. "the model"."""
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             state = os.fstat(file.fileno())
@@ -86,20 +78,17 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
     """Yield a hidden path beside `path`; on success that file replaces `path`, on any exception it is removed.
 
     The hidden file exists from the start, so that an unwritable folder fails before any work. It has the suffix of
-    `path`, because many writers choose the format by it.
-
-    Args:
-        path: The file to write. A symbolic link is followed. Its folder must exist.
+    `path`, because many writers choose the format by it. The folder of `path` must exist.
 
     Raises:
         FileError: `path` cannot be written: what was wrong and what was expected.
     """
     target = Path(path)
     try:
-        # A link stays; the file it points at is replaced.
-        place = Path(os.path.realpath(target))
-        refuse_other_than_file(target)
-        hidden = _new_file(place.parent, place.suffix)
+        place = Path(os.path.realpath(target))  # a link stays; the file it points at is replaced
+        _refuse_other_than_file(target)
+        hidden = place.parent / f"{_HIDDEN}{os.urandom(6).hex()}{place.suffix}"
+        os.close(os.open(hidden, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # with the usual permissions
     except FileError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
@@ -118,11 +107,7 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
 
 
 def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]:
-    """Create a folder for results and an empty hidden folder in it, so that an unwritable one fails before any work.
-
-    Args:
-        folder: The folder; its missing parents are created, too.
-        outputs: Names of the files that will be written into it.
+    """Create a folder for files named `outputs`, and a hidden folder in it: an unwritable one fails before any work.
 
     Returns:
         The hidden folder, and the folders that were created, innermost first.
@@ -132,10 +117,10 @@ def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]
     """
     created: list[Path] = []
     try:
-        created = missing_folders(folder)
+        created = _missing_folders(folder)
         folder.mkdir(parents=True, exist_ok=True)
         for name in outputs:
-            refuse_other_than_file(folder / name)
+            _refuse_other_than_file(folder / name)
         return Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=folder)), created
     except BaseException as error:
         remove_empty(created)
@@ -148,12 +133,8 @@ def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]
 def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a hidden folder inside `path`; on success its files move to `path`, one after the other.
 
-    On any exception what was created is removed and older results stay untouched.
-
-    Args:
-        path: The folder of the results; it and its missing parents are created at once.
-        outputs: Names of all files that such a set may have. Older files with these names are removed on success: the
-            video of an older plan must not lie beside a new plan.
+    On any exception the created files and folders are removed and older results stay untouched. On success older files
+    named in `outputs` are removed: the video of an older plan must not lie beside a new plan.
 
     Raises:
         FileError: The folder cannot be written: what was wrong and what was expected.
@@ -198,7 +179,7 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
     if number == errno.EISDIR:
         return "it is a folder, expected the name of a file"
     if number == errno.ENOENT:
-        missing = missing_folders(path.parent)
+        missing = _missing_folders(path.parent)
         if missing:
             return f"the folder {_shown(missing[-1])} does not exist; create it or choose another"
         if verb == "read":
@@ -212,7 +193,7 @@ def _reason(error: BaseException, path: Path, verb: str, expected: str) -> str:
 
 
 def _concerns(error: OSError, hidden: Path, folder: Path) -> bool:
-    """Whether an OSError of the caller's code is about the file it wrote; others, e.g. a closed pipe, pass."""
+    """Whether an OSError of the caller's code is about the file it wrote and not, e.g., about a closed pipe."""
     if error.filename is not None:
         names = (error.filename, error.filename2)
         return any(name is not None and str(hidden) in os.fsdecode(name) for name in names)
@@ -224,7 +205,7 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
     files = sorted(file for file in staging.rglob("*") if file.is_file())
     names = [file.relative_to(staging) for file in files]
     for file, name in zip(files, names, strict=True):
-        refuse_other_than_file(folder / name)
+        _refuse_other_than_file(folder / name)
         _flush_to_device(file)
     # Old files go first: an interruption here may leave an old plan without its video, never a new plan with it.
     for name in {Path(output) for output in outputs} - set(names):
@@ -234,35 +215,24 @@ def _publish(staging: Path, folder: Path, outputs: Iterable[str]) -> None:
         os.replace(file, folder / name)
 
 
-def refuse_other_than_file(path: Path) -> None:
-    """Raise FileError where `path` is something that os.replace must not replace, e.g. /dev/null."""
+def _refuse_other_than_file(path: Path) -> None:
+    """Raise FileError where `path` is a folder, a device or a pipe, which os.replace must not replace."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
         return
-    if stat.S_ISDIR(mode):
-        raise FileError(f"Cannot write {_shown(path)}: it is a folder, expected the name of a file.")
     if not stat.S_ISREG(mode):
-        raise FileError(f"Cannot write {_shown(path)}: it is a device or pipe, expected an ordinary file.")
-
-
-def _new_file(folder: Path, suffix: str) -> Path:
-    """Create an empty file with a hidden name and the usual permissions."""
-    path = folder / f"{_HIDDEN}{os.urandom(6).hex()}{suffix}"
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    return path
+        found = "folder, expected the name of a" if stat.S_ISDIR(mode) else "device or pipe, expected an ordinary"
+        raise FileError(f"Cannot write {_shown(path)}: it is a {found} file.")
 
 
 def _flush_to_device(path: Path) -> None:
     """Write the content to the device before its name: some disks fail only here."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
 
 
-def missing_folders(folder: Path) -> list[Path]:
+def _missing_folders(folder: Path) -> list[Path]:
     """`folder` and its parents as far as they do not exist, innermost first."""
     return [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
 

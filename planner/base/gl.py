@@ -26,10 +26,9 @@ _OPENGL = ("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1")
 
 
 def backend() -> str | None:
-    """The value of MUJOCO_GL that works here, or None.
+    """The first value of MUJOCO_GL that works here: the user's own, "osmesa" (same pixels everywhere), "egl", or None.
 
-    The order is: the user's own MUJOCO_GL, "osmesa" (software, the same pixels everywhere), "egl". macOS and Windows
-    always have OpenGL: "native" leaves MUJOCO_GL alone.
+    macOS and Windows always have OpenGL: "native" leaves MUJOCO_GL alone.
     """
     if not sys.platform.startswith("linux"):
         return "native"

@@ -11,7 +11,7 @@ from planner.base.files import write_atomically
 
 
 def finite(value: Any) -> Any:
-    """The value with None for every number that is not finite: JSON has no NaN and no infinity."""
+    """Replace every number that is not finite by None: JSON has no NaN and no infinity."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -22,7 +22,7 @@ def finite(value: Any) -> Any:
 
 
 def json_text(content: dict[str, Any]) -> str:
-    """A JSON document for a file."""
+    """The text of a JSON file."""
     return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Measured values with their bounds: the content of a proof."""
+"""Measured numbers with their bounds: the content of a proof."""
 
 from __future__ import annotations
 

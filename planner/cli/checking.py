@@ -1,10 +1,10 @@
-"""The command `check`: prove stored plans again and compare with the figures stored beside them."""
+"""The command `check`: prove stored plans again and compare with the numbers stored beside them."""
 
 from __future__ import annotations
 
 import argparse
 
-from planner.cli.console import Console
+from planner.cli.console import Console, shown
 from planner.sweeps.stored_plans import Checked, check
 
 
@@ -15,16 +15,16 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
         console.note(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
 
     done = check(*arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show)
-    rows = []
     for one in done:
-        rows += [(str(one.plan), one.problem, "", "", "", "regressed")] if one.problem else []
-        for change in one.changes:
-            values = [_shown(value) for value in (change.stored, change.now, change.bound)]
-            name = change.figure.replace("_", " ")
-            name = f"{change.step.replace('_', ' ')} {name}".strip()
-            rows.append((str(one.plan), name, *values, "regressed" if change.regressed else "moved"))
+        if one.problem:
+            console.say(f"{one.plan} is not compared: {one.problem}")
+    rows = [
+        (str(one.plan), f"{change.step} {change.figure}".replace("_", " ").strip(),
+         shown(change.stored), shown(change.now), shown(change.bound), change.word)
+        for one in done for change in one.changes
+    ]  # fmt: skip
     if rows:
-        console.table(("plan", "figure", "stored", "now", "bound", ""), rows)
+        console.table(("plan", "measured", "stored", "now", "bound", ""), rows)
     bad = sum(not one.passed for one in done)
     moved = sum(bool(one.changes) for one in done if one.passed)
     counts = {"proved": len(done), "regressed": bad, "moved": moved, "as stored": len(done) - bad - moved}
@@ -40,7 +40,3 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
         for one in done
     ]  # fmt: skip
     return console.finish("check", 1 if bad else 0, plans=plans)
-
-
-def _shown(value: float | str | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.5g}"

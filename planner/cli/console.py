@@ -1,7 +1,4 @@
-"""Console: the only file that prints. Results go to stdout, progress to stderr.
-
-With --json stdout holds one JSON document and nothing else.
-"""
+"""The only file that prints: results to stdout, progress to stderr; with --json stdout holds one JSON document."""
 
 from __future__ import annotations
 
@@ -18,17 +15,18 @@ from planner.solvers.free_time import Tried
 from planner.solvers.periodic import Pass
 
 
-class Console:
-    """Output of a command.
+def shown(value: object) -> str:
+    """A value for a table: numbers in five digits, lists as words, "" for None."""
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return "" if value is None else f"{value:.5g}" if isinstance(value, float) else str(value)
 
-    Args:
-        as_json: Print one JSON document at the end instead of text.
-        quiet: Print no progress.
-    """
+
+class Console:
+    """Output of a command: text, or one JSON document at the end (`as_json`); `quiet` prints no progress."""
 
     def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
-        self.as_json = as_json
-        self.quiet = quiet
+        self.as_json, self.quiet = as_json, quiet
         self.lost = ""  # why results could not be printed
         self._live = sys.stderr is not None and sys.stderr.isatty()
         self._drawn = 0.0

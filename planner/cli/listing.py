@@ -1,4 +1,4 @@
-"""The command `list`: the machines and the keys of a problem file."""
+"""The command `list`: the machines with their flags, and the keys of a problem file."""
 
 from __future__ import annotations
 

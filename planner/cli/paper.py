@@ -1,4 +1,4 @@
-"""The command `paper`: the paper's numbers beside ours. A FAIL is a result: the exit code is 0 if all was computed."""
+"""The command `paper`: the paper's numbers beside ours. A FAIL is a result: exit code 0 if all was computed."""
 
 from __future__ import annotations
 
@@ -37,12 +37,10 @@ def paper(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _places(out: str | None) -> tuple[Path, Path]:
-    """Folders of the page and of its pictures and numbers: in a checkout of this project, or in ./paper."""
-    if out is not None:
-        return Path(out), Path(out)
-    if _in_checkout():
+    """Folders of the page and of its pictures and numbers."""
+    if out is None and _in_checkout():
         return Path("docs"), Path("renders", "gallery", "paper")
-    return Path("paper"), Path("paper")
+    return Path(out or "paper"), Path(out or "paper")
 
 
 def _in_checkout() -> bool:
@@ -68,7 +66,8 @@ def _all(at: Path, pictures: Path, console: Console) -> int:
         (text / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
         for one in done:
             _write_results(one, shown)
-        summary = {"rows": [row._asdict() for row in rows], "studies": {one.study.name: _summary(one) for one in done}}
+        studies = {one.study.name: {"seconds": one.seconds, "problem": one.problem} for one in done}
+        summary = {"rows": [row._asdict() for row in rows], "studies": studies}
         (shown / NUMBERS).write_text(json_text(summary), encoding="utf-8")
     code = 0 if complete(done, rows) else 1
     console.table(("where", "the paper says", "we get"), [row[:3] for row in rows])
@@ -102,10 +101,6 @@ def _some(names: list[str], folder: Path, console: Console) -> int:
 def _write_results(one: Finished, folder: Path) -> None:
     if one.results is not None:
         (folder / f"{one.study.name}.json").write_text(json_text(one.results), encoding="utf-8")
-
-
-def _summary(one: Finished) -> dict[str, Any]:
-    return {"seconds": one.seconds, "problem": one.problem}
 
 
 class _Stop(BaseException):

@@ -1,4 +1,4 @@
-"""The grammar of the command line. The signature of a case gives the names, types and defaults of its flags."""
+"""The commands and flags of the command line. A case's signature gives the names, types and defaults of its flags."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import argparse
 import difflib
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NoReturn, get_args, get_type_hints
 
+from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.cases import CASES, problem_keys
 from planner.dynamics import INTEGRATORS
@@ -28,14 +30,15 @@ class _Parser(argparse.ArgumentParser):
     """An ArgumentParser that raises a PlannerError instead of printing the usage and exiting."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, formatter_class=_help, **options)
+        layout = partial(argparse.HelpFormatter, max_help_position=32, width=110)
+        super().__init__(allow_abbrev=False, formatter_class=layout, **options)
 
     def error(self, message: str) -> NoReturn:
-        raise PlannerError(f"{message.rstrip('.')} (see {self.prog} --help).")
+        raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
-
-def _help(prog: str) -> argparse.HelpFormatter:
-    return argparse.HelpFormatter(prog, max_help_position=32, width=110)
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None:
+            choice("/".join(action.option_strings) or str(action.metavar), value, tuple(action.choices))
 
 
 def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
@@ -50,25 +53,25 @@ def summary(case: Callable[..., Any]) -> str:
     return (inspect.getdoc(case) or "").split("\n", 1)[0]
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]:
+    """A type of add_argument() that names what it expected."""
+
+    def convert(text: str) -> Any:
+        try:
+            return parse(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}") from None
+
+    return convert
 
 
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+def _width_and_height(text: str) -> tuple[int, int]:
+    width, height = map(int, text.split("x"))
+    return width, height
 
 
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size like 1280x720")
-    return int(match[1]), int(match[2])
+_number, _whole = _word_as(float, "a number"), _word_as(int, "a whole number")
+_size = _word_as(_width_and_height, "a size like 1280x720")
 
 
 def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
@@ -105,47 +108,55 @@ def _leaves(hint: Any) -> tuple[Any, ...]:
     return (hint,) if not parts else tuple(leaf for part in parts for leaf in _leaves(part))
 
 
+def _takes(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:
+    """Options of add_argument() for a flag with a value."""
+    told = text if default is None else f"{text} Default: {default}."
+    return {"metavar": metavar, "help": told, "default": default, "type": kind}
+
+
+def _one_of(choices: Sequence[str], text: str, default: str) -> dict[str, Any]:
+    """Options of add_argument() for a flag with one of some words."""
+    return {"choices": choices, "default": default, "help": f"{text} Default: {default}."}
+
+
+def _switch(text: str) -> dict[str, Any]:
+    """Options of add_argument() for a flag without a value."""
+    return {"action": "store_true", "help": text}
+
+
 _LIMITS: Flags = {
-    "--control-limit": {"type": _number, "metavar": "X", "help": "Bound of all controls."},
-    "--exact-goal": {"action": "store_true", "help": "Meet the goal exactly, to 1e-4."},
+    "--control-limit": _takes("X", "Largest magnitude of every control.", kind=_number),
+    "--exact-goal": _switch("Reach the goal to 1e-4 instead of weighing the distance to it."),
 }
 _SOLVER: Flags = {
-    "--update": {"choices": UPDATES, "default": "feedback",
-                 "help": "feedback: us + step k + K (x - xs); open-loop: the paper's Eq. 36. Default: feedback."},
-    "--line-search": {"choices": LINE_SEARCHES, "default": "armijo", "help": "Default: armijo."},
-    "--hessian": {"choices": HESSIANS, "default": "gauss-newton",
-                  "help": "exact: with second derivatives of the dynamics (hinges, slides, hopper). "
-                          "Default: gauss-newton."},
-    "--max-iterations": {"type": _whole, "default": 1000, "metavar": "N",
-                         "help": "Limit of the solver. Default: 1000."},
-    "--starts": {"type": _whole, "metavar": "N", "help": "First guesses to try, the problem's own and smooth random "
-                                                         "changes of it; the best wins. Default: 1."},
-    "--seed": {"type": _whole, "metavar": "N", "help": "Seed of the random first guesses. Default: 0."},
-    "--rank": {"choices": ("cost", "proven-cost"), "default": "cost",
-               "help": "Rank starts by the plan's cost, or by the cost of its replay in MuJoCo. Default: cost."},
-    "--objective": {"metavar": "NAME", "help": f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. "
-                                               "effort=1,time=2. Default: effort."},
-    "--durations": {"metavar": "A,B", "help": "Shortest and longest duration, s, for an objective with time."},
+    "--update": _one_of(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36.",
+                        "feedback"),
+    "--line-search": _one_of(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
+    "--hessian": _one_of(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
+                         "gauss-newton"),
+    "--max-iterations": _takes("N", "Largest number of iterations of the solver.", 1000, _whole),
+    "--starts": _takes("N", "Number of first guesses to try: the problem's own and smooth random changes of it; the "
+                            "best plan wins. Default: 1.", kind=_whole),
+    "--seed": _takes("N", "Seed of the random first guesses. Default: 0.", kind=_whole),
+    "--rank": _one_of(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
+                      "cost"),
+    "--objective": _takes("NAME", f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. "
+                                  "Default: effort."),
+    "--durations": _takes("A,B", "Shortest and longest duration, s, for an objective with time."),
 }  # fmt: skip
 _PROOF: Flags = {
-    "--rollouts": {"type": _whole, "default": 512, "metavar": "N",
-                   "help": "Perturbed rollouts of the proof, 0 for none; `run` stops them after 20 s. Default: 512."},
-    "--hold": {"type": _number, "default": 0.0, "metavar": "S",
-               "help": "Also hold the goal for S seconds after the end, by an infinite-horizon LQR. Default: 0."},
-}  # fmt: skip
+    "--rollouts": _takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, _whole),
+    "--hold": _takes("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, _number),
+}
 _ROLLOUT: Flags = {
-    "--replay-case": {"type": _whole, "metavar": "K", "help": "Show perturbed rollout K in detail."},
-    "--mode": {"choices": ("feedback", "open-loop"), "default": "feedback",
-               "help": "Mode of that rollout. Default: feedback."},
-    "--seed": {"type": _whole, "default": 0, "metavar": "N", "help": "Seed of the perturbations. Default: 0."},
+    "--replay-case": _takes("K", "Show perturbed simulation K in detail.", kind=_whole),
+    "--mode": _one_of(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
+    "--seed": _takes("N", "Seed of the perturbations.", 0, _whole),
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0; repeat it for others (docs/proof.md)."},
 }  # fmt: skip
-_NO_VIDEO = {"--no-video": {"action": "store_true", "help": "No pictures that need OpenGL."}}
-_OUTPUT: Flags = {
-    "--json": {"action": "store_true", "help": "Print one JSON document on stdout."},
-    "--quiet": {"action": "store_true", "help": "No progress."},
-}
+_NO_VIDEO = {"--no-video": _switch("Make no video and no strip of poses, which need OpenGL.")}
+_OUTPUT: Flags = {"--json": _switch("Print one JSON document on stdout."), "--quiet": _switch("Print no progress.")}
 
 
 def _add(parser: argparse.ArgumentParser, *groups: Flags) -> None:
@@ -155,7 +166,7 @@ def _add(parser: argparse.ArgumentParser, *groups: Flags) -> None:
 
 
 def build() -> argparse.ArgumentParser:
-    """The whole grammar. Parsed arguments have `command` and, where a case is named, `case` and `case_*`.
+    """All commands and flags. Parsed arguments have `command` and, where a case is named, `case` and `case_*`.
 
     A problem file is parsed as a case: `run crane.toml` as `run PROBLEM.toml crane.toml`.
     """
@@ -183,52 +194,48 @@ def build() -> argparse.ArgumentParser:
         own.add_argument("problem", metavar="FILE", help="A problem.toml.")
         _add(own, _SOLVER, *groups, _OUTPUT)
 
-    def out(metavar: str, text: str, default: str | None = None) -> Flags:
-        return {"--out": {"default": default, "metavar": metavar, "help": text}}
-
     plan = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
-    refine = {"--no-refine": {"action": "store_true", "help": "Do not refine a plan that fails."}}
-    folder = out("DIR", "Folder of the results. Default: renders/CASE.")
+    no_refine = {"--no-refine": _switch("Do not solve a failed plan again at a finer step.")}
+    folder = {"--out": _takes("DIR", "Folder of the results. Default: renders/CASE.")}
     command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
-    with_case("run", "Plan, prove, plot and film a case.", refine, _PROOF, _NO_VIDEO, folder)
-    with_case("solve", "Plan a case and save the plan.", out("FILE", "Default: plan.npz.", "plan.npz"))
+    with_case("run", "Plan, prove, plot and film a case.", no_refine, _PROOF, _NO_VIDEO, folder)
+    with_case("solve", "Plan a case and save the plan.", {"--out": _takes("FILE", "The plan's file.", "plan.npz")})
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
-        {"--mjcf": {"metavar": "FILE", "help": "Replay in this model instead of the plan's own."}},
-        out("FILE", "Write the proof as JSON here."), _PROOF, _ROLLOUT, _OUTPUT,
+        {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),
+         "--out": _takes("FILE", "Write the proof to this JSON file.")}, _PROOF, _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
         "render", "Film the replay of a stored plan.", plan,
-        out("FILE", "*.mp4, or *.png for a strip. Default: video.mp4.", "video.mp4"),
-        {"--size": {"type": _size, "metavar": "WxH", "help": "Pixels. Default: 1280x720."},
-         "--fps": {"type": _whole, "default": 60, "metavar": "N", "help": "Frames per second. Default: 60."},
-         "--speed": {"type": _number, "metavar": "X", "help": "Playback speed. Default: the case's."}},
+        {"--out": _takes("FILE", "A name.mp4 for a video, a name.png for a strip of poses.", "video.mp4"),
+         "--size": _takes("WxH", "Pixels. Default: 1280x720, of a strip 1920x540.", kind=_size),
+         "--fps": _takes("N", "Frames per second.", 60, _whole),
+         "--speed": _takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=_number)},
         _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
         "report", "Prove a stored plan again and write report.html with all its pictures.", plan, _NO_VIDEO,
-        out("DIR", "Folder of the results. Default: report.", "report"), _PROOF, _OUTPUT,
+        {"--out": _takes("DIR", "Folder of the results.", "report")}, _PROOF, _OUTPUT,
     )  # fmt: skip
     command(
         "check", "Prove stored plans again and compare with the numbers stored beside them.",
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
-         "--update": {"action": "store_true", "help": "Store the new numbers."},
-         "--tolerance": {"type": _number, "default": 0.05, "metavar": "X",
-                         "help": "Relative change that counts. Default: 0.05."}},
+         "--update": _switch("Store the new numbers where they differ."),
+         "--tolerance": _takes("X", "Relative change of a number that is reported.", 0.05, _number)},
         _OUTPUT,
     )  # fmt: skip
     names = ", ".join(study.name for study in STUDIES)
     command(
         "paper", "Compute every figure and number of the paper and show it beside the paper's.",
         {"studies": {"metavar": "STUDY", "nargs": "*",
-                     "help": f"Some studies, each on a page of its own: {names}. Default: all."},
-         "--proofs": {"action": "store_true", "help": "The table of proofs of all machines instead."}},
-        out("DIR", "Folder of the results. Default: in a checkout docs and renders/gallery/paper, elsewhere paper; for "
-                   "some studies and for --proofs renders/paper."),
+                     "help": f"Studies to compute, each on a page of its own: {names}. Default: all."},
+         "--proofs": _switch("Write the table of proofs of all machines instead."),
+         "--out": _takes("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; "
+                                "for single studies and for --proofs renders/paper.")},
         _OUTPUT,
     )  # fmt: skip
-    exact = {"--all": {"action": "store_true", "help": 'Also compile the kernels that only hessian="exact" needs.'}}
-    command("warmup", "Compile the numerical core, once.", exact, _OUTPUT)
+    every = {"--all": _switch("Also compile the kernels that only --hessian exact needs.")}
+    command("warmup", "Compile the numerical core, once.", every, _OUTPUT)
     return top
 
 
@@ -255,6 +262,6 @@ def parse(argv: list[str]) -> argparse.Namespace:
     word = unknown[0]
     known = [flag for action in parser._actions for flag in action.option_strings] if parser is not None else []
     near = difflib.get_close_matches(word.split("=")[0], known, n=1)
-    hint = f" Did you mean {near[0]}?" if near else f" See {where} --help."
+    hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
-    raise PlannerError(f"{where} knows no {kind} {word!r}.{hint}")
+    raise PlannerError(f"{where!r} has no {kind} {word!r}. {hint}")

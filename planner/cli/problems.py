@@ -63,7 +63,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
         problem = replace(problem, limits=Limits(control=bound, final=EXACT if arguments.exact_goal else None))
     if durations is not None and problem.periodic is not None:
         raise PlannerError(
-            "--durations is given for a periodic motion, expected none: the duration of its cycle is fixed."
+            "--durations is given for a periodic motion, whose cycle has a fixed duration; leave it out."
         )
     if objective is not None:
         problem = with_objective(problem, objective)
@@ -72,11 +72,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
 
 
 def objective_of(text: str) -> dict[str, float]:
-    """Weights from "time" or from "effort=1,time=2".
-
-    Raises:
-        PlannerError: Neither, an unknown name or a negative weight.
-    """
+    """Weights of criteria from "time" or from "effort=1,time=2"."""
     if "=" not in text:
         return weights_of(text.strip())
     weights: dict[str, float] = {}
@@ -90,11 +86,7 @@ def objective_of(text: str) -> dict[str, float]:
 
 
 def durations_of(text: str) -> list[float]:
-    """The shortest and the longest, from "0.5,3".
-
-    Raises:
-        PlannerError: Not two numbers.
-    """
+    """The shortest and the longest duration, s, from "0.5,3"."""
     try:
         shortest, longest = map(float, text.split(","))
     except ValueError:
@@ -103,7 +95,7 @@ def durations_of(text: str) -> list[float]:
 
 
 def name_of(arguments: argparse.Namespace) -> str:
-    """Name of a run: its case, or its file without folder and ending."""
+    """Name of a run: its case, or its file's name without folder and suffix."""
     return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
 
 

@@ -1,4 +1,4 @@
-"""The command `prove`: replay a stored plan in MuJoCo and judge it, or show one of its perturbed rollouts."""
+"""The command `prove`: replay a stored plan in MuJoCo and judge it, or show one perturbed simulation of it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.base.jsonable import json_text
 from planner.cases.plan_file import load_plan
-from planner.cli.console import Console
+from planner.cli.console import Console, shown
 from planner.cli.results import plan_facts, show_proof
 from planner.problem.plan import Plan
 from planner.proof import prove
@@ -30,7 +30,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         for flag in ("mjcf", "out"):
             if getattr(arguments, flag) is not None:
                 raise PlannerError(
-                    f"--{flag} is given with --replay-case, which prints a rollout in the plan's own model, "
+                    f"--{flag} is given with --replay-case, which shows a simulation in the plan's own model, "
                     "expected one of the two flags."
                 )
         return _show_rollout(plan, arguments, console)
@@ -53,17 +53,17 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
-    """The perturbed rollout that --replay-case, --mode, --seed and --perturb name."""
+    """The perturbed simulation that --replay-case, --mode, --seed and --perturb name."""
     perturbation = _perturbation(plan, arguments)
     if plan.twin is None:
-        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+        raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
     number = count("replay-case", arguments.replay_case, least=0)
     compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
     return replay_case(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
 
 
 def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
-    """The usual perturbation of a plan with the changes of --perturb, e.g. mass=0.1."""
+    """The plan's usual perturbation, changed by --perturb, e.g. mass=0.1."""
     given = {}
     for word in arguments.perturb or ():
         name, _, value = word.partition("=")
@@ -83,12 +83,6 @@ def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -
         "largest_error": largest, "cost": run.cost, "timestep": run.timestep, "warnings": list(run.warnings),
         "reached": list(run.reached),
     }  # fmt: skip
-    console.table(("rollout", "value"), [(name.replace("_", " "), _shown(value)) for name, value in facts.items()])
-    console.say(
-        f"planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode} films it"
-    )
+    console.table(("rollout", "value"), [(name.replace("_", " "), shown(value)) for name, value in facts.items()])
+    console.say(f"film: planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode}")
     return console.finish("prove", 0, replay_case=facts)
-
-
-def _shown(value: object) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else " ".join(value) if isinstance(value, list) else str(value)

@@ -14,7 +14,7 @@ from planner.proof import Proof, prove
 
 
 def render_plan(arguments: argparse.Namespace, console: Console) -> int:
-    """Film both replays of a stored plan, or one perturbed rollout."""
+    """Film both replays of a stored plan, or one perturbed simulation."""
     from planner.view.render.video import render_strip, render_video
 
     out = Path(arguments.out)

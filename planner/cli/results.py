@@ -1,7 +1,4 @@
-"""Write the files of a run (plan, proof, plots, pictures, video, report) and print its results.
-
-Each file is complete or absent.
-"""
+"""Write the files of a run (proof, plots, video, report), each complete or absent, and print its results."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ from planner.view.report import write_report
 if TYPE_CHECKING:
     from planner.proof.refinement import Refinement
 
-INTERRUPTED = "The pictures were interrupted."
+INTERRUPTED = "The drawing of pictures was interrupted."
 PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "video.mp4")
 OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
 
@@ -36,9 +33,8 @@ def is_finite(plan: Plan) -> bool:
 
 def write_proof(plan: Plan, proof: Proof | None, folder: Path, path: Sequence[Refinement] = ()) -> None:
     """Write proof.json, also for a plan that was not replayed; `path` lists the refinements of the plan."""
-    content = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
-    if proof is not None:
-        content = proof.to_dict()
+    failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
+    content = failed if proof is None else proof.to_dict()
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
     write_json(folder / "proof.json", content)
@@ -54,25 +50,19 @@ def draw_results(
     keep: Collection[str] = frozenset(),
     options: Mapping[str, Any] | None = None,
 ) -> str:
-    """Draw the pictures and the report into a folder, file by file; returns why there is no video, or "".
+    """Draw the pictures and the report into a folder; returns why there is no video, or "".
 
-    An interruption leaves the finished files, no file half written, and a report of what is there.
-
-    Args:
-        plan: The solved plan.
-        proof: Its proof; None for a plan that is not finite or whose replay was interrupted.
-        folder: An existing folder. Pictures of older plans, those not in `keep`, are removed first.
-        video: Whether to draw with OpenGL.
-        console: For progress.
-        path: The refinements of the plan.
-        keep: Names of finished files of this plan and proof. The report is kept where no picture is drawn.
-        options: Flags of the command, for the report.
+    Files named in `keep` are of this plan and stay; other pictures are removed first. An interruption leaves the
+    finished pictures and a report of them. `path` (the refinements) and `options` (the flags) are for the report.
     """
     wanted = _pictures(plan, proof, folder, video, console)
     for name in PICTURES:
         if name not in keep:
-            _remove(folder / name)
-    note = "" if video else "It was not asked for (--no-video)."
+            try:
+                (folder / name).unlink(missing_ok=True)
+            except OSError as error:
+                raise file_error(error, folder / name) from error
+    note = "" if video else "No video was asked for (--no-video)."
     if proof is None:
         note = "There is nothing to film: the plan was not replayed."
     drawn = False
@@ -93,7 +83,7 @@ def draw_results(
 def _pictures(
     plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console
 ) -> dict[str, Callable[[Path], object]]:
-    """Functions that draw the pictures of a run, by file name, the quickest first."""
+    """Functions that draw the pictures of a run, by file name, quick ones first."""
     pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: save(draw_plan(plan, proof), file)}
     if proof is not None:
         for name, picture in case_pictures(plan, proof.replay).items():
@@ -105,13 +95,6 @@ def _pictures(
             pictures["strip.png"] = lambda file: render_strip(proof.replay, file)
             pictures["video.mp4"] = lambda file: render_video(proof, file, progress=console.progress("video"))
     return pictures
-
-
-def _remove(file: Path) -> None:
-    try:
-        file.unlink(missing_ok=True)
-    except OSError as error:
-        raise file_error(error, file) from error
 
 
 def refinement_row(line: Refinement) -> dict[str, Any]:
@@ -146,7 +129,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
 def show_proof(proof: Proof, console: Console) -> None:
     """Print every measured number beside its bound, then the verdict."""
     console.say()
-    console.table(("step", "figure", "value", "bound", ""), proof.rows())
+    console.table(("step", "measured", "value", "bound", ""), proof.rows())
     for section in proof.sections.values():
         if section.not_applicable:
             console.say(f"{section.title}: not applicable, {section.not_applicable}")

@@ -1,7 +1,7 @@
 """The folder of a run: every file appears when it is finished, and an interrupted run can be continued.
 
-A hidden mark names the run that the files belong to. It is written with the first file, when the files of older runs
-are removed, and removed after the last file. A later run of the same plan that finds the mark makes the missing files.
+A hidden file, the mark, names the run that the files belong to. It is written with the first file and removed after
+the last one. A later run with the same identity that finds the mark makes only the missing files.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class RunFolder:
         return frozenset(name for name in self.outputs if self.began and (self.path / name).is_file())
 
     def begin(self, first: str, write: Callable[[Path], object], **notes: Any) -> None:
-        """Write the first file of a run and remove the files of older runs, which belong to another plan."""
+        """Write the first file of a run, then its mark, and remove the files of older runs."""
         with write_atomically(self.path / first) as unfinished:
             write(unfinished)  # a failure here, e.g. a full disk, leaves the older files as they are
             with write_atomically(self.path / MARK) as mark:
@@ -54,15 +54,12 @@ class RunFolder:
 
 @contextmanager
 def run_folder(path: PathLike, outputs: Iterable[str], asked: dict[str, Any]) -> Iterator[RunFolder]:
-    """Open the folder of a run. An exception leaves finished files; without any, created folders are removed again.
+    """Open the folder of a run, created with its parents if missing; `asked` holds the run's identity as JSON values.
 
-    Args:
-        path: The folder; it and its missing parents are created at once.
-        outputs: Names of all files that a run may have.
-        asked: The run's identity, JSON values that are equal for equal runs.
+    An exception leaves finished files; without any, created folders are removed again.
 
     Raises:
-        FileError: The folder cannot be written: what was wrong and what was expected.
+        FileError: The folder cannot be written.
     """
     place = Path(path)
     run = hashlib.sha256(json.dumps(finite(asked), sort_keys=True).encode()).hexdigest()

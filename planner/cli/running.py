@@ -1,6 +1,6 @@
-"""The command `run`: plan, prove, refine a plan whose step is too coarse, plot and film, into one folder.
+"""The command `run`: plan, prove, solve again where the step is too coarse, plot and film, into one folder.
 
-Each file appears when it is finished. After an interruption the same command continues with the missing files.
+After an interruption the same command continues with the missing files.
 """
 
 from __future__ import annotations
@@ -14,23 +14,11 @@ from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
+from planner.cli import results
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
-from planner.cli.results import INTERRUPTED as UNFINISHED
-from planner.cli.results import (
-    OUTPUTS,
-    draw_results,
-    is_finite,
-    plan_facts,
-    refinement_row,
-    show_plan,
-    show_proof,
-    write_proof,
-)
-from planner.cli.run_folder import ROLLOUTS as PARTIAL
-from planner.cli.run_folder import RunFolder, run_folder
+from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.plan import Plan, Status
-from planner.problem.problem import Problem
 from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
 from planner.proof.model_parity import parity
@@ -38,10 +26,10 @@ from planner.proof.refinement import Refinement, refine
 from planner.proof.verdict import with_rollouts
 
 INTERRUPTED = 130
-BUDGET = 20.0  # s, limit of the perturbed rollouts; `planner prove` has none
+BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
          "durations", "control_limit", "exact_goal")  # fmt: skip
-"""Flags of plan and proof, beside the problem, starts and seed."""
+"""Flags that decide plan and proof, beside those of the problem, its starts and seed."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -54,14 +42,14 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.hold:
         hold_gain(asked.problem)  # refuses a goal that cannot be held before any work
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
-    with run_folder(place, OUTPUTS, _identity(asked, arguments)) as folder:
+    with run_folder(place, results.OUTPUTS, _identity(asked, arguments)) as folder:
         try:
             code, document = _run(asked, arguments, folder, console)
         except KeyboardInterrupt:
             if not folder.began:
                 raise
             finished = ", ".join(sorted(folder.finished))
-            console.complain(f"interrupted; {place} holds {finished}, and the same command goes on from there.")
+            console.complain(f"interrupted; {place} holds {finished}, and the same command continues from there.")
             return INTERRUPTED
     return console.finish("run", code, **document, folder=str(place))
 
@@ -82,42 +70,45 @@ def _run(
     stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
     if stored is None or stored.status is Status.INTERRUPTED:
         resumed, path = False, ()
-        _check_model(asked.problem)
+        failures = parity(asked.problem).failures
+        if failures:
+            raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
         plan, seconds = solved(asked, arguments, console)
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
         console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
-    show_plan(plan, seconds, console)
-    proof = _proved(plan, arguments.hold) if is_finite(plan) else None
+    results.show_plan(plan, seconds, console)
+    proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
         plan, proof, path = _refined(plan, proof, arguments, console)
         if path:
-            folder.begin("plan.npz", plan.save, seconds=seconds, path=[refinement_row(line) for line in path])
-    write_proof(plan, proof, folder.path, path)  # without the rollouts, which may be interrupted
+            folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
+    results.write_proof(plan, proof, folder.path, path)  # without the rollouts, which may be interrupted
     if proof is not None and arguments.rollouts:
         proof = with_rollouts(
-            proof, arguments.rollouts, budget=BUDGET, partial=folder.path / PARTIAL,
+            proof, arguments.rollouts, budget=BUDGET, partial=folder.path / ROLLOUTS,
             progress=console.progress("perturbed simulations"),
         )  # fmt: skip
-        write_proof(plan, proof, folder.path, path)
+        results.write_proof(plan, proof, folder.path, path)
     if proof is not None:
-        show_proof(proof, console)
-    note = draw_results(
+        results.show_proof(proof, console)
+    note = results.draw_results(
         plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
         options=_flags(arguments),
     )  # fmt: skip
-    if note == UNFINISHED:
+    if note == results.INTERRUPTED:
         raise KeyboardInterrupt
     folder.end()
-    files = [name for name in OUTPUTS if (folder.path / name).is_file()]
+    files = [name for name in results.OUTPUTS if (folder.path / name).is_file()]
     console.say(f"\n{folder.path}: {', '.join(files)}")
     if note and not arguments.no_video:
         console.say(f"no video: {note}")
     return 0 if plan.success and proof is not None and proof.passed else 1, {
-        "plan": plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
-        "refinement": [refinement_row(line) for line in path], "resumed": resumed, "files": files, "video_note": note,
+        "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
+        "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
+        "video_note": note,
     }  # fmt: skip
 
 
@@ -131,34 +122,21 @@ def _refined(
         lines.append(line)
         if len(lines) == 2:  # the first is the failed plan
             console.note("the proof fails at a finer step; solving again with dt / 2")
-            console.note(Refinement.header())
-            console.note(str(lines[0]))
+            console.note(f"{Refinement.header()}\n{lines[0]}")
         if len(lines) > 1:
             console.note(str(line))
 
     began = time.perf_counter()
     done = refine(plan, proof, callback=show, update=arguments.update, line_search=arguments.line_search,
                   hessian=arguments.hessian, max_iterations=arguments.max_iterations,
-                  prove=lambda p: _proved(p, arguments.hold))  # fmt: skip
+                  prove=lambda plan: prove(plan, rollouts=0, hold_seconds=arguments.hold))  # fmt: skip
     if len(done.path) == 1:
         return plan, proof, ()
     if done.plan.status is Status.INTERRUPTED:
         raise KeyboardInterrupt  # the next run begins an interrupted refinement again
     console.say(f"refinements: {len(done.path) - 1}, in {time.perf_counter() - began:.1f} s; {done.reason}")
-    show_plan(done.plan, None, console)
+    results.show_plan(done.plan, None, console)
     return done.plan, done.proof, done.path
-
-
-def _check_model(problem: Problem) -> None:
-    """Refuse a problem whose model in MuJoCo is another machine, before any planning."""
-    failures = parity(problem).failures
-    if failures:
-        raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
-
-
-def _proved(plan: Plan, hold: float) -> Proof:
-    """The proof without rollouts."""
-    return prove(plan, rollouts=0, hold_seconds=hold)
 
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -19,13 +19,13 @@ _PARALLEL = 1e-6
 Curves = list[tuple[int, str]]
 
 
-def appearance_of(problem: Any) -> Appearance | None:
-    """The stage of a problem: its own, or what its mechanism says; None without either."""
+def appearance_of(problem: Any) -> Appearance:
+    """The problem's own appearance, else one from its mechanism, else an empty one."""
     appearance = getattr(problem, "appearance", None)
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
-    if appearance is not None or not isinstance(mechanism, Mechanism):
-        return appearance
-    return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
+    if appearance is None and isinstance(mechanism, Mechanism):
+        return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
+    return appearance or Appearance(title="")
 
 
 def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Appearance:

@@ -1,11 +1,11 @@
 """check(): prove stored plans again and compare with the stored numbers, a regression test of the user's plans.
 
-The numbers of a plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json; `planner run` writes both.
-That file also holds seed, rollouts and perturbation of the proof, so that the same is measured again.
+The numbers of plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json. That file also holds seed,
+rollouts and perturbation of the proof, so that the same is measured again.
 
-    regressed   the verdict or mode got worse, a number that passed its bound fails,
-                or it is worse by more than the tolerance
-    moved       any other number changed by more than the tolerance: shown, no regression
+    regressed   the verdict or mode got worse, a number fails the bound that it passed, or got worse by more than
+                the tolerance
+    moved       any other number changed by more than the tolerance
 """
 
 from __future__ import annotations
@@ -52,8 +52,13 @@ class Change(NamedTuple):
     regressed: bool
 
     def __str__(self) -> str:
-        word = "regressed" if self.regressed else "moved"
-        return f"{self.step} {self.figure} {word} from {_shown(self.stored)} to {_shown(self.now)}"
+        before, now = ("nothing" if one is None else one if isinstance(one, str) else f"{one:.5g}" for one in self[2:4])
+        return f"{self.step} {self.figure} {self.word} from {before} to {now}"
+
+    @property
+    def word(self) -> str:
+        """The kind of change: "regressed" or "moved"."""
+        return "regressed" if self.regressed else "moved"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +123,18 @@ def stored_proof(plan: Path) -> Path:
 
 def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     plans: dict[Path, None] = {}
+    if not paths:
+        raise PlannerError("check was given nothing, expected folders of plans or plan files.")
     for given in map(Path, paths):
         if not given.exists():
             raise FileError(f"{given} does not exist, expected a folder of plans or a plan.npz.")
+        if not given.is_dir() and given.suffix != ".npz":
+            raise FileError(f"{given} is not a plan, expected a folder of plans or a plan.npz.")
         inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]
         own = [path for path in inside if not any(part.startswith(".") for part in path.relative_to(given).parts)]
         if not own:
             raise FileError(f"{given} holds no plans, expected *.npz files as planner run and solve write them.")
         plans.update(dict.fromkeys(own))
-    if not plans:
-        raise PlannerError("check was given nothing, expected folders of plans or plan files.")
     return list(plans)
 
 
@@ -141,10 +148,11 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
         return Checked(path, problem=str(error))
     now = proof.to_dict()
     if stored is None:
-        problem = f"it has no stored numbers, expected {file.name} beside it (--update)."
-        if update:
-            write_json(file, now)
-        return Checked(path, problem="" if update else problem, proof=proof)
+        if not update:
+            problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
+            return Checked(path, problem=problem, proof=proof)
+        write_json(file, now)
+        return Checked(path, proof=proof)
     changes = tuple(_changes(stored, now, tolerance))
     if update and changes:
         write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
@@ -204,7 +212,3 @@ def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Itera
         return
     worse = b < a if any(word in name for word in ("success", "margin")) else b > a and bound is not None
     yield Change(step, name, old.get("value"), new.get("value"), bound, failed or worse)
-
-
-def _shown(value: float | str | None) -> str:
-    return "nothing" if value is None else value if isinstance(value, str) else f"{value:.5g}"

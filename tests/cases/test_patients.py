@@ -238,7 +238,7 @@ def test_a_gait_of_ones_own(gaits):
         ("--reference empty.csv", "is empty"),
         ("--reference binary.csv", "not text"),
         ("--objective energy", "prescribed"),
-        ("--weight 70", "knows no flag '--weight'"),
+        ("--weight 70", "has no flag '--weight'"),
     ],
 )
 def test_one_sentence_and_exit_2(gaits, monkeypatch, capsys, words, said):

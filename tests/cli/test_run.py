@@ -93,9 +93,9 @@ def test_a_killed_run_keeps_what_was_finished_and_is_resumed(tmp_path, kill):
 def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr(run_command, "draw_results", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(run_command.results, "draw_results", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
-        assert "the same command goes on from there" in capsys.readouterr().err
+        assert "the same command continues from there" in capsys.readouterr().err
     assert {"plan.npz", "proof.json", MARK} == {file.name for file in (tmp_path / "o").iterdir()}
     monkeypatch.setattr("planner.cli.problems.solve", lambda *_, **__: pytest.fail("it solved again"))
     assert main(words) == 0

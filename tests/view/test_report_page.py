@@ -233,7 +233,7 @@ def test_a_problem_file_is_shown_as_it_can_be_run_again(plan, tmp_path):
 def test_a_plan_of_a_program_says_so(plan, tmp_path):
     text = page_of(replace(plan, recipe=None), proof_of(), tmp_path).text
     assert "planner run" not in text
-    assert "The plan was made by a program of its own." in text
+    assert "A program made the plan, not the command line." in text
 
 
 def test_seeds_are_named(plan, tmp_path):

@@ -1,4 +1,4 @@
-"""Charts of curves over time, with bands of what is normal behind them: joint angles, foot forces, a robot's wrench."""
+"""Charts of curves over time, e.g. joint angles or foot forces, with bands of normal values behind them."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ _MOST = len(HUES)  # curves in one chart that can be told apart
 
 
 def draw_charts(picture: Charts) -> Figure:
-    """A figure of charts, two in a row.
-
-    Raises:
-        PlannerError: Shapes that do not fit, or more curves in a chart than can be told apart.
-    """
+    """A figure of charts, two in a row; PlannerError for shapes that do not fit and for too many curves in a chart."""
     charts, t = picture.charts, array("t", picture.t, ("K",))
     if not charts or len(t) < 2:
         raise PlannerError(
@@ -65,7 +61,7 @@ def _draw_band(axes: Axes, t: np.ndarray, band: Band, title: str) -> None:
 
 
 def _legend(figure: Figure, picture: Charts) -> None:
-    """One for all charts: each label once, and the band and the shade."""
+    """Draw one legend for all charts: each label once, the band and the shade."""
     from matplotlib.patches import Patch
 
     handles = {}

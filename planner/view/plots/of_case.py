@@ -1,4 +1,4 @@
-"""The pictures that a case gives beyond those of every plan, each under the name of its kind."""
+"""The pictures that a case adds to those of every plan."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
 CASE_PICTURES = {StickFigures: "poses.png", Charts: "measures.png", Paths: "paths.png"}
-"""The file that each kind is written to: a case has one of a kind at most."""
+"""The file of each kind of picture; a case has at most one of a kind."""
 
 
 def case_pictures(plan: Plan, replay: Replay | None) -> dict[str, CasePicture]:
-    """File name -> picture, of a plan and the replay of it that was judged; nothing for a case that gives none."""
-    appearance = appearance_of(plan.problem)
-    if appearance is None or appearance.pictures is None:
-        return {}
-    return {CASE_PICTURES[type(picture)]: picture for picture in appearance.pictures(plan, replay)}
+    """File name -> picture, of a plan and its judged replay; empty for a case without own pictures."""
+    pictures = appearance_of(plan.problem).pictures
+    return {} if pictures is None else {CASE_PICTURES[type(one)]: one for one in pictures(plan, replay)}
 
 
 def draw_case_picture(picture: CasePicture) -> Figure:
-    """The figure of one of them."""
+    """The figure of a case's picture."""
     if isinstance(picture, Charts):
         return draw_charts(picture)
     return draw_paths(picture) if isinstance(picture, Paths) else draw_stick_figures(picture)

@@ -1,4 +1,4 @@
-"""Paths of points in space, seen from several sides to one scale: where a pelvis goes, for example."""
+"""Paths of points in space, e.g. of a pelvis, seen from several sides to one scale."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ _HIGH = 3.6  # inches
 
 
 def draw_paths(picture: Paths, views: Sequence[View] = (SIDE, FRONT, TOP)) -> Figure:
-    """A figure of paths, mm, from each view; a dot is where each begins.
-
-    Raises:
-        PlannerError: Wrong shapes.
-    """
+    """A figure of paths, mm, from each view; a dot marks the start of each. PlannerError for wrong shapes."""
     traces = picture.traces
     if not traces or not views:
         raise PlannerError("there is nothing to draw, expected at least one path and one view.")

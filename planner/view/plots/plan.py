@@ -1,8 +1,7 @@
 """A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
 
-The machine's `Appearance.plots` lists the states and controls to draw. The
-plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all can
-still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
+The plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all
+can still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,11 +45,8 @@ if TYPE_CHECKING:
 
 STANCE = "#ece7dc"
 
-# More curves than this in one panel can no longer be told apart.
-_MOST_CURVES = len(HUES)
-
-# How far a replay that runs away may widen an axis, in parts of the range of what does not.
-_ASTRAY = 1.5
+_MOST_CURVES = len(HUES)  # curves in one panel that can be told apart
+_ASTRAY = 1.5  # how far a replay that runs away may widen an axis, in parts of the range of the other curves
 
 
 @dataclass(frozen=True)
@@ -64,11 +61,9 @@ class _Curve:
 
 
 def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
-    """The figure of a plan, and of its replays.
+    """The figure of a plan and its replays: both of a proof, one replay, or none.
 
-    Args:
-        plan: The plan. Its problem's appearance lists the panels; without one, all states and controls.
-        shown: Its replays in MuJoCo: a proof for both, one replay, or None.
+    The appearance of the plan's problem lists the panels; without any, all states and controls are drawn.
     """
     replays = _replays(shown)
     panels = _panels(plan)
@@ -82,7 +77,11 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
         if touched:
-            _shade_stance(axes, _judged(shown) or touched[0])
+            stance = (shown if isinstance(shown, Replay) else shown.replay) if shown is not None else touched[0]
+            axes.fill_between(
+                stance.t, 0.0, 1.0, where=stance.contact_force > 0, transform=axes.get_xaxis_transform(),
+                color=STANCE, lw=0, zorder=0,
+            )  # fmt: skip
     draw_convergence(figure.add_subplot(cells[-1]), plan)
     _head(figure, plan, replays, bool(touched))
     return figure
@@ -95,18 +94,10 @@ def _replays(shown: Proof | Replay | None) -> list[Replay]:
     return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
 
 
-def _judged(shown: Proof | Replay | None) -> Replay | None:
-    """The replay that the verdict is about."""
-    return shown if shown is None or isinstance(shown, Replay) else shown.replay
-
-
 def _panels(plan: Plan) -> tuple[Panel, ...]:
     """The panels that the plan's appearance lists; for a plan without any, its states and its controls."""
-    appearance = appearance_of(plan.problem)
-    if appearance is not None and appearance.plots:
-        return appearance.plots
     nx, nu = min(plan.xs.shape[1], _MOST_CURVES), min(plan.us.shape[1], _MOST_CURVES)
-    return (
+    return appearance_of(plan.problem).plots or (
         Panel("States", "x", states=tuple((index, f"x[{index}]") for index in range(nx))),
         Panel("Controls", "u", controls=tuple((index, f"u[{index}]") for index in range(nu))),
     )
@@ -145,7 +136,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
     if right is not None:
         _keep_in_view(right, [curve for curve in curves if curve.held], room)
-    for curve, hue in zip(curves, _cycled(len(curves)), strict=True):
+    for curve, hue in zip(curves, cycle(HUES), strict=False):
         steps = "steps-post" if curve.held else "default"
         on = right if curve.held and right is not None else axes
         for replay, (t, values) in zip(replays, curve.replays, strict=True):
@@ -167,15 +158,15 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
 
 
 def _line(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
-    """How a replay is drawn."""
+    """Style of a replay's line."""
     return {"color": hue[1], "lw": 2.2, "zorder": 2} if replay.feedback else {"color": hue[2], "lw": 4.0, "zorder": 1.9}
 
 
 def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
-    """Limits that a replay which runs away cannot stretch until nothing else is seen."""
+    """Set limits of the axis; a replay that runs away widens them by _ASTRAY at most."""
     planned = [curve.plan[1] for curve in curves]
     low, high = _range(planned)
-    if low == high:  # then it does not say what is far; the replay with gains, which is the last one, does
+    if low == high:  # a constant plan has no range; take that of the replay with gains, the last one
         low, high = _range(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
     lowest, highest = _range(planned + [values for curve in curves for _, values in curve.replays])
     reach = _ASTRAY * (high - low)
@@ -186,7 +177,7 @@ def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
 
 
 def _until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """The values until they first leave the view: those of a replay that ran away would hide the others."""
+    """The values until they first leave the view: later ones of a replay that ran away would hide the others."""
     shown = drawable(values)
     outside = np.flatnonzero((shown < limits[0]) | (shown > limits[1]))
     if len(outside):
@@ -195,14 +186,14 @@ def _until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray
 
 
 def _range(values: list[np.ndarray]) -> tuple[float, float]:
-    """Least and largest of what can be drawn; (0, 0) of nothing."""
+    """Least and largest value that can be drawn; (0, 0) if there is none."""
     shown = np.concatenate([drawable(part) for part in values] or [np.empty(0)])
     shown = shown[np.isfinite(shown)]
     return (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
 
 
 def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: str) -> None:
-    """Replays minus plan, in a power of a thousand of its unit."""
+    """Draw replays minus plan, in a power of a thousand of the unit."""
     t, planned = curve.plan
     differences = [drawable(values) - drawable(planned) for _, values in curve.replays]
     power = _power_of_thousand(np.concatenate(differences))
@@ -225,10 +216,9 @@ def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: s
 
 
 def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: Plan) -> Axes:
-    appearance = appearance_of(plan.problem)
-    unit = "" if appearance is None else appearance.force_unit
     axes = figure.add_subplot(cell)
-    dress(axes, "Contact force in the replay", f"normal force, {unit or 'model units'}")
+    unit = appearance_of(plan.problem).force_unit or "model units"
+    dress(axes, "Contact force in the replay", f"normal force, {unit}")
     for replay in replays:
         light = len(replays) > 1 and not replay.feedback
         color, width = ("#f2a3a8", 3.0) if light else (RED, 1.3)
@@ -238,21 +228,12 @@ def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: 
     return axes
 
 
-def _shade_stance(axes: Axes, replay: Replay) -> None:
-    axes.fill_between(
-        replay.t, 0.0, 1.0, where=replay.contact_force > 0, transform=axes.get_xaxis_transform(),
-        color=STANCE, lw=0, zorder=0,
-    )  # fmt: skip
-
-
 def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> None:
-    """The title, and one legend for what is the same in every panel."""
+    """Draw the title and one legend for all panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    appearance = appearance_of(plan.problem)
-    title = appearance.title if appearance is not None else (plan.case or "Plan")
-    title_above(figure, title)
+    title_above(figure, appearance_of(plan.problem).title or plan.case or "Plan")
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=DASHED, label="plan")]
     for replay in replays:
         words = MODE_WORDS["feedback" if replay.feedback else "open-loop"]
@@ -265,10 +246,10 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
 
 
 def _name_curves(axes: Axes, labels: list[str]) -> None:
-    """A legend by colour: each curve's plan and replay share a hue."""
+    """Draw a legend by colour: each curve's plan and replay share a hue."""
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], color=dark, lw=2.0) for dark, _, _ in _cycled(len(labels))]
+    handles = [Line2D([], [], color=dark, lw=2.0) for (dark, _, _), _ in zip(cycle(HUES), labels, strict=False)]
     legend = axes.legend(
         handles, labels, fontsize=8, loc="upper left", ncols=min(len(labels), 3), framealpha=0.85,
         edgecolor="none", borderpad=0.3, handlelength=1.4,
@@ -280,10 +261,6 @@ def _power_of_thousand(values: np.ndarray) -> int:
     """The k for which values / 1000**k are numbers of one to three digits."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     return math.floor(math.log10(largest) / 3) if largest > 0 else 0
-
-
-def _cycled(count: int) -> list[tuple[str, str, str]]:
-    return [HUES[index % len(HUES)] for index in range(count)]
 
 
 def _to_the_end(us: np.ndarray) -> np.ndarray:

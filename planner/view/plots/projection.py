@@ -1,4 +1,4 @@
-"""Points of space on paper, as a camera far away sees them."""
+"""Parallel projection of points in space onto a picture."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from planner.base.arguments import array
 from planner.dynamics.algorithms import frame_pose
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.appearance import View
+from planner.view.render.camera import directions
 
-# x is ahead and y to the left: how one looks at who walks along x.
+# Views of a machine that walks along x, with y to its left.
 SIDE, FRONT, TOP = View(90.0, 0.0, label="side"), View(180.0, 0.0, label="front"), View(90.0, -90.0, label="top")
 
 
@@ -22,14 +23,11 @@ def projected(points: np.ndarray, view: View) -> np.ndarray:
 
 def axes_of(view: View) -> tuple[np.ndarray, np.ndarray]:
     """The directions (3,) of space that are right and up in a view."""
-    a, e = np.radians([view.azimuth, view.elevation])
-    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
-    return np.cross(ahead, up), up
+    return directions(view.azimuth, view.elevation)[1:]
 
 
 def frame_points(mechanism: Mechanism, q: Any, frames: tuple[str | Frame, ...]) -> np.ndarray:
-    """Where some frames are at positions q (K, nq): (K, P, 3) m.
+    """Positions of P frames at joint positions q (K, nq): (K, P, 3) m.
 
     Args:
         mechanism: The machine.

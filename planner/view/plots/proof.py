@@ -1,7 +1,4 @@
-"""The figure of a proof: how errors grow, the order of the replay, and the Monte Carlo.
-
-Open loop and with gains keep their colours throughout. Panels that do not apply are left out.
-"""
+"""The figure of a proof: growth of errors, order of the replay and Monte Carlo, as far as they apply."""
 
 from __future__ import annotations
 
@@ -40,16 +37,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ERROR = "largest component: rad, m, rad/s, m/s"
-_DECADES = 16  # of an error; what is farther below the largest is rounding
-_HIGHEST = 1e6  # beyond, a replay has long left the plan
+_DECADES = 16  # decades below the largest error that are drawn; smaller errors are rounding
+_HIGHEST = 1e6  # largest error that is drawn; beyond it a replay has long left the plan
 _BINS = 36
-_LINEAR = 1e3  # a fan that opens wider is drawn on a symmetric log scale
+_LINEAR = 1e3  # a fan with larger deviations is drawn on a symmetric log scale
 
 
 def draw_proof(proof: Proof) -> Figure:
-    """The figure of all that a proof measured."""
+    """The figure of a proof's measurements."""
     plan, rollouts = proof.replay.plan, proof.monte_carlo
-    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=_bound(plan))]
+    own_rules = getattr(getattr(plan.problem, "requirements", None), "tracking", None) is not None
+    bound = None if own_rules else STATE_BOUND  # on the end state's error
+    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=bound)]
     if proof.convergence is not None:
         panels.append(partial(_draw_order, order=proof.convergence))
     if rollouts is not None and rollouts.done:
@@ -60,12 +59,6 @@ def draw_proof(proof: Proof) -> Figure:
         draw(on)
     title_above(figure, "What the proof measured")
     return figure
-
-
-def _bound(plan: Plan) -> float | None:
-    """The general bound on the end state's error; None where the case has rules of its own."""
-    own = getattr(getattr(plan.problem, "requirements", None), "tracking", None)
-    return STATE_BOUND if own is None else None
 
 
 def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
@@ -96,8 +89,14 @@ def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
 
 
 def _draw_order(axes: Axes, order: Order) -> None:
-    """The change of the end state from each step to half of it, beside the slope of the integrator."""
-    words = "step h (s), halved to h/2\n" + _order_words(order)
+    """Draw the change of the end state from each step to half of it, and the slope of the integrator's order."""
+    observed = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
+    with np.errstate(all="ignore"):  # at h = 0: Richardson's extrapolation, its grid convergence index
+        words = (
+            "step h (s), halved to h/2\n"
+            f"observed order {observed}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
+            f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
+        )
     dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state", words)
     axes.xaxis.label.set_fontsize(7.5)
     steps, changes = order.steps[: len(order.changes)], positive(order.changes)
@@ -118,18 +117,8 @@ def _draw_order(axes: Axes, order: Order) -> None:
     axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none")
 
 
-def _order_words(order: Order) -> str:
-    """The extrapolation to a step of zero (Richardson) and its uncertainty (grid convergence index)."""
-    seen = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
-    with np.errstate(all="ignore"):
-        return (
-            f"observed order {seen}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
-            f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
-        )
-
-
 def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
-    """Percentiles over time of the coordinate that strays farthest in this mode."""
+    """Draw percentiles over time of the coordinate with the largest deviation in this mode."""
     fan = drawable(rollouts.fans[mode].astype(float))
     reach = np.nan_to_num(np.abs(fan), nan=0.0).max(axis=(0, 1), initial=0.0)  # of each component
     worst = int(np.argmax(reach)) if reach.size else 0
@@ -153,16 +142,15 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
 
 
 def _deviation(plan: Plan, index: int) -> str:
-    """Name and unit of a number of a deviation: as in the plots of the machine, else by joint and axis."""
-    appearance = appearance_of(plan.problem)
-    for panel in () if appearance is None else appearance.plots:
+    """Label with name and unit of entry `index` of a deviation: as in the machine's plots, else by joint and axis."""
+    for panel in appearance_of(plan.problem).plots:
         for state, label in panel.states:
             if plan.space.in_deviation(state) == index:
                 same = panel.ylabel.startswith(label)
                 return f"deviation of {panel.ylabel if same else f'{label}, {panel.ylabel}'}"
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
     if not isinstance(mechanism, Mechanism) or index >= 2 * mechanism.nv:
-        return f"deviation of number {index} of the state"
+        return f"deviation of x[{index}]"
     i, unit = index % mechanism.nv, "/s" if index >= mechanism.nv else ""
     joint = next(n for n, links in enumerate(mechanism.joint_links) if links.start <= i < links.stop)
     links, name = mechanism.joint_links[joint], mechanism.joint_names[joint] or f"joint {joint}"
@@ -171,7 +159,7 @@ def _deviation(plan: Plan, index: int) -> str:
 
 
 def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
-    """A histogram of the end errors in each mode, beside the tolerance."""
+    """Draw a histogram of the end errors in each mode, and the tolerance."""
     dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts", f"end error, {ERROR}")
     ends = {mode: positive(errors) for mode, errors in rollouts.end_error.items()}
     found = np.concatenate([*ends.values(), [rollouts.tolerance], [1.0] if math.isnan(rollouts.tolerance) else []])

@@ -1,4 +1,4 @@
-"""How the solver converged: cost and gradient at each iteration."""
+"""Convergence of the solver: cost and gradient at each iteration."""
 
 from __future__ import annotations
 

@@ -28,18 +28,14 @@ _EMPTY = 0.08  # of the height, above and below
 
 
 def draw_stick_figures(picture: StickFigures, views: Sequence[View] = (SIDE, FRONT)) -> Figure:
-    """A figure of poses at equal times, as many as the picture has times, with a row for each view.
-
-    Raises:
-        PlannerError: Points that do not fit the sticks, or fewer than two poses.
-    """
+    """A figure of poses at equal times, a row for each view; PlannerError where points do not fit the sticks."""
     motions, sticks, poses = picture.motions, picture.sticks, count("poses", len(picture.times), least=2)
     shown = [_poses(motion, sticks, poses) for motion in motions]
     if not shown or not sticks or not views:
         raise PlannerError("there is nothing to draw, expected at least one motion, one stick and one view.")
     floor = None if picture.ground is None else number("ground", picture.ground)
     flat = [[projected(points, view) for points in shown] for view in views]
-    # Each pose in the middle of a column that is as wide as the widest needs; the dashed one keeps its place beside it.
+    # Each solid pose stands in the middle of its column; the dashed one keeps its distance from it.
     middles = [0.5 * (row[0][..., 0].min(axis=1) + row[0][..., 0].max(axis=1)) for row in flat]
     reach = max(
         float(np.abs(points[..., 0] - middle[:, None]).max())

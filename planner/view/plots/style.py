@@ -40,7 +40,7 @@ GREYS = ("#222222", "#8a8a8a", "#cccccc")
 MODE_COLOURS = {"open-loop": "#c1570a", "feedback": "#0b5aa6"}
 MODE_WORDS = {"open-loop": "open loop", "feedback": "with gains"}
 
-DRAWABLE = 1e60  # values beyond are not drawn: what ran away must not break the axes of the others
+DRAWABLE = 1e60  # larger values are not drawn: a diverged curve must not break the axes of the others
 
 _COLUMN, _ROW, _HEAD = 5.4, 3.1, 0.5  # inches
 
@@ -72,7 +72,7 @@ def panels_of(panels: int) -> tuple[Figure, list[Axes]]:
 
 
 def figure_of(panels: int) -> tuple[Figure, list[SubplotSpec]]:
-    """The figure of panels_of() before it has axes: a cell for each panel."""
+    """The figure of panels_of() without axes, and a cell for each panel."""
     columns = 1 if panels == 1 else 2
     rows = math.ceil(panels / columns)
     figure = blank(_COLUMN * columns, _HEAD + _ROW * rows)

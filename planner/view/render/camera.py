@@ -1,4 +1,4 @@
-"""Where a camera must stand to see a whole motion: the box that the moving shapes sweep, and the distance to it."""
+"""Place a camera that sees a whole motion: the box that the moving shapes sweep, and the distance to it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Box(NamedTuple):
     high: np.ndarray  # (3,)
 
     def beside(self, offset: np.ndarray) -> Box:
-        """The box of this one and of the same, displaced."""
+        """The box around this box and its displaced copy."""
         return Box(np.minimum(self.low, self.low + offset), np.maximum(self.high, self.high + offset))
 
     def joined(self, other: Box, most: float) -> Box:
-        """The box of this one and of another, at most so much larger on every side."""
+        """The box around this box and another, at most `most` larger on every side."""
         low = np.maximum(np.minimum(self.low, other.low), self.low - most)
         return Box(low, np.minimum(np.maximum(self.high, other.high), self.high + most))
 
@@ -35,15 +35,10 @@ class Box(NamedTuple):
 def whole_motion(
     films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Point and distance (m) at which a camera sees all of some films; of a replay that runs away, its start.
+    """Point (3,) and distance (m) at which a camera sees all of some films of one plan.
 
-    Args:
-        films: Of one plan.
-        model: Their MuJoCo model.
-        appearance: From where.
-        aspect: Width of the picture over its height.
-        ghost: Whether the plan is drawn too.
-        room: The part of the picture's height that words leave free.
+    `aspect` is width over height; `room` is the part of the height that words leave free. A replay that runs away is
+    followed only near the plan.
     """
     scenery = scenery_of(model, appearance)[0]
     plan = box = swept_box(model, films[0].path_ghost_qpos, scenery)
@@ -101,22 +96,18 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
 def standing_back(
     box: Box, azimuth: float, elevation: float, fovy: float, aspect: float, room: float = 1.0
 ) -> float:  # fmt: skip
-    """The distance from the box's centre at which a camera sees all of it.
-
-    Args:
-        box: It is wholly in the picture.
-        azimuth: Of the camera, degrees (MuJoCo's convention).
-        elevation: Of the camera, degrees.
-        fovy: Vertical field of view, degrees.
-        aspect: Width of the picture over its height.
-        room: The part of the picture's height to be used.
-    """
-    a, e = np.radians([azimuth, elevation])
-    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
-    right = np.cross(ahead, up)
+    """Distance from the box's centre at which a camera, angles in degrees, sees all of the box; see whole_motion()."""
+    ahead, right, up = directions(azimuth, elevation)
     half = 0.5 * (box.high - box.low)
     corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     tangent = np.tan(0.5 * np.radians(fovy))
     needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
     return float(np.max(_MARGIN * needed - corners @ ahead))
+
+
+def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions (3,) of space that are ahead, right and up for a camera, angles in degrees (MuJoCo's convention)."""
+    a, e = np.radians([azimuth, elevation])
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
+    return ahead, np.cross(ahead, up), up

@@ -1,9 +1,9 @@
-"""Films into pictures: the frames of a video, of two side by side, from several cameras, a strip, a still.
+"""Draw films: a video of one or of two side by side, from one camera or several, a strip of poses, a still.
 
 The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
 
-If this process cannot draw, because mujoco was imported before there was a choice of a library, the same films are
-drawn in a child process (python -m planner.view.render.drawing JOBFILE).
+If this process cannot draw, because mujoco was imported without an OpenGL library, the films are drawn in a child
+process (python -m planner.view.render.drawing JOBFILE).
 """
 
 from __future__ import annotations
@@ -18,15 +18,13 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base import errors, gl
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.problem.appearance import Appearance
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.film import Film
@@ -40,45 +38,31 @@ _VIDEO_OVERSIZE = 1.5  # two thirds of the time that 2 takes, and in motion nobo
 
 @dataclass(frozen=True)
 class Job:
-    """A video, strip or still to make of films.
+    """A video, strip or still to make of films. Sizes are pixels of the whole picture."""
 
-    Attributes:
-        kind: "video", "strip" or "frame".
-        width: Pixels of the whole picture.
-        height: Pixels.
-        fps: Of a video.
-        speed: Of a video; None for stills.
-        output: Where to write a video.
-        shown: The path that an error names, where output is a temporary one.
-    """
-
-    kind: str
+    kind: str  # "video", "strip" or "frame"
     width: int
     height: int
-    fps: float = 0.0
-    speed: float | None = None
-    output: str = ""
-    shown: str = ""
+    fps: float = 0.0  # of a video
+    speed: float | None = None  # of a video; None for stills
+    output: str = ""  # the file of a video
+    shown: str = ""  # the path that an error names, where output is a temporary one
 
 
 def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
-    """Do the job, here or in a child process. The picture; of a video, the last frame.
+    """Do the job, here or in a child process. Returns the picture; of a video, the last frame.
 
-    Args:
-        films: One, or for a video or a still two of the same plan, at the same times, to be shown side by side.
-        job: The picture or video to make.
-        progress: Called with (frames done, frames in all) of a video.
+    `films` is one, or for a video or a still two of the same plan and times, shown side by side. `progress` is called
+    with (frames done, frames in all) of a video.
     """
-    if gl.can_render_here():
-        return _draw(films, job, progress)
-    return _draw_in_child(films, job, progress)
+    return (_draw if gl.can_render_here() else _draw_in_child)(films, job, progress)
 
 
 def _draw(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndarray:
     if job.kind == "strip":
         return _draw_strip(films[0], job)
     with ExitStack() as scenes:
-        rows = [[scenes.enter_context(tile) for tile in row] for row in _tiles(films, job)]
+        rows = _tiles(films, job, scenes)
 
         def picture(frame: int) -> np.ndarray:
             parts = [np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows]
@@ -100,8 +84,8 @@ def _draw_video(picture: Callable[[int], np.ndarray], frames: int, job: Job, pro
     return image
 
 
-def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
-    """The parts of a picture, row by row."""
+def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
+    """The parts of a picture, row by row; `scenes` closes their OpenGL contexts."""
     seen = [film.views for film in films]  # by film and camera
     if len(films) > 1:
         seen = [list(row) for row in zip(*seen, strict=True)]
@@ -115,22 +99,25 @@ def _tiles(films: Sequence[Film], job: Job) -> list[list[_Tile]]:
             last_row, last_column = i == len(seen) - 1, j == len(row) - 1
             beside = [other for other in row if other is not film] if len(films) > 1 else []
             captioned = last_row and (len(films) > 1 or first)
-            views = () if film.appearance is None else film.appearance.views
+            views = film.appearance.views
             words = overlay.Words(
                 largest, numbers=first, legend=last_row and j == 0,
                 speed=job.speed if last_row and last_column else None,
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
                 label=views[0].label if views else "",
             )  # fmt: skip
-            oversize = _VIDEO_OVERSIZE if job.kind == "video" else 2.0
-            scene = partial(Scene, oversize=oversize, beside=beside, narrow=len(row) > 1 or len(seen) > 1)
-            tiles[-1].append(_Tile(film, (widths[j], heights[i]), words, scene))
+            scene = Scene(
+                film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
+                narrow=len(row) > 1 or len(seen) > 1,
+            )  # fmt: skip
+            written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
+            tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
     return tiles
 
 
 def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
     """The picture with lines between what several cameras see; two films from one camera need none."""
-    if rows[0][0].film.appearance is None or not rows[0][0].film.appearance.views:
+    if not rows[0][0].film.appearance.views:
         return picture
     height, width, _ = picture.shape
     half = max(1, round(height / 720))
@@ -142,46 +129,29 @@ def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
 
 
 def _shares(pixels: int, parts: int) -> list[int]:
-    """The sizes of the parts; what the division leaves over goes to the last."""
+    """The sizes of equal parts; the last takes the remainder of the division."""
     each = pixels // parts
     return [each] * (parts - 1) + [pixels - each * (parts - 1)]
 
 
-class _Tile:
-    """A film from one camera, with its words. A context manager."""
+class _Tile(NamedTuple):
+    """A film from one camera, with its words."""
 
-    def __init__(
-        self, film: Film, size: tuple[int, int], words: overlay.Words, scene: Callable[..., Scene]
-    ) -> None:  # fmt: skip
-        self.film = film
-        self._appearance = film.appearance or Appearance(title="")
-        self._words, self._scene = overlay.Overlay(self._appearance, *size, words), scene(film, *size)
-
-    def __enter__(self) -> _Tile:
-        self._scene.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._scene.__exit__(*error)
+    film: Film
+    words: overlay.Overlay
+    scene: Scene
 
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame`: (height, width, 3), uint8."""
-        drawn, film = self._scene.draw(frame), self.film
-        return self._words.write(drawn, film.t[frame], film.readings[frame], self._marks())
-
-    def _marks(self) -> list[overlay.Mark]:
-        """The goal's label and where it stands in the last drawn picture."""
-        if self._appearance.goal_line is None:
-            return []
-        ends = [self._scene.project(np.asarray(end)) for end in self._appearance.goal_line]
+        drawn, film = self.scene.draw(frame), self.film
+        ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
         seen = [end for end in ends if end is not None]
-        return [(max(seen), f" {self._appearance.goal_label}", "lm")] if seen else []  # behind the end further right
+        marks = [(max(seen), f" {film.appearance.goal_label}", "lm")] if seen else []  # at the right end of the line
+        return self.words.write(drawn, film.t[frame], film.readings[frame], marks)
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
-    if (
-        film.appearance is None or film.appearance.accompany is None
-    ):  # one camera for all poses, so that their heights compare
+    if film.appearance.accompany is None:  # one camera for all poses, so that their heights compare
         middle = 0.5 * (film.shift.min(axis=0) + film.shift.max(axis=0))
         film = replace(film, shift=np.tile(middle, (len(film), 1)))
     heights = _shares(job.height, len(film.views))
@@ -199,7 +169,7 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     unit = min(height / 540, tile / 160)
     band = min(round(30 * unit), high // 3)
     strip = np.full((height, width, 3), 255, np.uint8)
-    # What the division leaves over goes to both sides.
+    # Both sides share the remainder of the division.
     left = (width - tile * columns - gap * (columns - 1)) // 2
     with Scene(film, tile, high - band, ghost=False) as scene:
         for frame, t in enumerate(film.t):

@@ -1,7 +1,6 @@
-"""Frames into an H.264 file that a browser plays, one frame at a time, by the ffmpeg that imageio-ffmpeg brings.
+"""Encode frames as an H.264 file that a browser plays, by the ffmpeg that imageio-ffmpeg brings.
 
-ffmpeg is driven directly, not through imageio's writer: that one does not look at ffmpeg's exit code, and a disk
-that fills up while the index is written at the end would leave a broken file and no error.
+imageio's own writer ignores ffmpeg's exit code: a disk that fills up at the end would leave a broken file and no error.
 """
 
 from __future__ import annotations
@@ -22,14 +21,7 @@ class Encoder:
     """A video being written; a context manager. Memory does not grow with the number of frames."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float, shown: PathLike) -> None:
-        """Start ffmpeg.
-
-        Args:
-            path: The file to write, replaced if it exists.
-            width: Pixels, even.
-            height: Pixels, even.
-            fps: Frames per second.
-            shown: The path that an error names, where `path` is a temporary one.
+        """Start ffmpeg for frames of an even number of pixels. An error names `shown` where `path` is temporary.
 
         Raises:
             FileError: There is no ffmpeg to start.
@@ -64,12 +56,7 @@ class Encoder:
         except OSError as error:
             raise self._complaint() from error
 
-    def close(self) -> None:
-        """Finish the file.
-
-        Raises:
-            FileError: ffmpeg could not.
-        """
+    def _finish(self) -> None:
         assert self._ffmpeg.stdin is not None
         try:
             self._ffmpeg.stdin.close()
@@ -86,12 +73,12 @@ class Encoder:
     ) -> None:
         try:
             if error is None:
-                self.close()
+                self._finish()
         finally:
             self._ffmpeg.kill()  # does nothing to a finished process
             self._ffmpeg.wait()
             if self._ffmpeg.stdin is not None:
-                with suppress(OSError):  # what could not be written to a dead ffmpeg
+                with suppress(OSError):  # a dead ffmpeg reads no more
                     self._ffmpeg.stdin.close()
             self._log.close()
 
@@ -99,8 +86,7 @@ class Encoder:
         self._ffmpeg.wait()
         self._log.seek(0)
         said = self._log.read().decode(errors="replace").strip().splitlines()
-        # The last line is ffmpeg's summary, the first one the cause. Without a number in it, file_error looks
-        # whether the disk is full.
+        # The first line is the cause. An OSError without errno makes file_error look whether the disk is full.
         return file_error(OSError(f"ffmpeg says: {said[0]}" if said else "ffmpeg died"), self._shown)
 
 
@@ -110,6 +96,5 @@ def _ffmpeg(shown: PathLike) -> str:
     try:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
-        raise FileError(
-            f"Cannot write {str(shown)!r}: there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        ) from error
+        cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
+        raise FileError(f"Cannot write {str(shown)!r}: {cure}") from error

@@ -1,7 +1,6 @@
-"""Film: everything a renderer needs to know about a replay, as plain arrays, one row per frame.
+"""Film: a replay as plain arrays, one row per frame. It can be pickled and drawn in another process.
 
-Made here from a Replay, drawn elsewhere, perhaps in another process: a film can be pickled. A replay that ran away
-stays in the last pose that it had.
+A replay that ran away stays in its last finite pose.
 """
 
 from __future__ import annotations
@@ -21,78 +20,44 @@ if TYPE_CHECKING:
     from planner.proof.contact_history import ContactHistory
     from planner.proof.replaying import Replay
 
-# A frame shows the mean force over this time, s, as a camera's exposure would: a light foot rings with each
-# simulator step, and one sample out of that would make the arrow flicker.
+# A frame shows the mean force over this time, s: a light foot rings with each simulator step, and an arrow of single
+# samples would flicker.
 _EXPOSURE = 0.01
-
-# Poses along the whole motion, for what is seen of it at once: trails and the place of the camera.
-_PATH = 240
+_PATH = 240  # poses along the whole motion, for trails and the place of the camera
 
 
 class Caption(NamedTuple):
-    """Words under a film that is shown beside another.
+    """Words under a film that is shown beside another."""
 
-    Attributes:
-        mode: Open loop or with gains.
-        verdict: "PASS", "FAIL" or "".
-        detail: How it ended.
-    """
-
-    mode: str
-    verdict: str
-    detail: str
+    mode: str  # open loop or with gains
+    verdict: str  # "PASS", "FAIL" or ""
+    detail: str  # how it ended
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Frames of a replay, not yet drawn.
-
-    Attributes:
-        mjcf: The model's XML text.
-        appearance: How it is shown; None shows the whole motion, the plan in the same place.
-        t: (F,) s.
-        qpos: (F, nq) of the simulated machine.
-        ghost_qpos: (F, nq) of the ghost: the plan, or the motion that the appearance gives.
-        forces: (F, C, 3) contact forces, in the world.
-        points: (F, C, 3) where they act; NaN without contact.
-        readings: (F, R, 2) the readouts, in the simulation and in the plan.
-        largest: (R,) largest magnitude of each readout in the whole replay.
-        shift: (F, 3) how far the camera's point is moved.
-        path_t: (P,) s, times along the whole replay, whatever the frames are.
-        path_qpos: (P, nq) of the simulated machine.
-        path_ghost_qpos: (P, nq) of the ghost.
-        unstable: s, when the simulation ran away; infinite when it did not.
-        caption: Words under it, or None.
-        assets: Files that the model's text names.
-    """
+    """Frames of a replay, not yet drawn: F frames, P times along the whole replay, C pairs of shapes that touch."""
 
     mjcf: str
-    appearance: Appearance | None
-    t: np.ndarray
-    qpos: np.ndarray
-    ghost_qpos: np.ndarray
-    forces: np.ndarray
-    points: np.ndarray
-    readings: np.ndarray
-    largest: np.ndarray
-    shift: np.ndarray
-    path_t: np.ndarray
-    path_qpos: np.ndarray
-    path_ghost_qpos: np.ndarray
-    unstable: float = math.inf
+    appearance: Appearance
+    t: np.ndarray  # (F,) s
+    qpos: np.ndarray  # (F, nq) of the simulated machine
+    ghost_qpos: np.ndarray  # (F, nq) of the ghost: the plan, or the motion that the appearance gives
+    forces: np.ndarray  # (F, C, 3) contact forces, in the world
+    points: np.ndarray  # (F, C, 3) where they act; NaN without contact
+    readings: np.ndarray  # (F, R, 2) the readouts, in the simulation and in the plan
+    largest: np.ndarray  # (R,) largest magnitude of each readout in the whole replay
+    shift: np.ndarray  # (F, 3) displacement of the camera's point
+    path_t: np.ndarray  # (P,) s
+    path_qpos: np.ndarray  # (P, nq) of the simulated machine
+    path_ghost_qpos: np.ndarray  # (P, nq) of the ghost
+    unstable: float = math.inf  # s, when the simulation ran away
     caption: Caption | None = None
-    assets: dict[str, bytes] = field(default_factory=dict)
+    assets: dict[str, bytes] = field(default_factory=dict)  # files that the model's text names
 
     @classmethod
     def of(cls, replay: Replay, t: np.ndarray, caption: Caption | None = None) -> Film:
-        """The frames of a replay at the times t.
-
-        Positions are interpolated linearly between the simulator's steps, which are far shorter than a frame.
-
-        Args:
-            replay: What to show.
-            t: (F,) s, within the replay.
-            caption: Words under it.
+        """The frames of a replay at times t (F,), s, linearly between the simulator's steps.
 
         Raises:
             PlannerError: The replay begins with, or its plan holds, infinite or undefined numbers, or the ghost
@@ -103,17 +68,16 @@ class Film:
             name = "plan_xs" if known else "its first state"
             raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
         appearance = appearance_of(replay.plan.problem)
-        shown = appearance or Appearance(title="")
         sampled = replay.t[:known]  # beyond, the last pose stays
         xs = _interpolate(t, sampled, replay.xs[:known])
         plan_xs = _interpolate(t, replay.t, replay.plan_xs)
-        indices = [readout.index for readout in shown.readouts]
+        indices = [readout.index for readout in appearance.readouts]
         path = np.linspace(replay.t[0], replay.t[-1], _PATH)
-        ghost_t, ghost = _ghost(replay, shown.ghost)
+        ghost_t, ghost = _ghost(replay, appearance.ghost)
         forces, points = _arrows(replay.contacts, t)
         return cls(
             mjcf=replay.twin.mjcf,
-            appearance=appearance and replace(appearance, plots=(), pictures=None),  # functions cannot be pickled
+            appearance=replace(appearance, plots=(), pictures=None),  # functions cannot be pickled
             t=t,
             qpos=_interpolate(t, sampled, replay.qpos[:known]),
             ghost_qpos=_positions(replay, _interpolate(t, ghost_t, ghost)),
@@ -121,7 +85,7 @@ class Film:
             points=points,
             readings=np.stack([xs[:, indices], plan_xs[:, indices]], axis=-1),
             largest=np.abs(np.concatenate([replay.xs[:known], replay.plan_xs])[:, indices]).max(axis=0),
-            shift=_shift(shown, xs),
+            shift=_shift(appearance, xs),
             path_t=path,
             path_qpos=_interpolate(path, sampled, replay.qpos[:known]),
             path_ghost_qpos=_positions(replay, _interpolate(path, ghost_t, ghost)),
@@ -136,14 +100,12 @@ class Film:
     @property
     def views(self) -> tuple[Film, ...]:
         """The film once for each camera of its appearance."""
-        views = () if self.appearance is None else self.appearance.views
-        return tuple(
-            replace(self, appearance=self.appearance.seen_from(view)) for view in views if self.appearance
-        ) or (self,)
+        seen = self.appearance
+        return tuple(replace(self, appearance=seen.seen_from(view)) for view in seen.views) or (self,)
 
 
 def _ghost(replay: Replay, ghost: Ghost | None) -> tuple[np.ndarray, np.ndarray]:
-    """Times (K,) and states (K, nx) of what is shown as the ghost."""
+    """Times (K,) and states (K, nx) of the ghost."""
     if ghost is None:
         return replay.t, replay.plan_xs
     states = array("the ghost's states", ghost.states, ("K", replay.plan_xs.shape[1]))
@@ -169,7 +131,7 @@ def _arrows(touches: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
-    """How far the camera's point is moved, (F, 3), at states (F, nx)."""
+    """Displacement (F, 3) of the camera's point at states (F, nx)."""
     if appearance.accompany is not None:
         return xs[:, list(appearance.accompany)]
     index, fraction = appearance.follow or (0, 0.0)
@@ -177,7 +139,7 @@ def _shift(appearance: Appearance, xs: np.ndarray) -> np.ndarray:
 
 
 def _known(replay: Replay) -> int:
-    """How many samples there are before the first that is not finite."""
+    """Number of samples before the first that is not finite."""
     finite = np.isfinite(replay.qpos).all(axis=1) & np.isfinite(replay.xs).all(axis=1)
     return finite.size if finite.all() else int(np.argmin(finite))
 

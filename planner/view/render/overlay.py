@@ -32,43 +32,25 @@ _LONG = 1e7
 
 @dataclass(frozen=True)
 class Words:
-    """Everything written on a film.
+    """Everything written on a film."""
 
-    Attributes:
-        largest: (R,) largest magnitude of each readout: it decides the decimals.
-        numbers: Write title, time and readouts.
-        legend: Say which machine is solid and which is a ghost.
-        speed: Playback speed; None writes none.
-        caption: Written at the bottom, or None.
-        unstable: s, when the simulation ran away: said from then on.
-        label: The camera's name, in the upper right corner.
-    """
-
-    largest: np.ndarray
-    numbers: bool = True
-    legend: bool = True
-    speed: float | None = None
-    caption: Caption | None = None
-    unstable: float = math.inf
-    label: str = ""
+    largest: np.ndarray  # (R,) largest magnitude of each readout: it decides the decimals
+    numbers: bool = True  # title, time and readouts
+    legend: bool = True  # which machine is solid and which is a ghost
+    speed: float | None = None  # playback speed; None writes none
+    caption: Caption | None = None  # at the bottom
+    unstable: float = math.inf  # s, when the simulation ran away: a warning from then on
+    label: str = ""  # the camera's name, in the upper right corner
 
 
 class Overlay:
     """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
 
     def __init__(self, appearance: Appearance, width: int, height: int, words: Words) -> None:
-        """Lay out the panels, once for all frames.
-
-        Args:
-            appearance: Title, readouts and ghost.
-            width: Of the pictures, pixels.
-            height: Of the pictures, pixels.
-            words: What to write.
-        """
+        """Lay out the panels, once for all frames of width x height pixels."""
         self._appearance, self._numbers, largest = appearance, words.numbers, words.largest
         self._width, self._height = width, height
-        unit = min(height / 720, width / 900)
-        self._unit = unit
+        self._unit = unit = min(height / 720, width / 900)
         self._text = _font("DejaVuSans.ttf", 18 * unit)
         self._title = _font("DejaVuSans-Bold.ttf", 21 * unit)
         self._small = _font("DejaVuSans.ttf", 15 * unit)
@@ -82,20 +64,19 @@ class Overlay:
         self._panels = [*([self._readout_panel()] if words.numbers else []), *self._legend_panels(words)]
         if words.label:
             self._panels.append(self._right_panel(words.label, round(self._margin)))
+        self._unstable, caption = words.unstable, words.caption
         warning = [(f"unstable at t = {words.unstable:.2f} s", self._title, _BAD)]
-        self._unstable = words.unstable
-        self._warning = self._bottom_panel(warning, 1.0 if words.caption is None else 2.3)
-        if words.caption is not None:
-            self._panels.append(self._caption_panel(words.caption))
+        self._warning = self._bottom_panel(warning, 1.0 if caption is None else 2.3)
+        if caption is not None:
+            parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK), (caption.detail, self._text, _INK)]
+            if caption.verdict:
+                parts.insert(1, (f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
+            self._panels.append(self._bottom_panel(parts, 1.0))
 
     def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
-        """The picture (height, width, 3) with everything written on it, a new array.
+        """A copy of the picture (height, width, 3), uint8, at time t, s, with everything written on it.
 
-        Args:
-            picture: (height, width, 3) uint8.
-            t: s.
-            readings: (R, 2) in the simulation and in the plan.
-            marks: Labels and where they stand.
+        `readings` (R, 2) are the readouts in the simulation and in the plan.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
@@ -124,7 +105,7 @@ class Overlay:
         return np.asarray(image)
 
     def _lay_out_columns(self, largest: np.ndarray) -> tuple[float, float, float]:
-        """Right ends of the two columns of numbers, and where the units begin."""
+        """Right ends of the two columns of numbers, and the left end of the units."""
         labels = [readout.label for readout in self._appearance.readouts]
         left = max([self._text.getlength(words) for words in [*labels, "time 00.00 s"]])
         numbers = [number(-value, places) for value, places in zip(largest, self._decimals, strict=True)]
@@ -133,7 +114,7 @@ class Overlay:
         return sim, sim + wide, sim + wide + 8 * self._unit
 
     def _readout_panel(self) -> _Placed:
-        """Title, column heads, labels and units: what stays the same from frame to frame."""
+        """Title, column heads, labels and units, which stay the same from frame to frame."""
         appearance, m, p = self._appearance, self._margin, self._padding
         sim, plan, units = self._columns
         unit_width = max([self._text.getlength(readout.unit) for readout in appearance.readouts], default=0.0)
@@ -154,13 +135,6 @@ class Overlay:
             draw.text((p, y), readout.label, _INK, self._text, anchor="ls")
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
         return panel, (round(m), round(m))
-
-    def _caption_panel(self, caption: Caption) -> _Placed:
-        """Which film it is and how it ends, at the bottom in the middle."""
-        parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK)]
-        if caption.verdict:
-            parts.append((f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
-        return self._bottom_panel([*parts, (caption.detail, self._text, _INK)], 1.0)
 
     def _bottom_panel(self, parts: Sequence[_Part], above: float) -> _Placed:
         """Words in a row in the middle, so many lines above the legend."""
@@ -203,7 +177,7 @@ class Overlay:
 
 
 def decimals(largest: float) -> int:
-    """How many decimals give about four digits to a number as large as `largest`, at most four."""
+    """Number of decimals, at most four, that give about four digits to a number as large as `largest`."""
     return 4 if largest == 0 else int(np.clip(3 - math.floor(math.log10(largest)), 0, 4))
 
 
@@ -226,7 +200,7 @@ def speed_words(speed: float) -> str:
 
 
 def write_time(picture: np.ndarray, t: float, band: int, unit: float, *, unstable: bool = False) -> np.ndarray:
-    """A pose of a strip with its time in a band under it, where it hides nothing: (height + band, width, 3)."""
+    """A pose of a strip with its time in a band under it: (height + band, width, 3)."""
     height, width, _ = picture.shape
     image = Image.new("RGB", (width, height + band), _PAPER)
     image.paste(Image.fromarray(picture), (0, 0))

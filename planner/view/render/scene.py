@@ -1,7 +1,6 @@
 """The three-dimensional part of a picture: the machine, the ghost, trails, force arrows, goal line, camera.
 
-Only kinematics is computed here. What a picture adds to the model is drawn as loose shapes; a model without a sky or
-lights of its own gets both.
+Only kinematics is computed here. A model without a sky or lights of its own gets both.
 """
 
 from __future__ import annotations
@@ -47,17 +46,11 @@ class Scene:
         self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
         beside: Sequence[Film] = (), narrow: bool = False,
     ) -> None:  # fmt: skip
-        """Open the model and an OpenGL context.
+        """Open the model and an OpenGL context for a picture of width x height pixels.
 
-        Args:
-            film: To draw.
-            width: Pixels.
-            height: Pixels.
-            ghost: Draw the ghost beside the machine. Without it, the camera looks at the machine alone.
-            oversize: Draw so many times larger in both directions, then shrink. In software this costs no more than
-                OpenGL's own multisampling, and smooths the edges of shadows too.
-            beside: Other films of the same plan that the camera must suit as well.
-            narrow: The picture is a part of a larger one, as it is with films beside it.
+        The picture is drawn `oversize` times larger in both directions, then shrunk: in software this costs no more
+        than OpenGL's own multisampling, and smooths the edges of shadows too. The camera must also suit the films
+        `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -66,9 +59,7 @@ class Scene:
         """
         mujoco = gl.load_mujoco()
         self._mujoco = mujoco
-        self._film = film
-        self._appearance = film.appearance or Appearance(title="")
-        self._ghost = ghost
+        self._film, self._appearance, self._ghost = film, film.appearance, ghost
         self._width, self._height = width, height
         model = visible_model(film)
         # The frame buffer that the model asks for may be smaller than the picture.
@@ -87,10 +78,11 @@ class Scene:
         # An appearance's own camera is for wide pictures, unless it goes with the machine or is one of several.
         placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
         self._fixed = self._appearance.distance is not None and placed
-        self._look_at, self._distance = self._place(width / height, beside, narrow)
+        self._look_at, self._camera.distance = self._place(width / height, beside, narrow)
+        self._camera.azimuth, self._camera.elevation = self._appearance.azimuth, self._appearance.elevation
         # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-        self._ground = is_plane | (model.geom_rbound > _FLOOR * self._distance)
+        self._ground = is_plane | (model.geom_rbound > _FLOOR * self._camera.distance)
         self._trails = self._paths()
         try:
             self._renderer: Any = mujoco.Renderer(model, rows, columns)
@@ -109,7 +101,9 @@ class Scene:
     def draw(self, frame: int) -> np.ndarray:
         """Frame number `frame` of the film: (height, width, 3) uint8."""
         self._pose(self._model, self._data, self._film.qpos[frame])
-        self._aim(self._film.shift[frame])
+        self._camera.lookat[:] = self._look_at
+        if self._fixed:
+            self._camera.lookat[:] += self._film.shift[frame]
         self._renderer.update_scene(self._data, self._camera, self._option)
         scene = self._renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
@@ -118,7 +112,10 @@ class Scene:
         if self._ghost:
             self._add_ghost(self._film.ghost_qpos[frame])
         shapes = Shapes(scene, self._camera.distance)
-        self._add_trails(shapes, self._film.t[frame])
+        for path, paint, part in self._trails:
+            t = self._film.t[frame]
+            now = [[np.interp(t, self._film.path_t, column) for column in path.T]]
+            shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
         for force, point in zip(self._film.forces[frame], self._film.points[frame], strict=True):
             vector = self._appearance.force_scale * force
             shapes.arrow(point + np.asarray(self._appearance.force_offset), vector, FORCE)
@@ -129,8 +126,8 @@ class Scene:
         return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
-        """Where a point of the scene is in the last drawn picture: (column, row), or None behind the camera."""
-        camera, other = self._renderer.scene.camera  # two eyes; the picture is of their middle
+        """(column, row) of a point of the scene in the last drawn picture, None for one behind the camera."""
+        camera, other = self._renderer.scene.camera  # two eyes; the picture is seen from their middle
         eye = 0.5 * (np.asarray(camera.pos) + np.asarray(other.pos))
         ahead, up = np.asarray(camera.forward), np.asarray(camera.up)
         x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)
@@ -148,7 +145,7 @@ class Scene:
         self._mujoco.mj_tendon(model, data)
 
     def _place(self, aspect: float, beside: Sequence[Film], narrow: bool) -> tuple[np.ndarray, float]:
-        """The point the camera looks at, before it rises, and its distance from there."""
+        """The point (3,) that the camera looks at, before any displacement, and its distance from there."""
         appearance = self._appearance
         if self._fixed and appearance.distance is not None:
             # look_at stands for the pair; without the ghost the machine alone belongs in the middle.
@@ -160,14 +157,6 @@ class Scene:
         planes.zfar = max(planes.zfar, 4.0 * distance / extent)
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
-
-    def _aim(self, shift: np.ndarray) -> None:
-        appearance = self._appearance
-        self._camera.lookat[:] = self._look_at
-        if self._fixed:
-            self._camera.lookat[:] += shift
-        self._camera.distance = self._distance
-        self._camera.azimuth, self._camera.elevation = appearance.azimuth, appearance.elevation
 
     def _paths(self) -> list[tuple[np.ndarray, Paint, float]]:
         """The path (P, 3) of the trail's site in the simulation and in the ghost, their colours and thickness."""
@@ -192,11 +181,6 @@ class Scene:
             points = path(self._film.path_ghost_qpos, np.asarray(self._appearance.ghost_offset))
             trails.append((points, (*ghost_paint(self._appearance)[:3], _GHOST_TRAIL), _THINNER))
         return trails
-
-    def _add_trails(self, shapes: Shapes, t: float) -> None:
-        for path, paint, part in self._trails:
-            now = [[np.interp(t, self._film.path_t, column) for column in path.T]]
-            shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
 
     def _add_ghost(self, qpos: np.ndarray) -> None:
         mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._appearance)
@@ -231,21 +215,20 @@ def visible_model(film: Film) -> Any:
 
 
 def best_rows(film: Film, width: int, height: int) -> int:
-    """In how many rows the poses of a strip are largest; one where the appearance has a camera of its own."""
-    appearance = film.appearance or Appearance(title="")
-    if appearance.distance is not None:
+    """Number of rows in which the poses of a strip are largest; 1 where the appearance places the camera."""
+    if film.appearance.distance is not None:
         return 1
     model = visible_model(film)
 
     def size(rows: int) -> float:
         columns, high = -(-len(film) // rows), height / rows
-        return high / whole_motion([film], model, appearance, width / columns / high, ghost=False)[1]
+        return high / whole_motion([film], model, film.appearance, width / columns / high, ghost=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
 
 
 def _option(model: Any) -> Any:
-    """MuJoCo's own choice of what is drawn; more where that would leave nothing of a machine to see."""
+    """MuJoCo's own drawing options; more shapes where these would hide the whole machine."""
     mujoco = gl.load_mujoco()
     option = mujoco.MjvOption()
     moving = model.body_weldid[model.geom_bodyid] != 0

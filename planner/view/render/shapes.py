@@ -1,4 +1,4 @@
-"""Loose shapes in a picture, which belong to no model: lines, dashes, arrows. MuJoCo forgets them with each frame."""
+"""Shapes that belong to no model: lines, dashes, arrows. MuJoCo forgets them with each frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Paint = tuple[float, float, float, float]
 _DASH = 0.0016
 _TRAIL = 0.002
 _ARROW = 0.007
-_SLIM = 0.045  # of an arrow's length, the most that its shaft's radius is: shorter than its own head it would be a blot
-_LEAST_ARROW = 0.015  # shorter it is a speck
+_SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a thicker one would be all head
+_LEAST_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
 
 
@@ -24,12 +24,7 @@ class Shapes:
     """Adds shapes to a scene that MuJoCo has just filled."""
 
     def __init__(self, scene: Any, distance: float) -> None:
-        """Nothing yet.
-
-        Args:
-            scene: MuJoCo's.
-            distance: Of the camera from its point.
-        """
+        """Add to MuJoCo's `scene`, seen by a camera at `distance` from its point."""
         self._mujoco, self._scene, self._distance = load_mujoco(), scene, distance
 
     def trail(self, points: np.ndarray, paint: Paint, part: float = 1.0) -> None:
@@ -67,6 +62,6 @@ class Shapes:
 
 
 def without_shadow(geom: Any) -> None:
-    """Let a shape of a scene cast none."""
+    """Let a shape of a scene cast no shadow."""
     if hasattr(geom, "castshadow"):  # since MuJoCo 4
         geom.castshadow = 0

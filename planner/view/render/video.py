@@ -1,7 +1,4 @@
-"""Films, strips and stills of a replay: the simulated machine solid, the plan as a ghost beside it.
-
-Headless: gl.py finds a library to draw with.
-"""
+"""Films, strips and stills of a replay: the simulated machine solid, the plan as a ghost."""
 
 from __future__ import annotations
 
@@ -17,9 +14,9 @@ from planner.base import gl
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
-from planner.problem.appearance import Appearance
 from planner.problem.default_appearance import appearance_of
 from planner.proof.replaying import Replay
+from planner.view.plots.style import MODE_WORDS
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
 
@@ -28,7 +25,6 @@ if TYPE_CHECKING:
 
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
 _LONGEST = 100_000  # frames
-_MODES = {"open-loop": "open loop", "feedback": "with gains"}
 
 
 def render_video(
@@ -67,7 +63,7 @@ def render_video(
     replays: dict[Replay, Caption | None] = {shown: None} if isinstance(shown, Replay) else _captioned(shown)
     first = next(iter(replays))
     if speed is None:
-        speed = (appearance_of(first.plan.problem) or Appearance(title="")).speed
+        speed = appearance_of(first.plan.problem).speed
     number("speed", speed, above=0.0)
     start, end = float(first.t[0]), float(first.t[-1])
     if not (end - start) * fps / speed < _LONGEST:
@@ -86,10 +82,10 @@ def render_video(
 
 
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
-    """The replays of a proof, open loop first, and what is written under them."""
+    """The replays of a proof, open loop first, with the words under each."""
     sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
     captioned: dict[Replay, Caption | None] = {}
-    for mode, words in _MODES.items():
+    for mode, words in MODE_WORDS.items():
         replay = proof.replays[mode]
         verdict = "PASS" if mode == proof.mode else "" if sections[mode].passed else "FAIL"
         error = float(np.abs(replay.error[-1]).max())
@@ -147,7 +143,7 @@ def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 7
     """
     _check_size(width, height)
     if not replay.t[0] <= t <= replay.t[-1]:
-        raise PlannerError(f"t must be from {replay.t[0]:g} to {replay.t[-1]:g} s, got {t!r}.")
+        raise PlannerError(f"t is {t!r}, expected {replay.t[0]:g} to {replay.t[-1]:g} s.")
     film = Film.of(replay, np.array([float(t)]))
     gl.require_backend()
     return carry_out([film], Job("frame", width, height))
@@ -155,7 +151,7 @@ def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 7
 
 def _check_suffix(path: PathLike, suffix: str) -> None:
     if Path(path).suffix.lower() != suffix:
-        raise PlannerError(f"The file's name must end in {suffix}, got {os.fspath(path)!r}.")
+        raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {suffix}.")
 
 
 def _check_size(width: int, height: int, *, even: bool = False) -> None:

@@ -1,5 +1,5 @@
-"""report.html: one page per plan that says everything and needs nothing beside it."""
+"""report.html: one page per plan that needs no other file."""
 
-from planner.view.report.page import NAME, html, write_report
+from planner.view.report.page import NAME, write_report
 
-__all__ = ["NAME", "html", "write_report"]
+__all__ = ["NAME", "write_report"]

@@ -1,6 +1,6 @@
-"""One page per plan: the verdict first, then every figure beside its bound, pictures, video, and how to make it again.
+"""One page per plan: verdict, video, pictures, every measured number beside its bound, and how to make the plan again.
 
-The page is one file: pictures and video are embedded, so it can be sent, and be read without a network.
+The page is one file: pictures and video are embedded, so that it can be sent and read without a network.
 """
 
 from __future__ import annotations
@@ -45,57 +45,38 @@ def write_report(
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
-    Embedded are strip.png, plots.png, proof.png and video.mp4, those of them that lie in `folder`.
-
-    Args:
-        plan: The plan.
-        proof: Its proof; None when there is none, e.g. for a plan that is not finite.
-        folder: Where the pictures are and the page goes. It must exist.
-        video_note: Why there is no video, in one sentence; used only when there is none.
-        path: How the plan was refined, if it was.
-        options: Flags of the command that made it by name, those that were given: {"starts": 8, "no_refine": True}.
+    The page embeds strip.png, plots.png, proof.png and video.mp4 as far as they lie in `folder`, which must exist.
+    `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
+    given: {"starts": 8, "no_refine": True}.
 
     Raises:
         FileError: The page cannot be written, or a picture cannot be read.
     """
-    place = Path(folder) / NAME
-    page = html(plan, proof, Path(folder), video_note, path, options)
-    with write_atomically(place) as hidden:
-        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
-    return place
-
-
-def html(
-    plan: Plan, proof: Proof | None, folder: Path, video_note: str = "", path: Sequence[Refinement] = (),
-    options: Mapping[str, Any] | None = None,
-) -> str:  # fmt: skip
-    """The page that write_report() writes."""
-    title = _title(plan)
+    folder = Path(folder)
+    title = appearance_of(plan.problem).title or plan.case or "Plan"
     parts = [
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof),
         _film(plan, folder, video_note),  # people look before they read
         _pictures(plan, proof, folder),
         _refinement(path),
-        _proof(proof),
+        "" if proof is None else "\n".join(["<h2>Proof</h2>", *map(figures_table, proof.sections.values())]),
         _solver(plan),
         _parameters(plan),
         _again(plan, proof, path, options or {}),
-        _versions(plan),
+        "<h2>Made with</h2>\n" + table(plan.versions),
         _model(plan),
     ]
     body = "\n".join(part for part in parts if part)
-    return (
+    page = (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(_word(proof))}: {escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
     )
-
-
-def _title(plan: Plan) -> str:
-    appearance = appearance_of(plan.problem)
-    return appearance.title if appearance is not None else (plan.case or "Plan")
+    with write_atomically(folder / NAME) as hidden:
+        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
+    return folder / NAME
 
 
 def _word(proof: Proof | None) -> str:
@@ -126,8 +107,8 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
             "This browser does not play H.264 video.</video>"
         )
-        appearance = appearance_of(plan.problem)
-        ghost = "plan" if appearance is None or appearance.ghost is None else appearance.ghost.label
+        imitated = appearance_of(plan.problem).ghost
+        ghost = "plan" if imitated is None else imitated.label
         caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
@@ -147,18 +128,12 @@ def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
     return "<h2>Pictures</h2>\n" + "\n".join(shown) if shown else ""
 
 
-def _proof(proof: Proof | None) -> str:
-    if proof is None:
-        return ""
-    return "<h2>Proof</h2>\n" + "\n".join(figures_table(section) for section in proof.sections.values())
-
-
 def _refinement(path: Sequence[Refinement]) -> str:
-    """The way from the first plan to this one."""
+    """The steps from the first plan to this one."""
     if len(path) < 2:
         return ""
     lines = "\n".join([path[0].header(), *map(str, path)])
-    why = "The first plan failed for its step, so finer ones followed."
+    why = "The proof of the first plan failed, so it was solved again at finer steps."
     return f"<h2>Refinement</h2>\n<p>{why}</p>\n<pre>{escape(lines)}</pre>"
 
 
@@ -182,9 +157,9 @@ def _parameters(plan: Plan) -> str:
 
 
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
-    """How to make the plan again: the command, the problem file, the seeds."""
+    """The command, the problem file and the seeds that make the plan again."""
     line = command(plan, path, options)
-    shown = f"<pre>{escape(line)}</pre>" if line else "<p>The plan was made by a program of its own.</p>"
+    shown = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
     file = problem_text(plan, path)
     if file:
         shown += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
@@ -197,10 +172,6 @@ def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options:
         seeds["Rollouts"] = f"{rollouts.done} in each mode; varied: {rollouts.perturbation}"
         seeds["Seed of the rollouts"] = rollouts.seed
     return f"<h2>Again</h2>\n{shown}" + (f"\n{table(seeds)}" if seeds else "")
-
-
-def _versions(plan: Plan) -> str:
-    return "<h2>Made with</h2>\n" + table(plan.versions)
 
 
 def _model(plan: Plan) -> str:

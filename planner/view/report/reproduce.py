@@ -1,4 +1,4 @@
-"""How to make a plan again: the command, and the problem file where there was one."""
+"""The command that makes a plan again, and its problem file if it had one."""
 
 from __future__ import annotations
 
@@ -21,10 +21,7 @@ PROBLEM = "problem.toml"
 def command(plan: Plan, path: Sequence[Refinement] = (), options: Mapping[str, Any] | None = None) -> str:
     """The command line that makes a plan; "" for a problem that is no case and no file.
 
-    Args:
-        plan: The plan.
-        path: How it was refined, if it was: the command names the plan that this began with.
-        options: Flags of the command by name with what was given: {"update": "open-loop", "no_refine": True}.
+    With a `path` of refinements, it makes the first plan of them. `options` are flags by name: {"no_refine": True}.
     """
     parameters = _at_first(plan, path)
     words = ["planner", "run"]
@@ -46,9 +43,9 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
         return ""
     table = _at_first(plan, path)
     lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits")]
-    weights = [f"{name} = {_toml(value)}" for name, value in table.get("weights", {}).items()]
-    limits = [f"{name} = {_toml(value)}" for name, value in table.get("limits", {}).items()]
-    return "\n".join([*lines, "", "[weights]", *weights, *(["", "[limits]", *limits] if limits else [])])
+    for name in ("weights", "limits") if table.get("limits") else ("weights",):
+        lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.get(name, {}).items())]
+    return "\n".join(lines)
 
 
 def _at_first(plan: Plan, path: Sequence[Refinement]) -> dict[str, Any]:
@@ -61,13 +58,12 @@ def _at_first(plan: Plan, path: Sequence[Refinement]) -> dict[str, Any]:
 
 
 def typed(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Those parameters of a case that can be typed: arrays and tables the command finds again from the others."""
+    """The parameters that a flag can hold; the case finds arrays and tables again from the others."""
     return {name: value for name, value in parameters.items() if not isinstance(value, (dict, list, tuple))}
 
 
 def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
-    """Those parameters that the case does not find by itself from the others."""
-    needed = dict(parameters)
+    """The parameters that the case does not find from the others."""
     try:
         usual = cases.build(case).parameters
         needed = {name: value for name, value in parameters.items() if usual.get(name) != value}
@@ -76,8 +72,8 @@ def _needed(case: str, parameters: dict[str, Any]) -> dict[str, Any]:
             made = cases.build(case, **others).parameters
             if typed(made) == parameters:
                 needed = others
-    except PlannerError:  # of another version: all of them, then
-        pass
+    except PlannerError:  # another version made the plan
+        return parameters
     return needed
 
 

@@ -1,4 +1,4 @@
-"""How the page looks: light or dark as the reader's system is, wide or narrow."""
+"""Style sheet of the page: light or dark as the reader's system is, wide or narrow."""
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d1f21; --soft: #5d6670; --line: #d9dde1; --paper: #ffffff;

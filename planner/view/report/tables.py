@@ -1,4 +1,4 @@
-"""Tables of the page: a proof's figures beside their bounds, and names beside values."""
+"""Tables of the page: measured numbers beside their bounds, and names beside values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NBSP = "\N{NO-BREAK SPACE}"
 
 
 def figures_table(section: Section) -> str:
-    """A step of a proof: every figure beside its bound."""
+    """A step of a proof: every measured number beside its bound."""
     title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
     if section.not_applicable:
         return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
@@ -66,7 +66,7 @@ def _text(value: Any) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number in words where it is none."""
+    """A number as text; NaN and infinity in words."""
     if math.isnan(value):
         return "undefined"
     if math.isinf(value):
@@ -79,7 +79,7 @@ def _quantity(value: float, unit: str) -> str:
 
 
 def _name(figure: Measured) -> str:
-    """The figure's key in words."""
+    """The key of a measured number in words."""
     return _capital(re.sub(r"\brms\b", "RMS", figure.name.replace("_", " ")))
 
 
