@@ -158,8 +158,8 @@ def perturbed(
         store = Partial(None if partial is None else Path(partial), fingerprint(simulator, perturbation, seed))
         sizes = simulator.nominal.sizes
 
-        def level_draw(i: int) -> Draw:
-            repeat, level = divmod(i, len(LEVELS))  # so that more rollouts per level continue the fewer
+        def level_draw(k: int) -> Draw:
+            repeat, level = divmod(k, len(LEVELS))  # so that more rollouts per level continue the fewer
             return draw_masses(LEVELS[level], seed, level, repeat, sizes)
 
         parts = {"cases": (wanted, lambda k: draw(perturbation, seed, k, sizes))}
