@@ -26,9 +26,8 @@ import numpy as np
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
-from planner.problem.archive import FILE, HINGES, PART, plan_name, write_archive
+from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
 from planner.problem.criteria import plain
-from planner.problem.digests import digest_of
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
 from planner.problem.recipe import Built, Recipe

@@ -162,8 +162,10 @@ def perturbed(
             repeat, level = divmod(i, len(LEVELS))  # so that more rollouts per level continue the fewer
             return draw_masses(LEVELS[level], seed, level, repeat, sizes)
 
-        parts = {"cases": (wanted, lambda k: draw(perturbation, seed, k, sizes))}
-        parts["levels"] = per_level * len(LEVELS), level_draw
+        parts = {
+            "cases": (wanted, lambda k: draw(perturbation, seed, k, sizes)),
+            "levels": (per_level * len(LEVELS), level_draw),
+        }
         try:
             size = simulator.batch_size if budget is None else _affordable(budget / _PIECES, simulator.seconds, least=4)
             _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)

@@ -29,16 +29,15 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Section
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
-from planner.proof.another_model import another_model
+from planner.proof.compiled_twin import another_model
 from planner.proof.consistency import consistency
-from planner.proof.goal import goal
 from planner.proof.growth import Growth, growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
 from planner.proof.model_parity import parity_in
 from planner.proof.order import Order, order
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, Trials, perturbed
-from planner.proof.refined import tracking
+from planner.proof.refined import goal, tracking
 from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step

@@ -47,7 +47,11 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
         ElementTree.SubElement(section, "pair", {**geoms, **law, "margin": "0", "gap": "0"})
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
-    _say_smoothing(root, touch)
+    for custom in root.findall("custom"):
+        for element in custom.findall(f"numeric[@name='{CONTACT_RAMP}']"):
+            custom.remove(element)
+    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
+    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
     return [phrase_of(model, left_out)] if left_out else []
 
 
@@ -70,7 +74,7 @@ def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, sti
             "friction": pair.friction, "solref": ratio * pair.solref, "solreffriction": ratio * pair.solreffriction,
             "solimp": pair.solimp,
         }  # fmt: skip
-        law = {name: " ".join(map(written, values)) for name, values in numbers.items()}
+        law = {name: written(*values) for name, values in numbers.items()}
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
         extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
@@ -82,15 +86,6 @@ def _in_place_of_pairs(root: ElementTree.Element) -> ElementTree.Element:
         for element in section.findall("pair"):
             section.remove(element)
     return ElementTree.SubElement(root, "contact")
-
-
-def _say_smoothing(root: ElementTree.Element, touch: ContactLaw) -> None:
-    for section in root.findall("custom"):
-        for element in section.findall("numeric"):
-            if element.get("name") == CONTACT_RAMP:
-                section.remove(element)
-    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
-    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
 
 
 def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str, second: str) -> None:
@@ -122,9 +117,8 @@ def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element
 
 def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
     if [element.get("name", "") for element in elements] != known:
-        raise ModelError(
-            f"the file has not all {kind}s of the model (<attach>, <replicate>), so no law is given to it."
-        )
+        missing = f"the file has not all {kind}s of the model (<attach>, <replicate>)"
+        raise ModelError(f"{missing}, so no law is given to it.")
     for i, element in enumerate(elements):
         if not element.get("name"):
             element.set("name", f"{kind} number {i}")
