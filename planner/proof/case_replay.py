@@ -43,9 +43,7 @@ def replay_case(
                 with np.errstate(all="ignore"):  # of one about to explode
                     ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
                 data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
-            elif [
-                warning.number for warning in data.warning
-            ] != complaints:  # where mujoco.rollout gives a simulation up
+            elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
