@@ -1,4 +1,4 @@
-"""ExponentialTorque: what a joint resists with that grows like an exponential, and its derivatives. In NumPy.
+"""ExponentialTorque: a joint's passive torque that grows like an exponential, and its derivatives. In NumPy.
 
 Passive joints of living bodies hardly resist in the middle of their range and steeply at its ends, and muscles that
 span two joints couple them. Riener and Edrich (J Biomech 32, 1999) describe both by sums of
@@ -55,7 +55,7 @@ class ExponentialTorque:
 
     @property
     def dofs(self) -> tuple[int, ...]:
-        """All that it knows of: where it acts, and what it depends on."""
+        """Its degree of freedom and those that it depends on."""
         return (self.dof, *(j for j, _ in self.slopes))
 
     def to_list(self) -> list[Any]:

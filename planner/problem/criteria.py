@@ -74,7 +74,7 @@ def plain(problem: Problem) -> Problem:
 
 
 def solver_problem(problem: Problem) -> Problem:
-    """What SLQ iterates on: without what no control changes, and with an added state where jerk counts."""
+    """Drop cost terms that no control affects; for jerk, append the previous acceleration to the state."""
     if problem.objective is None:
         return problem
     weights, terms = problem.objective.weights, getattr(problem.cost, "costs", (problem.cost,))

@@ -1,4 +1,4 @@
-"""How a machine is shown that nobody wrote an Appearance for: from the axes and the names of its joints."""
+"""Make the Appearance of a machine without one, from the axes and the names of its joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Curves = list[tuple[int, str]]
 
 
 def appearance_of(problem: Any) -> Appearance | None:
-    """The stage of a problem: its own, or what its mechanism says; None without either."""
+    """The appearance of a problem: its own, or one made from its mechanism; None without either."""
     appearance = getattr(problem, "appearance", None)
     mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
     if appearance is not None or not isinstance(mechanism, Mechanism):

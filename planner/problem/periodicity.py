@@ -1,4 +1,4 @@
-"""Periodic motions: what of the state must come back at the end of a cycle."""
+"""Periodic motions: the components of the state that return at the end of a cycle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEPS = ("newton", "follow")
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What of a motion's state is to be at the end what it was at the start, and how nearly."""
+    """The components of the state that return to their start at the end of a motion, and how nearly."""
 
     # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
     # travel of a belt. A number holds for all.
@@ -72,6 +72,6 @@ class Periodic:
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
-        """What to_dict made."""
+        """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
         return cls(**{**table, "tolerance": tolerance})

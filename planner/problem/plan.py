@@ -66,7 +66,7 @@ class Iteration(NamedTuple):
     step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised)
     expected: float  # Decrease that the LQ model promised for that step
     actual: float  # Decrease that came
-    regularisation: float  # What was added to the diagonal of R + B'PB
+    regularisation: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
         return (
@@ -87,7 +87,7 @@ class Start(NamedTuple):
     status: Status  # How it ended
     cost: float  # J of Eq. 9
     iterations: int  # It took
-    score: float  # What it is ranked by: the cost, or what solve()'s `rank` made of the plan
+    score: float  # The start is ranked by it: the cost, or the value of solve()'s `rank`
 
     @property
     def rank(self) -> tuple[bool, float, int]:
@@ -116,13 +116,13 @@ class Plan(Built):
         gradient_norm: Norm of Eq. 19 at the plan: check optimality from the file.
         status: How the solve ended.
         history: One Iteration per iteration; the last line is the plan itself.
-        problem: What was solved; None for a file whose problem is a user's own Python.
+        problem: The problem that was solved; None for a file whose problem is a user's own Python.
         recipe: How the problem was built; None where it was put together from parts.
         twin: The MuJoCo model it is replayed in, or None.
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
-        changed: What of its file was changed after it was written; empty when nothing, or when it comes from no file.
-        hinges: What the ranges of states added to the cost in the last round of the augmented Lagrangian: with it
+        changed: Parts of its file that were changed after it was written; empty for none, or for no file.
+        hinges: Terms that ranges of states added to the cost in the last round of the augmented Lagrangian: with them
             the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.

@@ -137,7 +137,7 @@ class Held:
     ctrl: np.ndarray  # (M, nu) what was applied
     # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
     xs: np.ndarray
-    warnings: tuple[str, ...]  # What MuJoCo complained of, one sentence each
+    warnings: tuple[str, ...]  # MuJoCo's complaints, one sentence each
 
     @property
     def deviation(self) -> np.ndarray:

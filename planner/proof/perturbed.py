@@ -42,7 +42,7 @@ _USUAL = 0.3  # of the budget is what the estimate may fill, so that its error d
 class Perturbed:
     """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
-    perturbation: Perturbation  # What was varied
+    perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
     asked: int  # Rollouts that were asked for, in each mode
     done: int  # Rollouts that were run; with a budget it may be fewer
@@ -60,7 +60,7 @@ class Perturbed:
     # Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts that had
     # not exploded by then.
     fans: dict[str, np.ndarray]
-    notes: tuple[str, ...] = ()  # What there is to say about how it was done, one sentence each
+    notes: tuple[str, ...] = ()  # Remarks on how the rollouts were run, one sentence each
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -125,7 +125,7 @@ class Trials:
 
     rollouts: int = 512  # How many machines, in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
-    perturbation: Perturbation | None = None  # What is varied; None for Perturbation.usual() of the plan's problem
+    perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
     tolerance: float = TOLERANCE  # Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s
 
     def __post_init__(self) -> None:

@@ -112,7 +112,7 @@ def refine(
 
     Args:
         plan: A plan with its problem.
-        proof: What was found of it.
+        proof: Of the plan.
         limit: Most refinements.
         seconds: After which no other solve begins, and one that runs is ended; a proof is never cut.
         prove: Judges the plans on the way; by default without perturbed rollouts.

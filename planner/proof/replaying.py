@@ -47,7 +47,7 @@ class Replay:
         contact_force: (M+1,) sum of the normal contact forces.
         contact_point: (M+1, 3) where it acts; NaN without contact.
         substeps: Simulator steps per stage of the plan.
-        warnings: What MuJoCo complained of, one sentence each.
+        warnings: MuJoCo's complaints, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
         contacts: The force of each contact.
     """
@@ -106,7 +106,7 @@ def replay(
     """Replay a plan in MuJoCo at a refined step.
 
     Args:
-        plan: What to replay.
+        plan: The plan to replay.
         feedback: Apply u = us[n] + K[n] @ difference(x, x_plan(t)) at every simulator step instead of us[n].
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.

@@ -160,7 +160,7 @@ def prove(
         twin: Another model and other maps in place of the plan's own.
         seed: Of the random states of parity and of the perturbations.
         rollouts: Of step 5; 0 leaves it out.
-        perturbation: What step 5 varies; by default Perturbation.usual(plan.problem).
+        perturbation: The errors of step 5; by default Perturbation.usual(plan.problem).
         hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
         budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
         partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.

@@ -182,7 +182,7 @@ class Contact:
         link: Which carries the sphere.
         centre: (3,) m, in the link's frame.
         radius: m, 0 for a point.
-        plane: What it touches.
+        plane: The plane that it touches.
         touch: The force.
         name: For pictures and messages.
     """

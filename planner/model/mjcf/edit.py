@@ -12,7 +12,7 @@ from planner.base.errors import ModelError
 from planner.model.mjcf.refuse import Refusal
 from planner.model.mjcf.survey import field
 
-# What the flags and options take out.
+# Options and flags that switch a kind off.
 _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "contacts": ({}, {"contact": "disable"}),
     "frictionloss": ({}, {"frictionloss": "disable"}),
@@ -20,7 +20,7 @@ _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "sleep": ({}, {"sleep": "disable"}),
     "fluid": ({"density": "0", "viscosity": "0"}, {}),
 }
-# Attributes without which an element does not do it.
+# Attributes that are deleted to switch a kind off.
 _ATTRIBUTES = {
     "gravcomp": ("gravcomp",), "actearly": ("actearly",), "plasticity": ("springyield",),
     "mocap": ("mocap", "mpos", "mquat"),

@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 
-# What `ignore` may name.
+# Kinds that `ignore` may name.
 KINDS = (
     "frictionloss", "equality", "tendon", "fluid", "gravcomp", "actuator", "actearly", "polynomial", "plasticity",
     "mocap", "sleep",

@@ -1,4 +1,4 @@
-"""What a PenaltyCost weighs: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
+"""Terms of a PenaltyCost: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
 
 A term measures a value of the state and compares it, stage by stage, with what is wanted:
 
@@ -80,7 +80,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penalty:
-    """What is wanted of a value, and how much. Just one of least, most and target.
+    """A bound of a value or a target for it, exactly one of least, most and target, and its weight.
 
     Attributes:
         least: A number, or (N+1,) with NaN at stages where the term is off.
