@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, set_fields, shown
 from planner.base.errors import PlannerError
 
 LARGEST = 700.0  # an exponent beyond which a torque grows no further: e^709 is the last finite number
@@ -48,10 +48,8 @@ class ExponentialTorque:
         slopes = {count("slopes: dof", j, least=0): number(f"slopes[{j}]", slope) for j, slope in pairs}
         if len(slopes) < len(pairs):
             raise PlannerError(f"slopes is {shown(self.slopes)}, expected each degree of freedom once.")
-        object.__setattr__(self, "slopes", tuple(sorted(slopes.items())))
-        object.__setattr__(self, "dof", count("dof", self.dof, least=0))
-        for name in ("amplitude", "constant"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
+        set_fields(self, slopes=tuple(sorted(slopes.items())), dof=count("dof", self.dof, least=0))
+        set_fields(self, **{name: number(name, getattr(self, name)) for name in ("amplitude", "constant")})
 
     @property
     def dofs(self) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number
+from planner.base.arguments import array, count, number, set_fields
 from planner.base.errors import PlannerError
 from planner.model.contact.laws import ContactLaw
 
@@ -47,12 +47,9 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
+        link, radius = count("link", self.link, least=-1), number("radius", self.radius, least=0.0)
         middle, half = array("middle", self.middle, (3,)), array("half", self.half, (3,))
-        for value in (middle, half):
-            value.flags.writeable = False
-        checked = {"link": count("link", self.link, least=-1), "radius": number("radius", self.radius, least=0.0)}
-        for name, value in (checked | {"middle": middle, "half": half}).items():
-            object.__setattr__(self, name, value)
+        set_fields(self, link=link, middle=middle, half=half, radius=radius)
 
     @property
     def length(self) -> float:

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number
+from planner.base.arguments import array, count, number, set_fields
 from planner.base.errors import PlannerError
 
 ALONG = 1e-9  # of a direction along a plane, its part across
@@ -56,11 +56,11 @@ class Law:
     force_ramp: float | None = None
 
     def __post_init__(self) -> None:
-        _set(self, stiffness=number("stiffness", self.stiffness, above=0.0))
+        set_fields(self, stiffness=number("stiffness", self.stiffness, above=0.0))
         for name in ("damping", "ramp"):
-            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
+            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
         share = FORCE_SHARE * self.stiffness * self.ramp if self.force_ramp is None else self.force_ramp
-        _set(self, force_ramp=number("force_ramp", share, least=0.0))
+        set_fields(self, force_ramp=number("force_ramp", share, least=0.0))
 
     @property
     def lift(self) -> float:
@@ -88,10 +88,10 @@ class ContactLaw(Law):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("slip_damping", "friction"):
-            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
-        _set(self, bend=number("bend", self.bend, least=0.0, most=1.0))
+            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
+        set_fields(self, bend=number("bend", self.bend, least=0.0, most=1.0))
         if self.impratio != math.inf:
-            _set(self, impratio=number("impratio", self.impratio, above=0.0))
+            set_fields(self, impratio=number("impratio", self.impratio, above=0.0))
 
     @classmethod
     def resting(
@@ -156,10 +156,8 @@ class Plane:
             raise PlannerError("normal is (0, 0, 0), expected a direction.")
         normal /= length
         velocity -= normal * (normal @ velocity)
-        _set(self, normal=normal, velocity=velocity, offset=number("offset", self.offset))
-        _set(self, slide=count("slide", self.slide, least=-1))
-        for value in (normal, velocity):
-            value.flags.writeable = False
+        slide, offset = count("slide", self.slide, least=-1), number("offset", self.offset)
+        set_fields(self, normal=normal, velocity=velocity, offset=offset, slide=slide)
 
 
 def slide_direction(mechanism: Any, plane: Plane) -> np.ndarray:
@@ -195,9 +193,8 @@ class Contact:
     name: str = ""
 
     def __post_init__(self) -> None:
-        centre = array("centre", self.centre, (3,))
-        centre.flags.writeable = False
-        _set(self, link=count("link", self.link, least=0), centre=centre, radius=number("radius", self.radius, least=0))
+        link, radius = count("link", self.link, least=0), number("radius", self.radius, least=0)
+        set_fields(self, link=link, centre=array("centre", self.centre, (3,)), radius=radius)
 
 
 @dataclass(frozen=True)
@@ -217,11 +214,6 @@ class Stop:
     law: Law
 
     def __post_init__(self) -> None:
-        _set(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
+        set_fields(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
         if self.side not in (-1, 1):
             raise PlannerError(f"side is {self.side!r}, expected 1 or -1.")
-
-
-def _set(data: Any, **values: Any) -> None:
-    for name, value in values.items():
-        object.__setattr__(data, name, value)
