@@ -58,7 +58,7 @@ def driven_parity(
 def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> tuple[Measured, Measured]:
-    """MuJoCo's accelerations of the driven model, beside the plan's dynamics; and what its armature leaves."""
+    """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
     smooth = replace(mechanism, contacts=(), stops=())
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
     rng = np.random.default_rng(seed)

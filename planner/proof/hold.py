@@ -1,4 +1,4 @@
-"""Hold the goal after arriving: the infinite-horizon regulator there, and MuJoCo going on from a replay's end with it.
+"""Hold the goal after arriving: an infinite-horizon regulator, and MuJoCo's motion under it from the end of a replay.
 
 A plan ends at its horizon, and most goals do not stand by themselves. Near one that is an equilibrium, x_g = f(x_g,
 u_g), the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and

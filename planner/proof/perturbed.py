@@ -1,4 +1,4 @@
-"""Step 5 of a proof: how often a plan still succeeds on a machine that is not quite the one it was made for.
+"""Step 5 of a proof: how often a plan still succeeds on a machine that differs from the planned one.
 
 Seeded Monte Carlo in MuJoCo, open loop and with the plan's gains: masses, friction, start, controls and their delay are
 wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The measured are not
@@ -184,7 +184,7 @@ def _run(
     simulator: Rollouts, parts: dict[str, tuple[int, Callable[[int], Draw]]], store: Partial, size: int,
     deadline: float, progress: Callable[[int, int], object] | None,
 ) -> None:  # fmt: skip
-    """Run what is not in the store yet, in batches of at most `size`, in both modes each."""
+    """Run the rollouts that the store does not have, in batches of at most `size`, each in both modes."""
     total, before = sum(wanted for wanted, _ in parts.values()), 0
     for name, (wanted, draw_one) in parts.items():
         done = len(store.arrays.get(f"{name}_end", ()))

@@ -70,7 +70,7 @@ def costs_with_goals(problem: Problem) -> list[TrackingCost]:
 
 
 def goal(run: Replay, problem: Problem) -> Section:
-    """The machine's own judgement of one replay, or how far from its cost's final state it ends."""
+    """Judge one replay's end by the machine's own rule, or show how far from the cost's goal it is."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
     wanted = costs_with_goals(problem)

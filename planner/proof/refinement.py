@@ -33,7 +33,7 @@ from planner.solvers.warm_start import warm_start
 
 
 class Refinement(NamedTuple):
-    """One line of the path from a plan to one that holds.
+    """One plan on the way to one that passes.
 
     Attributes:
         integrator: Of the plan.
@@ -108,7 +108,7 @@ def refine(
     plan: Plan, proof: Proof, *, limit: int = 4, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
     callback: Callable[[Refinement], object] | None = None, **options: Any,
 ) -> Refined:  # fmt: skip
-    """Answer a FAIL that comes from a plan's step by finer steps, until PASS.
+    """Solve and prove again at finer steps, while the plan's step is the cause of a FAIL.
 
     Args:
         plan: A plan with its problem.

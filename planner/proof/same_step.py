@@ -124,7 +124,7 @@ def stage_function(
 
 
 def advancing(integrator: str, step: float, model: Any, twin: Twin, space: StateSpace) -> Advance | None:
-    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None as above.
+    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None for none.
 
     MuJoCo's own integrators run on: the simulator may have more states than the plan.
     """

@@ -1,4 +1,4 @@
-"""prove(): an independent engine judges a plan step by step, every figure beside its bound.
+"""prove(): an independent engine judges a plan step by step, every number beside its bound.
 
     0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
     1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
@@ -228,7 +228,7 @@ def with_rollouts(
 
 
 def _held(proof: Proof, held: Held) -> Proof:
-    """The proof with what holding the goal showed: a machine that was to stay and does not, fails."""
+    """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
     section = hold_section(held)
     proof = replace(proof, hold=section, held=held)
     if section.passed or not proof.passed:
@@ -243,7 +243,7 @@ def _held(proof: Proof, held: Held) -> Proof:
 
 
 def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section], run: Replay) -> str:
-    """The verdict in a sentence: what held, or what broke and by how much."""
+    """The verdict in a sentence: how the plan passed, or which step failed and by how much."""
     if mode is None:
         broken = next(section for section in judged if section.failures)
         more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))

@@ -86,7 +86,7 @@ class BodyContact:
 
     @property
     def blunt(self) -> float:
-        """The share b of positions along the axes in what is least; 0 where one is a sphere."""
+        """The weight b of the positions along the axes in the minimised sum; 0 where one is a sphere."""
         first, second = self.first.length, self.second.length
         if first == 0.0 or second == 0.0:
             return 0.0
@@ -101,7 +101,7 @@ def check_body_contact(contact: BodyContact, carriers: Any, where: str) -> None:
 
 
 def common_carrier(parent: np.ndarray, contact: BodyContact) -> int:
-    """The last link that carries both parts of a contact, whose motion does not change how they touch; -1 for none."""
+    """The last link that carries both parts of a contact: its motion does not change the contact; -1 for none."""
     above, i = {-1}, contact.first.link
     while i >= 0:
         above.add(i)

@@ -64,7 +64,7 @@ class Law:
 
     @property
     def lift(self) -> float:
-        """M or rad by which the law's surface is raised, so that the force deep inside is stiffness times the depth."""
+        """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 
 
@@ -98,7 +98,7 @@ class ContactLaw(Law):
         cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
         ramp: float | None = None, gravity: float = 9.81,
     ) -> ContactLaw:  # fmt: skip
-        """The law of a ground by what it does to a machine of some mass, for whom the law's numbers say nothing.
+        """Contact parameters from penetration at rest, damping ratio and slip speed of a machine.
 
         RK4 wants stages of at most 2.7 m / slip_damping and 2.7 m / damping, m the mass that a foot has by itself:
         light feet want a larger slip, or a shorter dt.

@@ -1,4 +1,4 @@
-"""A law of planner.model.contact.laws given to the contacts of an MJCF, so that MuJoCo replays what was planned with.
+"""Give a law of planner.model.contact.laws to the contacts of an MJCF, so that MuJoCo replays with the plan's law.
 
 Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
 that are not modelled (meshes, boxes of two bodies that both move) are excluded and said to be.
@@ -25,7 +25,7 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 
 
 def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> list[str]:
-    """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
+    """Edit the XML so that its contacts have a law; returns the contacts that are left out, in one phrase or none.
 
     The survey is of what the root compiles to. Of an infinite impratio becomes IMPRATIO.
     """
@@ -56,7 +56,7 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
 
 
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
-    """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
+    """Edit the XML so that its contacts keep their force when its bodies have other inertias.
 
     `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two
     bodies that no force moves, `still` (nbody,), is excluded.
@@ -89,7 +89,7 @@ def _in_place_of_pairs(root: ElementTree.Element) -> ElementTree.Element:
 
 
 def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str, second: str) -> None:
-    """Exclude two bodies, once: <pair>s are not concerned by it."""
+    """Exclude contacts of two bodies, once; <pair>s stay."""
     known = {frozenset((e.get("body1"), e.get("body2"))) for s in root.findall("contact") for e in s.iter("exclude")}
     if frozenset((first, second)) not in known:
         ElementTree.SubElement(section, "exclude", {"body1": first, "body2": second})
@@ -126,7 +126,7 @@ def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> 
 
 
 def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """In MuJoCo's order: a body, then all that hangs on it."""
+    """Bodies in MuJoCo's order: a body, then all that hang on it."""
     for child in parent:
         if child.tag == "body":
             yield child
@@ -135,7 +135,7 @@ def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
 
 
 def _own(body: ElementTree.Element, *tags: str) -> Iterator[ElementTree.Element]:
-    """A body's elements of some kinds, but for those of the bodies that hang on it."""
+    """A body's own elements of some kinds, without those of the bodies that hang on it."""
     for child in body:
         if child.tag in tags:
             yield child

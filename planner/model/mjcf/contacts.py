@@ -146,7 +146,7 @@ def contact_refusals(survey: Survey, all_of_them: bool = False) -> Iterator[Refu
 
 
 def phrase_of(model: Any, pairs: Sequence[Pair]) -> str:
-    """Contacts for a sentence: the first by name, the others by their number."""
+    """Contacts in a phrase: the name of the first and the number of the others."""
     first = " and ".join(named(model, "geom", i) for i in pairs[0].geoms)
     return f"contacts of {first}" + ("" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs")
 
@@ -187,7 +187,7 @@ def _touch(model: Any, pair: Pair) -> ContactLaw:
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:
-    """The ends of ranges at which MuJoCo computes the law; other limits push in no plan."""
+    """The ends of ranges at which MuJoCo computes the law; a plan knows no other limits."""
     if disabled(model, "constraint", "limit"):
         return ()
     joints, found = load_mujoco().mjtJoint, []

@@ -85,7 +85,7 @@ def prescribed_dofs(mechanism: Mechanism, prescribed: Collection[str]) -> np.nda
 
 
 def driven_dofs(dynamics: Any) -> np.ndarray:
-    """(n,) the degrees of freedom that dynamics of any kind prescribe; none where they do not know the word."""
+    """(n,) the degrees of freedom that dynamics of any kind prescribe; none where they have no `prescribed`."""
     prescribed = getattr(dynamics, "prescribed", ())
     return prescribed_dofs(dynamics.mechanism, prescribed) if prescribed else np.zeros(0, dtype=int)
 
@@ -175,7 +175,7 @@ def _motor(joint: str, axis: int, dofs: int) -> str:
 
 
 def _keep_stops(elements: list[ElementTree.Element], model: Any, heavy: Any) -> None:
-    """Stops whose numbers are relative to the inertia behind them get those of the same force."""
+    """Rescale the stops whose numbers are relative to the inertia behind them, so that their force stays."""
     for j in map(int, np.flatnonzero(heavy.jnt_limited)):
         if heavy.jnt_solref[j, 0] >= 0.0:  # a time constant is none of a plan's stops
             continue
@@ -185,7 +185,7 @@ def _keep_stops(elements: list[ElementTree.Element], model: Any, heavy: Any) -> 
 
 
 def _still(model: Any, joints: list[int]) -> np.ndarray:
-    """(nbody,) bodies that only these joints move, or none."""
+    """(nbody,) bodies that no joints but these move."""
     still = np.ones(model.nbody, dtype=bool)
     for body in range(1, model.nbody):
         own = np.flatnonzero(model.jnt_bodyid == body)

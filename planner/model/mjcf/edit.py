@@ -1,4 +1,4 @@
-"""Take what is not modelled out of the XML, so that a replay simulates the machine that was planned with."""
+"""Take elements that are not modelled out of the XML, so that a replay simulates the plan's machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mechanism.from_mjcf: MuJoCo's compiler reads the file, this turns what it made into links and screws.
+"""Mechanism.from_mjcf: convert the model that MuJoCo's compiler makes of a file to links and screws.
 
 MuJoCo moves the frame of a body joint by joint, every joint being given in that frame: so the links of a body with
 several joints all have its frame, and only the first is displaced from the link that carries it. What is welded to a

@@ -1,4 +1,4 @@
-"""Find by name what changes the motion of a compiled model and is not modelled."""
+"""Name the elements of a compiled model that change its motion and are not modelled."""
 
 from __future__ import annotations
 
