@@ -264,7 +264,7 @@ def _plain(value: Any) -> Any:
 
 
 def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
-    """ctrlrange, and what forcerange and actuatorfrcrange make of it: (nu,) each."""
+    """Bounds (nu,) of the controls from ctrlrange, forcerange and actuatorfrcrange."""
     acts = mechanism.actuators
     lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
     lower[: acts.nu], upper[: acts.nu] = acts.control_range.T

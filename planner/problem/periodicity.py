@@ -50,11 +50,11 @@ class Periodic:
 
     @property
     def closes(self) -> np.ndarray:
-        """(ndx,) bool: what must come back."""
+        """(ndx,) bool: the components that return."""
         return np.isfinite(self.tolerance)
 
     def gap(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
-        """(ndx,) how far the end of states (N+1, nx) is from their start; zero in what need not come back."""
+        """(ndx,) how far the end of states (N+1, nx) is from their start; zero for components that need not return."""
         return np.where(self.closes, space.difference(xs[-1], xs[0]), 0.0)
 
     def miss(self, space: StateSpace, xs: np.ndarray) -> float:
@@ -62,7 +62,7 @@ class Periodic:
         return float(np.max(np.abs(self.gap(space, xs)) / self.tolerance))
 
     def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """State x (nx,) with what must come back taken from another state `end` (nx,)."""
+        """State x (nx,) with its returning components taken from another state `end` (nx,)."""
         return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
 
     def to_dict(self) -> dict[str, Any]:

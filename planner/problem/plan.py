@@ -1,4 +1,4 @@
-"""Plan: what solve() returns and what plan.npz holds.
+"""Plan: the result of solve(), and its file plan.npz.
 
 Everywhere, files included, the control of a plan is
 
@@ -173,7 +173,7 @@ class Plan(Built):
 
     @property
     def space(self) -> StateSpace:
-        """Where the states lie: of the problem's dynamics, or what the file says."""
+        """The space of the states: of the problem's dynamics, or from the file."""
         if self.problem is not None:
             return space_of(self.problem.dynamics)
         return euclidean(self.xs.shape[1]) if self.stored_space is None else self.stored_space
@@ -189,7 +189,7 @@ class Plan(Built):
         return installed_versions() if self.made_with is None else self.made_with
 
     def within_bounds(self, n: int, u: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, put back within the problem's bounds: what the feedback may ask for."""
+        """Controls u (..., nu) of stage n, put back within the problem's bounds."""
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
 

@@ -1,4 +1,4 @@
-"""One rollout of the Monte Carlo in detail, step by step: to be looked at and rendered."""
+"""One rollout of the Monte Carlo step by step, to be inspected and rendered."""
 
 from __future__ import annotations
 

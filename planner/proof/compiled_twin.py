@@ -87,7 +87,7 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
 
 
 def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
-    """The twin without what the mechanism's file had and the mechanism has not."""
+    """The twin without the elements that were taken out of the mechanism's file."""
     if not mechanism.ignored:
         return compiled
     survey, ignored = Survey(compiled.model), mechanism.ignored

@@ -1,4 +1,4 @@
-"""Step 0 of a proof: whether a plan is what it says it is, by its own dynamics and cost. MuJoCo has no part in it."""
+"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost. MuJoCo has no part in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""FrameCost: where a frame of a machine (its hand, its foot, its trunk) should be, and how it should be turned."""
+"""FrameCost: targets for the position and orientation of a frame of a machine (its hand, its foot, its trunk)."""
 
 from __future__ import annotations
 

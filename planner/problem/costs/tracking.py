@@ -306,7 +306,7 @@ class TrackingCost(Term):
 
 
 def tracking_of(cost: Any) -> TrackingCost | None:
-    """The one TrackingCost with a final weight that a cost is, or has in its sum; None where there is not just one."""
+    """The one TrackingCost with a final weight in a cost or a sum; None for none or several."""
     terms = [term for term in getattr(cost, "costs", (cost,)) if isinstance(term, TrackingCost)]
     if len(terms) > 1:
         terms = [term for term in terms if np.any(term.Q[-1])]
