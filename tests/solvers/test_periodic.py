@@ -273,7 +273,7 @@ def test_problems_that_cannot_be_periodic_are_refused():
         (lambda: solve_periodic(problem, step="steps"), "step is 'steps'"),
         (lambda: solve_periodic(problem, passes=0), "passes is 0"),
         (lambda: replace(problem, periodic=Periodic([1.0, 1.0, 1.0])), "shape (3,), expected (2,)"),
-        (lambda: replace(problem, periodic=1.0), "expected a Periodic"),
+        (lambda: replace(problem, periodic=1.0), "expected Periodic or None"),
         (lambda: solve_periodic(replace(problem, cost=cost_of(0.0))), "no final weight"),
     ):
         with pytest.raises(planner.PlannerError) as caught:
@@ -315,5 +315,5 @@ def test_the_command_line_finds_ends_by_itself(walk):
     assert "--phase" in parser_flags
     assert "--ends" not in parser_flags
     assert command(walk) == "planner run human-step --phase gait --cost study"
-    with pytest.raises(planner.PlannerError, match="expected none: its cycle has a time of its own"):
+    with pytest.raises(planner.PlannerError, match="expected none: the duration of its cycle is fixed"):
         asked_problem(parse(["solve", "human-step", "--phase", "gait", "--objective", "time", "--durations", "1,2"]))
