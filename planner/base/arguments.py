@@ -115,3 +115,11 @@ def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: boo
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise PlannerError(f"{name}{list(index)} is {result[index]}, expected finite numbers.")
     return result
+
+
+def set_fields(record: Any, **values: Any) -> None:
+    """Set fields of a frozen dataclass to values that were checked; arrays become read-only."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+        object.__setattr__(record, name, value)

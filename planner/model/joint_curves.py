@@ -1,4 +1,4 @@
-"""ExponentialTorque: what a joint resists with that grows like an exponential, and its derivatives. In NumPy.
+"""ExponentialTorque: a joint's passive torque that grows like an exponential, and its derivatives. In NumPy.
 
 Passive joints of living bodies hardly resist in the middle of their range and steeply at its ends, and muscles that
 span two joints couple them. Riener and Edrich (J Biomech 32, 1999) describe both by sums of
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import count, number, shown
+from planner.base.arguments import count, number, set_fields, shown
 from planner.base.errors import PlannerError
 
 LARGEST = 700.0  # an exponent beyond which a torque grows no further: e^709 is the last finite number
@@ -48,14 +48,12 @@ class ExponentialTorque:
         slopes = {count("slopes: dof", j, least=0): number(f"slopes[{j}]", slope) for j, slope in pairs}
         if len(slopes) < len(pairs):
             raise PlannerError(f"slopes is {shown(self.slopes)}, expected each degree of freedom once.")
-        object.__setattr__(self, "slopes", tuple(sorted(slopes.items())))
-        object.__setattr__(self, "dof", count("dof", self.dof, least=0))
-        for name in ("amplitude", "constant"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
+        set_fields(self, slopes=tuple(sorted(slopes.items())), dof=count("dof", self.dof, least=0))
+        set_fields(self, **{name: number(name, getattr(self, name)) for name in ("amplitude", "constant")})
 
     @property
     def dofs(self) -> tuple[int, ...]:
-        """All that it knows of: where it acts, and what it depends on."""
+        """Its degree of freedom and those that it depends on."""
         return (self.dof, *(j for j, _ in self.slopes))
 
     def to_list(self) -> list[Any]:

@@ -99,14 +99,14 @@ class Mechanism:
         ball_stiffness: (nballs,) of the balls in the order of `quaternions`.
         ball_rest: (nballs, 4) quaternions at rest.
         gravity: (3,) m/s^2.
-        actuators: What acts on it.
+        actuators: Its motors, servos and the like.
         joint_names: One per joint, "" where the file gives none.
         joint_links: One per joint: its links, a slice of the degrees of freedom.
         joint_range: (nv, 2) infinite where there is none.
         joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
         body_names: MuJoCo's bodies in order, the world first.
         bodies: Their frames.
-        contacts: What touches the planes of the world.
+        contacts: Spheres and points that touch planes of the world.
         stops: Ends of joints that push back.
         body_contacts: Spheres and capsules that touch each other.
         curves: Torques that are exponentials of coordinates; the file knows nothing of them.
@@ -114,7 +114,7 @@ class Mechanism:
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
         assets: Files that the text names, by the name it uses.
-        ignored: What was taken out of the file, one phrase each.
+        ignored: Elements taken out of the file, one phrase each.
         original: The XML text as the file gave it, includes resolved, where `mjcf` was edited; else "".
     """
 

@@ -1,4 +1,4 @@
-"""Twin: the machine in MuJoCo, and how the plan's state reads there. Data only, stored in every plan.npz.
+"""Twin: the machine in MuJoCo, and the maps between its state and the plan's. Data only, stored in every plan.npz.
 
 The simulator's physical state is w = (qpos, qvel, act), nw numbers. The plan's state is an affine function of it,
 
@@ -99,7 +99,7 @@ class Twin:
 
     @classmethod
     def from_dict(cls, mjcf: str | None, maps: dict[str, Any], assets: dict[str, bytes] | None = None) -> Twin:
-        """A twin from its text, what to_dict() gave and its files.
+        """A twin from its text, its files and the table of to_dict().
 
         Raises:
             PlannerError: The maps or the text are missing, or do not fit together.

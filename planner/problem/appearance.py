@@ -18,7 +18,7 @@ Colour = tuple[float, float, float]
 class Readout:
     """A number written into every frame, e.g. the height."""
 
-    label: str  # What is written before the number
+    label: str  # Written before the number
     index: int  # Which entry of the plan's state x it is
     unit: str  # The unit written behind it
 
@@ -29,26 +29,26 @@ class View:
 
     azimuth: float  # Of the camera, degrees (MuJoCo's convention)
     elevation: float = -10.0  # Of the camera, degrees (negative looks down)
-    distance: float | None = None  # From the camera to its point; None takes the stage's
-    look_at: Point | None = None  # The point it looks at; None takes the stage's
+    distance: float | None = None  # From the camera to its point; None takes the appearance's
+    look_at: Point | None = None  # The point it looks at; None takes the appearance's
     label: str = ""  # Written into the picture, e.g. "front"
 
 
 @dataclass(frozen=True, eq=False)
 class Ghost:
-    """A given motion that is shown as the ghost in the plan's place: what the machine was asked to imitate."""
+    """A motion shown as the ghost in place of the plan: the one that the machine was asked to imitate."""
 
     # (K, nx) states of the plan's kind at equal times over its duration, the first at its start and the last at its
     # end. Only positions are seen.
     states: np.ndarray
-    label: str  # What the legend calls it
+    label: str  # In the legend
     colour: Colour = (0.05, 0.62, 0.48)  # Red, green, blue, each 0..1
     opacity: float | None = None  # 0..1; None leaves it to the picture: less for a ghost that stands in the machine
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """What a film of a plan shows beside the machine itself. Lengths are the model's."""
+    """How a film shows a plan and its machine. Lengths are the model's."""
 
     title: str  # Written in the corner of every frame
     readouts: tuple[Readout, ...] = ()  # Numbers written into every frame
@@ -60,7 +60,7 @@ class Appearance:
     goal_line: tuple[Point, Point] | None = None  # Two end points of a line that marks the goal, or None
     goal_label: str = "goal"  # Written beside that line
     look_at: Point = (0.0, 0.0, 0.0)  # The point the camera looks at
-    # What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
+    # (state index, fraction): the camera's point is raised by fraction * x[index].
     follow: tuple[int, float] | None = None
     # Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside a machine
     # that goes a long way; look_at is then relative to that place. None uses follow.
@@ -85,7 +85,7 @@ class Appearance:
     trail: str = ""  # A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none
 
     def seen_from(self, view: View) -> Appearance:
-        """The stage with this camera alone."""
+        """The same with this camera alone."""
         return replace(
             self, azimuth=view.azimuth, elevation=view.elevation, views=(view,),
             distance=self.distance if view.distance is None else view.distance,

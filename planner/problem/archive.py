@@ -1,10 +1,13 @@
 """The file of a plan: a compressed .npz without pickle, arrays and one JSON string, checked before any of it is used.
 
-Files that the model names (meshes, textures) are stored once each, under the digest of their content.
+Files that the model names (meshes, textures) are stored once each, under the digest of their content. Digests also tell
+which parts of a plan were changed after it was written. They are no signature, whoever changes a plan on purpose can
+write new ones: they name what an editor, a script or a broken copy changed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import sys
@@ -21,7 +24,6 @@ from planner.base.files import printable, write_atomically
 from planner.base.jsonable import finite
 from planner.model.mjcf.bounds import check_stored
 from planner.model.space import StateSpace
-from planner.problem.digests import changed, digests
 
 FORMAT_VERSION = 5
 ARRAYS = ("t", "xs", "us", "K", "history")
@@ -29,6 +31,11 @@ FILE = "file:"  # and a digest: the bytes of a file that the model's text names,
 HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
 PART = "problem:"  # and a name: an array of the problem, where its recipe needs some
 _MOST_BYTES = 2**30  # of all arrays, unpacked: a plan of 100,000 stages of a humanoid has half of that
+
+_WORDS = {
+    "t": "times t", "xs": "states xs", "us": "controls us", "K": "gains K", "history": "iterations",
+    "mjcf": "the model", "recipe": "the problem's parameters", "twin": "the maps to the model's state",
+}  # fmt: skip
 
 _NUMBER = (int, float, type(None))
 _META = {
@@ -99,7 +106,9 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
             f"{named} has format {version}, written by planner {made}; this planner reads format {FORMAT_VERSION}: "
             f"{remedy}."
         )
-    _check_meta(named, meta)
+    for name, kinds in _META.items():
+        if name not in meta or not _is(meta[name], kinds) or not _INSIDE.get(name, lambda value: True)(meta[name]):
+            raise FileError(f"{named} is damaged: its meta has no usable {name!r}.")
     written = meta.pop("digests")
     content = {name: part for name, part in meta.items() if name != "format_version"}
     meta["changed"] = changed(arrays, content, written)
@@ -113,12 +122,6 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
         except ModelError as error:
             raise FileError(f"{named} is damaged: {error}") from None
     return arrays, meta
-
-
-def _check_meta(named: str, meta: dict[str, Any]) -> None:
-    for name, kinds in _META.items():
-        if name not in meta or not _is(meta[name], kinds) or not _INSIDE.get(name, lambda value: True)(meta[name]):
-            raise FileError(f"{named} is damaged: its meta has no usable {name!r}.")
 
 
 def _texts(table: dict[str, Any]) -> bool:
@@ -196,3 +199,21 @@ def _check_arrays(
     if not np.isfinite(arrays["history"][:, 0]).all():
         raise FileError(f"{named} is damaged: its history does not count its iterations.")
     return states
+
+
+def digests(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> dict[str, str]:
+    """A digest of every array and every part of the meta, by name."""
+    found = {name: digest_of(str(array.shape).encode() + array.tobytes()) for name, array in arrays.items()}
+    return found | {name: digest_of(json.dumps(part, sort_keys=True).encode()) for name, part in meta.items()}
+
+
+def changed(arrays: dict[str, np.ndarray], meta: dict[str, Any], written: dict[str, str]) -> tuple[str, ...]:
+    """Names of the parts whose digest no longer matches, in words: "controls us"."""
+    now = digests(arrays, meta)
+    names = dict.fromkeys([*written, *now])
+    return tuple(_WORDS.get(name, name) for name in names if written.get(name) != now.get(name))
+
+
+def digest_of(content: bytes) -> str:
+    """32 hexadecimal digits of SHA-256."""
+    return hashlib.sha256(content).hexdigest()[:32]

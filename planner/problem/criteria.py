@@ -59,7 +59,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
 
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:
-    """Held before a start at rest, and after a goal at rest."""
+    """The cost of jerk, with the machine held before a start at rest and after a goal at rest."""
     mechanism, goal = getattr(problem.dynamics, "mechanism", None), tracking_of(problem.cost)
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)
@@ -74,7 +74,7 @@ def plain(problem: Problem) -> Problem:
 
 
 def solver_problem(problem: Problem) -> Problem:
-    """What SLQ iterates on: without what no control changes, and with an added state where jerk counts."""
+    """Drop cost terms that no control affects; for jerk, append the previous acceleration to the state."""
     if problem.objective is None:
         return problem
     weights, terms = problem.objective.weights, getattr(problem.cost, "costs", (problem.cost,))

@@ -1,4 +1,4 @@
-"""How a machine is shown that nobody wrote an Appearance for: from the axes and the names of its joints."""
+"""Make the Appearance of a machine without one, from the axes and the names of its joints."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """Controls (nu,) that keep the pose of a state x (nx,) against gravity and springs, as far as the actuators can.
 
-    Least squares, and of all least squares the smallest: zero for what no actuator reaches. An actuator whose
-    activation integrates its control holds what it has. Where contacts are near the ground it carries the machine as
+    The smallest least-squares solution: zero for joints that no actuator reaches. An actuator whose activation
+    integrates its control keeps its activation. Where contacts are near the ground it carries the machine as
     far as it can (planner.dynamics.statics).
     """
     x = array("x", x, (mechanism.space.nx,))

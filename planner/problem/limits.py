@@ -153,7 +153,9 @@ class Limits:
             machine = _named(mechanism, "position")
             if isinstance(self.position, str):
                 choice("the limits' position", self.position, (MODEL,))
-            given = _model_ranges(machine) if self.position == MODEL else _table("position", self.position)
+            limited = {n: machine.joint_range[machine.joint(n)] for n in machine.joint_names if n}
+            limited = {name: ranges[0] for name, ranges in limited.items() if np.isfinite(ranges).any()}
+            given = limited if self.position == MODEL else _table("position", self.position)
             for joint, value in given.items():
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:
@@ -261,17 +263,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _model_ranges(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """The ranges of the joints that have one."""
-    return {
-        name: mechanism.joint_range[links.start]
-        for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True)
-        if name and np.isfinite(mechanism.joint_range[links]).any()
-    }
-
-
 def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
-    """ctrlrange, and what forcerange and actuatorfrcrange make of it: (nu,) each."""
+    """Bounds (nu,) of the controls from ctrlrange, forcerange and actuatorfrcrange."""
     acts = mechanism.actuators
     lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
     lower[: acts.nu], upper[: acts.nu] = acts.control_range.T

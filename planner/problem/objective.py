@@ -1,4 +1,4 @@
-"""Objectives: what a motion is to be sparing of. Effort, energy, jerk and time, alone or weighted against each other.
+"""Objectives: a motion saves effort, energy, jerk or time, alone or weighted against each other.
 
     effort    the problem's own weights of the controls, times this weight
     energy    mechanical work of the motors, per J                              planner.problem.costs.energy
@@ -28,7 +28,7 @@ EFFORT_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """What a problem's cost was made of.
+    """The weights that a problem's cost was made with.
 
     Attributes:
         weights: Above 0, by names of OBJECTIVES; what with_objective was given, and the share of effort.

@@ -28,7 +28,7 @@ ARRAYS = (*_COST, "x0", "us")
 
 
 def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
-    """A recipe and arrays by name that a file can hold; None where they do not say all of the problem."""
+    """A recipe and arrays by name that a file can hold; None where they cannot describe the whole problem."""
     dynamics, twin = problem.dynamics, problem.twin
     if type(dynamics) is not RigidBodyDynamics or type(problem.cost) is not TrackingCost:
         return None

@@ -1,4 +1,4 @@
-"""Periodic motions: what of the state must come back at the end of a cycle."""
+"""Periodic motions: the components of the state that return at the end of a cycle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEPS = ("newton", "follow")
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What of a motion's state is to be at the end what it was at the start, and how nearly."""
+    """The components of the state that return to their start at the end of a motion, and how nearly."""
 
     # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
     # travel of a belt. A number holds for all.
@@ -50,11 +50,11 @@ class Periodic:
 
     @property
     def closes(self) -> np.ndarray:
-        """(ndx,) bool: what must come back."""
+        """(ndx,) bool: the components that return."""
         return np.isfinite(self.tolerance)
 
     def gap(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
-        """(ndx,) how far the end of states (N+1, nx) is from their start; zero in what need not come back."""
+        """(ndx,) how far the end of states (N+1, nx) is from their start; zero for components that need not return."""
         return np.where(self.closes, space.difference(xs[-1], xs[0]), 0.0)
 
     def miss(self, space: StateSpace, xs: np.ndarray) -> float:
@@ -62,7 +62,7 @@ class Periodic:
         return float(np.max(np.abs(self.gap(space, xs)) / self.tolerance))
 
     def brought(self, space: StateSpace, x: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """State x (nx,) with what must come back taken from another state `end` (nx,)."""
+        """State x (nx,) with its returning components taken from another state `end` (nx,)."""
         return space.integrate(x, np.where(self.closes, space.difference(end, x), 0.0))
 
     def to_dict(self) -> dict[str, Any]:
@@ -72,6 +72,6 @@ class Periodic:
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
-        """What to_dict made."""
+        """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
         return cls(**{**table, "tolerance": tolerance})

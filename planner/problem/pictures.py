@@ -51,7 +51,7 @@ class Curve(NamedTuple):
 
 
 class Band(NamedTuple):
-    """What is normal: a mean, dashed, and how far people are from it."""
+    """The normal range: a mean, drawn dashed, and the spread of people about it."""
 
     label: str  # For the legend
     mean: np.ndarray  # (K,)
@@ -64,7 +64,7 @@ class Chart:
 
     title: str  # Above it
     ylabel: str  # With the unit
-    curves: Sequence[Curve] = ()  # What is drawn
+    curves: Sequence[Curve] = ()  # The lines of the panel
     band: Band | None = None  # Behind them, or None
     # (start, end) of times that are shaded: stance, for example.
     spans: Sequence[tuple[float, float]] = field(default=())
@@ -76,8 +76,8 @@ class StickFigures:
 
     caption: str  # Under it, on a page
     motions: Sequence[Motion]  # Over the same time
-    sticks: Sequence[Stick]  # What joins the points
-    times: tuple[str, ...]  # What is written under each pose, which are as many
+    sticks: Sequence[Stick]  # Lines that join the points
+    times: tuple[str, ...]  # One for each pose, written under it
     ground: float | None = None  # m, height of a line under the feet; None for none
     title: str = ""  # Above it all
 
@@ -91,7 +91,7 @@ class Charts:
     charts: Sequence[Chart]  # The panels
     xlabel: str = "time (s)"  # Of t
     title: str = ""  # Above them all
-    span_label: str = ""  # What shaded times are
+    span_label: str = ""  # Name of the shaded times
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Paths:
     """Paths in space from the side, from the front and from above, see plots.draw_paths()."""
 
     caption: str  # Under them, on a page
-    traces: Sequence[Trace]  # What is drawn
+    traces: Sequence[Trace]  # The paths
     title: str = ""  # Above it all
 
 

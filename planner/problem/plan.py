@@ -1,4 +1,4 @@
-"""Plan: what solve() returns and what plan.npz holds.
+"""Plan: the result of solve(), and its file plan.npz.
 
 Everywhere, files included, the control of a plan is
 
@@ -26,9 +26,8 @@ import numpy as np
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
-from planner.problem.archive import FILE, HINGES, PART, plan_name, write_archive
+from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
 from planner.problem.criteria import plain
-from planner.problem.digests import digest_of
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
 from planner.problem.recipe import Built, Recipe
@@ -67,7 +66,7 @@ class Iteration(NamedTuple):
     step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised)
     expected: float  # Decrease that the LQ model promised for that step
     actual: float  # Decrease that came
-    regularisation: float  # What was added to the diagonal of R + B'PB
+    regularisation: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
         return (
@@ -88,7 +87,7 @@ class Start(NamedTuple):
     status: Status  # How it ended
     cost: float  # J of Eq. 9
     iterations: int  # It took
-    score: float  # What it is ranked by: the cost, or what solve()'s `rank` made of the plan
+    score: float  # The start is ranked by it: the cost, or the value of solve()'s `rank`
 
     @property
     def rank(self) -> tuple[bool, float, int]:
@@ -117,13 +116,13 @@ class Plan(Built):
         gradient_norm: Norm of Eq. 19 at the plan: check optimality from the file.
         status: How the solve ended.
         history: One Iteration per iteration; the last line is the plan itself.
-        problem: What was solved; None for a file whose problem is a user's own Python.
+        problem: The problem that was solved; None for a file whose problem is a user's own Python.
         recipe: How the problem was built; None where it was put together from parts.
         twin: The MuJoCo model it is replayed in, or None.
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
-        changed: What of its file was changed after it was written; empty when nothing, or when it comes from no file.
-        hinges: What the ranges of states added to the cost in the last round of the augmented Lagrangian: with it
+        changed: Parts of its file that were changed after it was written; empty for none, or for no file.
+        hinges: Terms that ranges of states added to the cost in the last round of the augmented Lagrangian: with them
             the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.
@@ -174,7 +173,7 @@ class Plan(Built):
 
     @property
     def space(self) -> StateSpace:
-        """Where the states lie: of the problem's dynamics, or what the file says."""
+        """The space of the states: of the problem's dynamics, or from the file."""
         if self.problem is not None:
             return space_of(self.problem.dynamics)
         return euclidean(self.xs.shape[1]) if self.stored_space is None else self.stored_space
@@ -190,7 +189,7 @@ class Plan(Built):
         return installed_versions() if self.made_with is None else self.made_with
 
     def within_bounds(self, n: int, u: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, put back within the problem's bounds: what the feedback may ask for."""
+        """Controls u (..., nu) of stage n, put back within the problem's bounds."""
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
 

@@ -26,7 +26,7 @@ from planner.problem.state_ranges import StateRanges
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional."""
+    """A case's own rules for its proof, beside the general ones or in their place. All are optional."""
 
     # (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the plan's dynamics do.
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
@@ -42,7 +42,7 @@ class Requirements:
     # In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the plan's (T,
     # nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
-    # What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its defaults.
+    # Errors of step 5 where prove() is given none: amounts by names of Perturbation, in place of its defaults.
     perturbation: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -59,13 +59,13 @@ class Problem(Built):
         twin: The MuJoCo model that a plan is replayed in; by default the MJCF that the dynamics' mechanism was read
             from, its prescribed joints driven (planner.model.mjcf.driven); None when there is none.
         appearance: How the machine is shown.
-        requirements: What a proof is held to; None for the general rules.
+        requirements: The case's own rules for a proof; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
-        objective: What the cost was made of by planner.costs.with_objective; None for a cost as it was given.
+        objective: The weights of planner.costs.with_objective; None for a cost as it was given.
         decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
             digits of it are worth no iterations; None for solve's own.
         gain_tolerance: The same, where a cost has kinks.
-        periodic: What of the state must come back at the end, for planner.solve_periodic; None where nothing must.
+        periodic: Components of the state that return at the end, for planner.solve_periodic; None for none.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start or horizon were replaced.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
@@ -136,7 +136,7 @@ class Problem(Built):
             raise PlannerError(f"the twin maps to {len(self.twin.to_x_offset)} states, expected dynamics.nx = {nx}.")
 
     def _check_parts(self) -> None:
-        """That each part is of its kind, before it is asked for sizes."""
+        """Raise a PlannerError unless each part is of its kind, before it is asked for sizes."""
         missing = [name for name in ("nx", "nu", "dt", "step", "linearize") if not hasattr(self.dynamics, name)]
         if missing:
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"

@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError
 
 
 class Built:
-    """A problem or a plan of one, which may have a recipe."""
+    """Name and arguments of the recipe that a problem, or a plan, may have."""
 
     recipe: Recipe | None
 

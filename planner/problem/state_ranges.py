@@ -59,7 +59,7 @@ class StateRanges:
         return (e >= self.upper - tolerance) | (e <= self.lower + tolerance)
 
     def value(self, hinges: Hinges, xs: np.ndarray) -> float:
-        """What hinges add to the cost of states xs (N+1, nx)."""
+        """The cost that hinges add for states xs (N+1, nx)."""
         above, below = self._beyond(hinges, xs)
         return 0.5 * float(np.sum(hinges.weight * (above**2 + below**2)))
 

@@ -1,5 +1,4 @@
 from planner.proof.contact_history import ContactHistory as ContactHistory
-from planner.proof.cost import proven_cost as proven_cost
 from planner.proof.hold import hold_gain as hold_gain
 from planner.proof.model_parity import parity as parity
 from planner.proof.perturbation import Perturbation as Perturbation
@@ -7,6 +6,7 @@ from planner.proof.refinement import Refined as Refined
 from planner.proof.refinement import Refinement as Refinement
 from planner.proof.refinement import refine as refine
 from planner.proof.replaying import Replay as Replay
+from planner.proof.replaying import proven_cost as proven_cost
 from planner.proof.replaying import replay as replay
 from planner.proof.verdict import Proof as Proof
 from planner.proof.verdict import prove as prove

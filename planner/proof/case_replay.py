@@ -1,8 +1,6 @@
-"""One rollout of the Monte Carlo in detail, step by step: to be looked at and rendered."""
+"""One rollout of the Monte Carlo step by step, to be inspected and rendered."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -34,18 +32,18 @@ def replay_case(
         batch, M = rollouts.batch([errors]), rollouts.steps
         piece, commands = rollouts.pieces(batch, MODES[feedback])
         model = batch.models[0]
-        data, complaints = mujoco.MjData(model), ()
+        data, complaints = mujoco.MjData(model), []
         w, ctrl = np.full((M + 1, batch.start.shape[1]), np.nan), np.zeros((M, model.nu))
         recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
         set_state(model, data, w[0])
         for i in range(M):
             if i % piece == 0:
-                n, complaints = min(piece, M - i), _complaints(data)
+                n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
                 with np.errstate(all="ignore"):  # of one about to explode
                     ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
                 data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
-            elif _complaints(data) != complaints:  # where mujoco.rollout gives a simulation up
+            elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
@@ -68,8 +66,3 @@ def replay_case(
             contact_point=recorder.point, substeps=substeps, warnings=warnings,
             reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip
-
-
-def _complaints(data: Any) -> tuple[int, ...]:
-    """Number of MuJoCo's warnings, by kind."""
-    return tuple(warning.number for warning in data.warning)

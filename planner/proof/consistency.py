@@ -1,4 +1,4 @@
-"""Step 0 of a proof: whether a plan is what it says it is, by its own dynamics and cost. MuJoCo has no part in it."""
+"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost. MuJoCo has no part in it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.limits import limit_violations
-from planner.proof.scales import cost_of_deviation
+from planner.proof.scales import cost_of_deviation, limit_violations
 from planner.solvers import lq
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding

@@ -95,7 +95,7 @@ class ContactRecorder:
             self.point[i] = moment / total
 
     def history(self, t: np.ndarray) -> ContactHistory:
-        """All that was seen, at the times t (M+1,) of the steps."""
+        """The history of all steps, at the times t (M+1,)."""
         names = tuple(f"{self._name(one)} on {self._name(other)}" for one, other in sorted(self._seen))
         if not names:
             return ContactHistory.none()

@@ -1,4 +1,4 @@
-"""Torques of planner.model.joint_curves in MuJoCo, which has no such element: added to the passive forces it computes.
+"""Add torques of planner.model.joint_curves to MuJoCo's passive forces, since MJCF has no such element.
 
 MuJoCo asks its one global callback at every stage of its integrators, so a replay has no error of its own from it. The
 callback is there only inside `curves_acting`, and acts on the models named there alone: others that run meanwhile are

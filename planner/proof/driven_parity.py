@@ -58,7 +58,7 @@ def driven_parity(
 def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> tuple[Measured, Measured]:
-    """MuJoCo's accelerations of the driven model, beside the plan's dynamics; and what its armature leaves."""
+    """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
     smooth = replace(mechanism, contacts=(), stops=())
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
     rng = np.random.default_rng(seed)
@@ -74,11 +74,10 @@ def _driven(
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     scale = np.maximum(_rounded(smooth, prescribed, xs, theirs), speed2)
     error = float((np.abs(theirs - ours) / scale[:, None]).max())
-    lag = float(np.abs(left).max())
     note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
     judged = Measured("driven_acceleration_error", error, "", bound, note)
     note = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
-    return judged, Measured("left_by_the_motors", lag, "", None, note)
+    return judged, Measured("left_by_the_motors", float(np.abs(left).max()), "", None, note)
 
 
 def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:

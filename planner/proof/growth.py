@@ -83,7 +83,7 @@ def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
 
 
 def _missed(plan: Plan, problem: Problem) -> np.ndarray:
-    """D (N, ndx): where each stage ends when it is integrated in REFINEMENT steps, less where the plan says."""
+    """The errors d (N, ndx) of the stages: their ends in REFINEMENT steps less those of the plan."""
     part = np.full(plan.N, problem.dynamics.dt / REFINEMENT)
     xs = plan.xs[:-1]
     for _ in range(REFINEMENT):
@@ -92,7 +92,7 @@ def _missed(plan: Plan, problem: Problem) -> np.ndarray:
 
 
 def _left_by_motors(plan: Plan, problem: Problem, B: np.ndarray) -> np.ndarray | float:
-    """(N, ndx) where prescribed accelerations fall short by what moving the machine takes (model.mjcf.driven)."""
+    """(N, ndx) errors of the stages: motors of prescribed joints fall short by tau / HEAVY (model.mjcf.driven)."""
     dynamics = problem.dynamics
     if not (isinstance(dynamics, RigidBodyDynamics) and dynamics.prescribed):
         return 0.0

@@ -1,4 +1,4 @@
-"""Hold the goal after arriving: the infinite-horizon regulator there, and MuJoCo going on from a replay's end with it.
+"""Hold the goal after arriving: an infinite-horizon regulator, and MuJoCo's motion under it from the end of a replay.
 
 A plan ends at its horizon, and most goals do not stand by themselves. Near one that is an equilibrium, x_g = f(x_g,
 u_g), the deviation e = x (-) x_g obeys e+ = A e + B (u - u_g), and
@@ -21,7 +21,7 @@ from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
-from planner.proof.goal import costs_with_goals
+from planner.proof.refined import costs_with_goals
 from planner.proof.replaying import Replay
 from planner.proof.simulation import MOST_STEPS, simulate
 
@@ -56,8 +56,12 @@ def hold_gain(problem: Problem) -> Hold:
     """
     from scipy.linalg import LinAlgError, solve_discrete_are  # a fifth of a second that `import planner` does not pay
 
-    x, free = _goal(problem)
-    x, u = _equilibrium(problem, x, free)
+    costs = costs_with_goals(problem)
+    if len(costs) != 1:
+        has = f"the cost has {len(costs)} terms with a goal state"
+        raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
+    free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
+    x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
     A, B, drift = _about(problem, x, u)
     _check_equilibrium(A, B, drift, problem.dynamics.dt)
     Q, R = _weights(problem, x, u)
@@ -73,15 +77,6 @@ def hold_gain(problem: Problem) -> Hold:
             "motion that does not die out by itself."
         )
     return Hold(x, u, K, space_of(problem.dynamics))
-
-
-def _goal(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """The last reference (nx,) and which components (ndx,) of a deviation from it cost nothing at the end."""
-    wanted = costs_with_goals(problem)
-    if len(wanted) != 1:
-        has = f"the cost has {len(wanted)} terms with a goal state"
-        raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
-    return wanted[0].x_ref[-1].copy(), ~np.any(wanted[0].Q[-1], axis=0)
 
 
 def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +137,7 @@ class Held:
     ctrl: np.ndarray  # (M, nu) what was applied
     # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
     xs: np.ndarray
-    warnings: tuple[str, ...]  # What MuJoCo complained of, one sentence each
+    warnings: tuple[str, ...]  # MuJoCo's complaints, one sentence each
 
     @property
     def deviation(self) -> np.ndarray:

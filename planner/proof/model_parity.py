@@ -14,8 +14,7 @@ from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
-from planner.proof.another_model import another_model, with_model
-from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.compiled_twin import CompiledTwin, another_model, with_model
 from planner.proof.curve_callback import curves_acting
 from planner.proof.driven_parity import driven_parity
 from planner.proof.rigid_parity import rigid_parity

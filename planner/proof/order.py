@@ -47,8 +47,8 @@ class Order:
     extrapolated_cost: float  # J at a step of zero
     cost_uncertainty: float  # Of it
     end_uncertainty: float  # Of the end state, largest component
-    plan_cost: float  # What the plan says
-    scale: float  # What cost changes are relative to
+    plan_cost: float  # Of the plan itself
+    scale: float  # Changes of the cost are relative to it
 
     @property
     def section(self) -> Section:

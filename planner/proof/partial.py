@@ -35,7 +35,7 @@ class Partial:
     """Arrays of finished rollouts by name, kept in an .npz when there is a path."""
 
     def __init__(self, path: Path | None, mark: str) -> None:
-        """Read what is there; a file of another plan, or none that can be read, is as good as none."""
+        """Read the file; one of another plan, or that cannot be read, counts as none."""
         self._path, self._mark = path, mark
         self.arrays: dict[str, np.ndarray] = {}  # along the first axis, the rollouts in order
         if path is None:

@@ -1,4 +1,4 @@
-"""The errors of step 5 of a proof: how large they are, how a rollout's are drawn, and a MuJoCo model that has them.
+"""The errors of step 5 of a proof: their sizes, how they are drawn for a rollout, and a MuJoCo model with them.
 
 A rollout draws everything from default_rng([seed, k]), k its number, in a fixed order and whatever is switched on: it
 is the same in any company, and switching one kind of error off leaves the others as they were.
@@ -152,7 +152,7 @@ def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Dr
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """The machine as planned, and what its errors are measured by."""
+    """The machine as planned, and the scales of its errors."""
 
     model: Any  # MuJoCo's
     load: np.ndarray  # (nv,) the largest generalized force along the plan, N m or N

@@ -1,4 +1,4 @@
-"""Step 5 of a proof: how often a plan still succeeds on a machine that is not quite the one it was made for.
+"""Step 5 of a proof: how often a plan still succeeds on a machine that differs from the planned one.
 
 Seeded Monte Carlo in MuJoCo, open loop and with the plan's gains: masses, friction, start, controls and their delay are
 wrong by what a Perturbation says. Besides, masses alone, wrong by more and more, tell the margin. The measured are not
@@ -42,7 +42,7 @@ _USUAL = 0.3  # of the budget is what the estimate may fill, so that its error d
 class Perturbed:
     """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
-    perturbation: Perturbation  # What was varied
+    perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
     asked: int  # Rollouts that were asked for, in each mode
     done: int  # Rollouts that were run; with a budget it may be fewer
@@ -60,7 +60,7 @@ class Perturbed:
     # Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts that had
     # not exploded by then.
     fans: dict[str, np.ndarray]
-    notes: tuple[str, ...] = ()  # What there is to say about how it was done, one sentence each
+    notes: tuple[str, ...] = ()  # Remarks on how the rollouts were run, one sentence each
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -125,7 +125,7 @@ class Trials:
 
     rollouts: int = 512  # How many machines, in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
-    perturbation: Perturbation | None = None  # What is varied; None for Perturbation.usual() of the plan's problem
+    perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
     tolerance: float = TOLERANCE  # Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s
 
     def __post_init__(self) -> None:
@@ -162,8 +162,10 @@ def perturbed(
             repeat, level = divmod(k, len(LEVELS))  # so that more rollouts per level continue the fewer
             return draw_masses(LEVELS[level], seed, level, repeat, sizes)
 
-        parts = {"cases": (wanted, lambda k: draw(perturbation, seed, k, sizes))}
-        parts["levels"] = per_level * len(LEVELS), level_draw
+        parts = {
+            "cases": (wanted, lambda k: draw(perturbation, seed, k, sizes)),
+            "levels": (per_level * len(LEVELS), level_draw),
+        }
         try:
             size = simulator.batch_size if budget is None else _affordable(budget / _PIECES, simulator.seconds, least=4)
             _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)
@@ -182,7 +184,7 @@ def _run(
     simulator: Rollouts, parts: dict[str, tuple[int, Callable[[int], Draw]]], store: Partial, size: int,
     deadline: float, progress: Callable[[int, int], object] | None,
 ) -> None:  # fmt: skip
-    """Run what is not in the store yet, in batches of at most `size`, in both modes each."""
+    """Run the rollouts that the store does not have, in batches of at most `size`, each in both modes."""
     total, before = sum(wanted for wanted, _ in parts.values()), 0
     for name, (wanted, draw_one) in parts.items():
         done = len(store.arrays.get(f"{name}_end", ()))

@@ -1,4 +1,7 @@
-"""Step 3 of a proof: MuJoCo at a refined step against the plan, by the machine's own rules or by the general ones."""
+"""Steps 3 and 4 of a proof: whether MuJoCo at a refined step repeats the plan, and whether it gets to the goal.
+
+Both by the machine's own rules or by the general ones.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ import numpy as np
 
 from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.proof.limits import limit_violations
 from planner.proof.replaying import Replay
-from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale
+from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale, limit_violations
 
 _NO_RANGES = "of joints, controls and forces: a plan knows none, MuJoCo holds them"
 _LARGEST = "largest component, rad, m, rad/s, m/s"
@@ -58,3 +61,26 @@ def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Measured, ...]
         Measured(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
         if values.size
     )  # fmt: skip
+
+
+def costs_with_goals(problem: Problem) -> list[TrackingCost]:
+    """The terms of a problem's cost with a final weight, and so with a goal state."""
+    costs = getattr(problem.cost, "costs", (problem.cost,))
+    return [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+
+
+def goal(run: Replay, problem: Problem) -> Section:
+    """Judge one replay's end by the machine's own rule, or show how far from the cost's goal it is."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return problem.requirements.goal(run)
+    wanted = costs_with_goals(problem)
+    if not wanted:
+        return Section("goal", not_applicable="the problem states no goal apart from its cost")
+
+    def distance(x: np.ndarray) -> float:
+        errors = (np.abs(run.plan.space.difference(x, c.x_ref[-1]))[np.any(c.Q[-1], axis=0)].max() for c in wanted)
+        return float(max(errors))
+
+    note = "largest component that the cost's final weight acts on, against its reference; shown, not judged"
+    errors = {"planned_goal_error": run.plan.xs[-1], "replayed_goal_error": run.xs[-1]}
+    return Section("goal", tuple(Measured(name, distance(x), "", None, note) for name, x in errors.items()))

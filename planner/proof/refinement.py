@@ -27,13 +27,13 @@ from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.growth import FACTOR
-from planner.proof.planned import reached_by_plan
+from planner.proof.replaying import reached_by_plan
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 
 class Refinement(NamedTuple):
-    """One line of the path from a plan to one that holds.
+    """One plan on the way to one that passes.
 
     Attributes:
         integrator: Of the plan.
@@ -108,11 +108,11 @@ def refine(
     plan: Plan, proof: Proof, *, limit: int = 4, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
     callback: Callable[[Refinement], object] | None = None, **options: Any,
 ) -> Refined:  # fmt: skip
-    """Answer a FAIL that comes from a plan's step by finer steps, until PASS.
+    """Solve and prove again at finer steps, while the plan's step is the cause of a FAIL.
 
     Args:
         plan: A plan with its problem.
-        proof: What was found of it.
+        proof: Of the plan.
         limit: Most refinements.
         seconds: After which no other solve begins, and one that runs is ended; a proof is never cut.
         prove: Judges the plans on the way; by default without perturbed rollouts.

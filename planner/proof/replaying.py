@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -46,7 +47,7 @@ class Replay:
         contact_force: (M+1,) sum of the normal contact forces.
         contact_point: (M+1, 3) where it acts; NaN without contact.
         substeps: Simulator steps per stage of the plan.
-        warnings: What MuJoCo complained of, one sentence each.
+        warnings: MuJoCo's complaints, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
         contacts: The force of each contact.
     """
@@ -105,7 +106,7 @@ def replay(
     """Replay a plan in MuJoCo at a refined step.
 
     Args:
-        plan: What to replay.
+        plan: The plan to replay.
         feedback: Apply u = us[n] + K[n] @ difference(x, x_plan(t)) at every simulator step instead of us[n].
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
@@ -183,3 +184,47 @@ def knows_contacts(plan: Plan) -> bool:
 def stopped_dofs(plan: Plan) -> frozenset[int]:
     """The degrees of freedom whose ends of range are part of a plan's dynamics."""
     return frozenset(stop.dof for stop in getattr(_mechanism(plan), "stops", ()))
+
+
+def reached_by_plan(run: Replay) -> tuple[str, ...]:
+    """The sentences of a replay's `reached` that the plan's own knots justify too.
+
+    A replay that goes astray may reach anything, and that comes of its going astray.
+    """
+    if not run.reached:
+        return ()
+    mujoco, plan = load_mujoco(), run.plan
+    model, w = run.compiled.model, run.twin.sim_of(plan.xs)
+    ranges = ranges_reached(model, plan.t, w, plan.us, stopped_dofs(plan))
+    if plan.problem is None or knows_contacts(plan):
+        return ranges
+    data = mujoco.MjData(model)
+    for t, state in zip(plan.t, w, strict=True):
+        data.qpos[:] = state[: model.nq]
+        mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            return (*ranges, f"shapes touch at t = {t:.4g} s.")
+    return ranges
+
+
+def proven_cost(plan: Plan) -> float:
+    """The cost that MuJoCo reaches at the refined step, with the plan's gains or open loop, whichever is less.
+
+    Plans are run with their gains; where these do worse than none, the plan is run without. Several threads may ask
+    at once. For solve(..., rank=proven_cost).
+
+    Args:
+        plan: A plan of a problem with a twin.
+
+    Returns:
+        The cost; infinite where the plan is not finite, or neither replay stays so without MuJoCo's complaints.
+
+    Raises:
+        PlannerError: No plan of this problem can be replayed: it has no twin, or too many steps.
+    """
+    if not all(np.isfinite(part).all() for part in (plan.xs, plan.us, plan.K)):
+        return math.inf
+    with np.errstate(all="ignore"):  # of a replay that runs away
+        runs = [replay(plan, feedback=feedback) for feedback in (True, False)]
+        costs = [run.cost for run in runs if not run.warnings]
+    return min((cost for cost in costs if math.isfinite(cost)), default=math.inf)

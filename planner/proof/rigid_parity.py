@@ -88,7 +88,7 @@ def rigid_parity(
 
 
 def _unmodelled(mechanism: Mechanism, model: Any) -> Measured:
-    """Elements that act in the model and are none of the mechanism's, but for contacts: a replay says what touched."""
+    """Elements that act in the model and that the mechanism has not, without contacts, which a replay reports."""
     phrases = [one.phrase for one in unmodelled(model)]
     note = ", ".join(phrases) or "what changes the motion and is no part of the plan's dynamics"
     if phrases and mechanism.ignored:
@@ -170,7 +170,7 @@ def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) ->
 
 
 def unlimited(model: Any) -> None:
-    """Switch ranges and contacts off: no part of a mechanism's dynamics, a replay says where they were reached."""
+    """Switch ranges and contacts off: they are no part of a mechanism's smooth dynamics."""
     bits = load_mujoco().mjtDisableBit
     model.opt.disableflags |= bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONSTRAINT
     model.actuator_forcelimited[:] = 0
@@ -178,7 +178,7 @@ def unlimited(model: Any) -> None:
 
 
 def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relative: np.ndarray, bound: float) -> str:
-    """The joint, and what of it, in which two models differ."""
+    """Name the joint and its term in which two models differ."""
     if not np.isfinite(relative).all():
         return "not a finite number"
     if term == "mass":
@@ -203,7 +203,7 @@ def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relati
 
 
 def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray) -> str:
-    """A mass that differs is felt by every joint that carries it: the outermost one names it."""
+    """Name the outermost joint whose inertia differs, since every joint that carries it feels the difference."""
     entries = np.any(wrong, axis=0)
     joints = np.flatnonzero(np.diag(entries))
     if not len(joints):
@@ -217,7 +217,7 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
 
 
 def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """(K,) what rounding of the terms of the equation of motion makes of its accelerations, per unit of rounding."""
+    """(K,) errors of accelerations from rounding of the terms of the equation of motion, per unit of rounding."""
     terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
     return _largest(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
 

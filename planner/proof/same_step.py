@@ -110,18 +110,21 @@ def stage_function(
         w = np.concatenate([data.qvel, data.qacc, data.act_dot])
         return w if space.quaternions else twin.to_x @ w
 
-    own = {"euler": explicit_euler, "rk4": munthe_kaas}
+    def explicit_euler(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return space.integrate(x, dt * rates(x, u))
+
+    own: dict[str, Stage] = {"euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt)}
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
     if integrator in named:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step
     if integrator in own:
-        return ACCELERATIONS, lambda x, u: own[integrator](rates, space, x, u, dt)
+        return ACCELERATIONS, own[integrator]
     return None
 
 
 def advancing(integrator: str, step: float, model: Any, twin: Twin, space: StateSpace) -> Advance | None:
-    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None as above.
+    """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None for none.
 
     MuJoCo's own integrators run on: the simulator may have more states than the plan.
     """
@@ -145,11 +148,6 @@ def advancing(integrator: str, step: float, model: Any, twin: Twin, space: State
             yield twin.x_of(state_of(data))
 
     return own if how == ACCELERATIONS else native
-
-
-def explicit_euler(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
-    """One stage of the paper's integrator."""
-    return space.integrate(x, dt * rates(x, u))
 
 
 def munthe_kaas(rates: Rates, space: StateSpace, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Rates of success and what they say of all rollouts that were not run."""
+"""Rates of success and their confidence intervals."""
 
 from __future__ import annotations
 

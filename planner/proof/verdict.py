@@ -1,4 +1,4 @@
-"""prove(): an independent engine judges a plan step by step, every figure beside its bound.
+"""prove(): an independent engine judges a plan step by step, every number beside its bound.
 
     0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
     1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
@@ -29,16 +29,15 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Section
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
-from planner.proof.another_model import another_model
+from planner.proof.compiled_twin import another_model
 from planner.proof.consistency import consistency
-from planner.proof.goal import goal
 from planner.proof.growth import Growth, growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
 from planner.proof.model_parity import parity_in
 from planner.proof.order import Order, order
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, Trials, perturbed
-from planner.proof.refined import tracking
+from planner.proof.refined import goal, tracking
 from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
@@ -161,7 +160,7 @@ def prove(
         twin: Another model and other maps in place of the plan's own.
         seed: Of the random states of parity and of the perturbations.
         rollouts: Of step 5; 0 leaves it out.
-        perturbation: What step 5 varies; by default Perturbation.usual(plan.problem).
+        perturbation: The errors of step 5; by default Perturbation.usual(plan.problem).
         hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
         budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
         partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
@@ -229,7 +228,7 @@ def with_rollouts(
 
 
 def _held(proof: Proof, held: Held) -> Proof:
-    """The proof with what holding the goal showed: a machine that was to stay and does not, fails."""
+    """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
     section = hold_section(held)
     proof = replace(proof, hold=section, held=held)
     if section.passed or not proof.passed:
@@ -244,7 +243,7 @@ def _held(proof: Proof, held: Held) -> Proof:
 
 
 def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section], run: Replay) -> str:
-    """The verdict in a sentence: what held, or what broke and by how much."""
+    """The verdict in a sentence: how the plan passed, or which step failed and by how much."""
     if mode is None:
         broken = next(section for section in judged if section.failures)
         more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))

@@ -9,7 +9,7 @@ from planner.__main__ import main
 from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.proof.another_model import with_model
+from planner.proof.compiled_twin import with_model
 
 CART = """
 <mujoco model="cart">

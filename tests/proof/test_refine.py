@@ -151,7 +151,7 @@ def test_a_range_that_only_a_replay_gone_astray_reaches():
     assert text != plan.twin.mjcf
     limited = planner.prove(plan, mjcf=text, rollouts=0)
     assert limited.replay.reached
-    assert refinement._from_discretisation(limited) == ""
+    assert refinement._other_cause(limited) == ""
 
 
 # Ends

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number
+from planner.base.arguments import array, count, number, set_fields
 from planner.base.errors import PlannerError
 from planner.model.contact.laws import ContactLaw
 
@@ -47,12 +47,9 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
+        link, radius = count("link", self.link, least=-1), number("radius", self.radius, least=0.0)
         middle, half = array("middle", self.middle, (3,)), array("half", self.half, (3,))
-        for value in (middle, half):
-            value.flags.writeable = False
-        checked = {"link": count("link", self.link, least=-1), "radius": number("radius", self.radius, least=0.0)}
-        for name, value in (checked | {"middle": middle, "half": half}).items():
-            object.__setattr__(self, name, value)
+        set_fields(self, link=link, middle=middle, half=half, radius=radius)
 
     @property
     def length(self) -> float:
@@ -89,7 +86,7 @@ class BodyContact:
 
     @property
     def blunt(self) -> float:
-        """The share b of positions along the axes in what is least; 0 where one is a sphere."""
+        """The weight b of the positions along the axes in the minimised sum; 0 where one is a sphere."""
         first, second = self.first.length, self.second.length
         if first == 0.0 or second == 0.0:
             return 0.0
@@ -104,7 +101,7 @@ def check_body_contact(contact: BodyContact, carriers: Any, where: str) -> None:
 
 
 def common_carrier(parent: np.ndarray, contact: BodyContact) -> int:
-    """The last link that carries both parts of a contact, whose motion does not change how they touch; -1 for none."""
+    """The last link that carries both parts of a contact: its motion does not change the contact; -1 for none."""
     above, i = {-1}, contact.first.link
     while i >= 0:
         above.add(i)

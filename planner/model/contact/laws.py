@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, count, number
+from planner.base.arguments import array, count, number, set_fields
 from planner.base.errors import PlannerError
 
 ALONG = 1e-9  # of a direction along a plane, its part across
@@ -56,15 +56,15 @@ class Law:
     force_ramp: float | None = None
 
     def __post_init__(self) -> None:
-        _set(self, stiffness=number("stiffness", self.stiffness, above=0.0))
+        set_fields(self, stiffness=number("stiffness", self.stiffness, above=0.0))
         for name in ("damping", "ramp"):
-            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
+            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
         share = FORCE_SHARE * self.stiffness * self.ramp if self.force_ramp is None else self.force_ramp
-        _set(self, force_ramp=number("force_ramp", share, least=0.0))
+        set_fields(self, force_ramp=number("force_ramp", share, least=0.0))
 
     @property
     def lift(self) -> float:
-        """M or rad by which the law's surface is raised, so that the force deep inside is stiffness times the depth."""
+        """How far the law's surface is raised, m or rad, so that the force deep inside is stiffness times the depth."""
         return 0.5 * self.ramp + 0.5 * float(self.force_ramp or 0.0) / self.stiffness
 
 
@@ -88,17 +88,17 @@ class ContactLaw(Law):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("slip_damping", "friction"):
-            _set(self, **{name: number(name, getattr(self, name), least=0.0)})
-        _set(self, bend=number("bend", self.bend, least=0.0, most=1.0))
+            set_fields(self, **{name: number(name, getattr(self, name), least=0.0)})
+        set_fields(self, bend=number("bend", self.bend, least=0.0, most=1.0))
         if self.impratio != math.inf:
-            _set(self, impratio=number("impratio", self.impratio, above=0.0))
+            set_fields(self, impratio=number("impratio", self.impratio, above=0.0))
 
     @classmethod
     def resting(
         cls, mass: float, *, sink: float = 5e-3, friction: float = 1.0, damping_ratio: float = 0.2, slip: float = 0.5,
         ramp: float | None = None, gravity: float = 9.81,
     ) -> ContactLaw:  # fmt: skip
-        """The law of a ground by what it does to a machine of some mass, for whom the law's numbers say nothing.
+        """Contact parameters from penetration at rest, damping ratio and slip speed of a machine.
 
         RK4 wants stages of at most 2.7 m / slip_damping and 2.7 m / damping, m the mass that a foot has by itself:
         light feet want a larger slip, or a shorter dt.
@@ -156,10 +156,8 @@ class Plane:
             raise PlannerError("normal is (0, 0, 0), expected a direction.")
         normal /= length
         velocity -= normal * (normal @ velocity)
-        _set(self, normal=normal, velocity=velocity, offset=number("offset", self.offset))
-        _set(self, slide=count("slide", self.slide, least=-1))
-        for value in (normal, velocity):
-            value.flags.writeable = False
+        slide, offset = count("slide", self.slide, least=-1), number("offset", self.offset)
+        set_fields(self, normal=normal, velocity=velocity, offset=offset, slide=slide)
 
 
 def slide_direction(mechanism: Any, plane: Plane) -> np.ndarray:
@@ -182,7 +180,7 @@ class Contact:
         link: Which carries the sphere.
         centre: (3,) m, in the link's frame.
         radius: m, 0 for a point.
-        plane: What it touches.
+        plane: The plane that it touches.
         touch: The force.
         name: For pictures and messages.
     """
@@ -195,9 +193,8 @@ class Contact:
     name: str = ""
 
     def __post_init__(self) -> None:
-        centre = array("centre", self.centre, (3,))
-        centre.flags.writeable = False
-        _set(self, link=count("link", self.link, least=0), centre=centre, radius=number("radius", self.radius, least=0))
+        link, radius = count("link", self.link, least=0), number("radius", self.radius, least=0)
+        set_fields(self, link=link, centre=array("centre", self.centre, (3,)), radius=radius)
 
 
 @dataclass(frozen=True)
@@ -217,11 +214,6 @@ class Stop:
     law: Law
 
     def __post_init__(self) -> None:
-        _set(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
+        set_fields(self, dof=count("dof", self.dof, least=0), end=number("end", self.end))
         if self.side not in (-1, 1):
             raise PlannerError(f"side is {self.side!r}, expected 1 or -1.")
-
-
-def _set(data: Any, **values: Any) -> None:
-    for name, value in values.items():
-        object.__setattr__(data, name, value)

@@ -1,4 +1,4 @@
-"""Shapes of an MJCF's geoms as contacts know them: planes, spheres that meet them, and the axes of capsules.
+"""Convert geoms of an MJCF to the shapes of contacts: planes, spheres that meet them, and capsules.
 
 A capsule meets a plane with the spheres at its ends, a box with its corners, which are points; MuJoCo does the same (of
 a box's corners it takes the lowest four at most).
@@ -19,7 +19,7 @@ from planner.model.mjcf.survey import Survey
 
 
 def plane_of(survey: Survey, geom: int) -> Plane | None:
-    """The plane that a geom is to a sphere: a plane, or the uppermost face of a box as one without end.
+    """The plane that spheres touch on a geom: a plane itself, or the uppermost face of a box, continued without end.
 
     None where it is neither, and where it moves, but on a slide along itself (a treadmill's belt).
     """
@@ -53,7 +53,7 @@ class Sphere(NamedTuple):
 
 
 def spheres_of(model: Any, geom: int) -> list[Sphere]:
-    """The spheres as which a geom that moves meets a plane."""
+    """The spheres that stand for a moving geom where it meets a plane."""
     kinds = load_mujoco().mjtGeom
     kind, size = model.geom_type[geom], model.geom_size[geom]
     if model.body_weldid[model.geom_bodyid[geom]] == 0:
@@ -73,7 +73,7 @@ def part_name(of: str, spheres: list[Sphere], k: int) -> str:
 
 
 def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, list[Sphere]] | None:
-    """The plane of two geoms and the spheres that meet it, where they are that."""
+    """The plane of two geoms and the spheres of the other that meet it; None for other shapes."""
     for flat, other in (geoms, geoms[::-1]):
         plane, spheres = plane_of(survey, flat), spheres_of(survey.model, other)
         if plane is not None and spheres:
@@ -82,7 +82,7 @@ def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, li
 
 
 def capsule_of(survey: Survey, geom: int) -> Capsule:
-    """A sphere or capsule as a part of a contact of two bodies."""
+    """Convert a sphere or capsule to a part of a contact of two bodies."""
     model, T = survey.model, survey.geoms[geom]
     long = model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)
     radius, half = float(model.geom_size[geom][0]), float(model.geom_size[geom][1]) if long else 0.0

@@ -113,7 +113,7 @@ def _made(root: ElementTree.Element, files: dict[str, bytes], sizes: dict[str, i
 
 
 def _count(element: ElementTree.Element) -> int:
-    """The product of an element's `count`; what is no number there is left to MuJoCo, which says so."""
+    """The product of the numbers in an element's `count`; MuJoCo itself refuses anything else there."""
     return math.prod(max(1, int(digits[:18])) for digits in re.findall(r"[0-9]+", element.get("count", "")))
 
 

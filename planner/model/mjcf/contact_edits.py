@@ -1,4 +1,4 @@
-"""A law of planner.model.contact.laws given to the contacts of an MJCF, so that MuJoCo replays what was planned with.
+"""Give a law of planner.model.contact.laws to the contacts of an MJCF, so that MuJoCo replays with the plan's law.
 
 Every pair of shapes that is modelled gets a <pair> of its own, whose numbers are those of contact_attributes; pairs
 that are not modelled (meshes, boxes of two bodies that both move) are excluded and said to be.
@@ -25,7 +25,7 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 
 
 def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> list[str]:
-    """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
+    """Edit the XML so that its contacts have a law; returns the contacts that are left out, in one phrase or none.
 
     The survey is of what the root compiles to. Of an infinite impratio becomes IMPRATIO.
     """
@@ -47,12 +47,16 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
         ElementTree.SubElement(section, "pair", {**geoms, **law, "margin": "0", "gap": "0"})
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
-    _say_smoothing(root, touch)
+    for custom in root.findall("custom"):
+        for element in custom.findall(f"numeric[@name='{CONTACT_RAMP}']"):
+            custom.remove(element)
+    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
+    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
     return [phrase_of(model, left_out)] if left_out else []
 
 
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
-    """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
+    """Edit the XML so that its contacts keep their force when its bodies have other inertias.
 
     `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two
     bodies that no force moves, `still` (nbody,), is excluded.
@@ -70,7 +74,7 @@ def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, sti
             "friction": pair.friction, "solref": ratio * pair.solref, "solreffriction": ratio * pair.solreffriction,
             "solimp": pair.solimp,
         }  # fmt: skip
-        law = {name: " ".join(map(written, values)) for name, values in numbers.items()}
+        law = {name: written(*values) for name, values in numbers.items()}
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
         extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
@@ -84,17 +88,8 @@ def _in_place_of_pairs(root: ElementTree.Element) -> ElementTree.Element:
     return ElementTree.SubElement(root, "contact")
 
 
-def _say_smoothing(root: ElementTree.Element, touch: ContactLaw) -> None:
-    for section in root.findall("custom"):
-        for element in section.findall("numeric"):
-            if element.get("name") == CONTACT_RAMP:
-                section.remove(element)
-    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
-    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
-
-
 def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str, second: str) -> None:
-    """Exclude two bodies, once: <pair>s are not concerned by it."""
+    """Exclude contacts of two bodies, once; <pair>s stay."""
     known = {frozenset((e.get("body1"), e.get("body2"))) for s in root.findall("contact") for e in s.iter("exclude")}
     if frozenset((first, second)) not in known:
         ElementTree.SubElement(section, "exclude", {"body1": first, "body2": second})
@@ -122,9 +117,8 @@ def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element
 
 def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
     if [element.get("name", "") for element in elements] != known:
-        raise ModelError(
-            f"the file has not all {kind}s of the model (<attach>, <replicate>), so no law is given to it."
-        )
+        missing = f"the file has not all {kind}s of the model (<attach>, <replicate>)"
+        raise ModelError(f"{missing}, so no law is given to it.")
     for i, element in enumerate(elements):
         if not element.get("name"):
             element.set("name", f"{kind} number {i}")
@@ -132,7 +126,7 @@ def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> 
 
 
 def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """In MuJoCo's order: a body, then all that hangs on it."""
+    """Bodies in MuJoCo's order: a body, then all that hang on it."""
     for child in parent:
         if child.tag == "body":
             yield child
@@ -141,7 +135,7 @@ def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
 
 
 def _own(body: ElementTree.Element, *tags: str) -> Iterator[ElementTree.Element]:
-    """A body's elements of some kinds, but for those of the bodies that hang on it."""
+    """A body's own elements of some kinds, without those of the bodies that hang on it."""
     for child in body:
         if child.tag in tags:
             yield child

@@ -1,4 +1,4 @@
-"""Contacts and joint stops of an MJCF: those in which MuJoCo computes the law of model.contact.laws are read as that.
+"""Read the contacts and joint stops of an MJCF in which MuJoCo computes the law of model.contact.laws.
 
 MuJoCo's constraints tend to plain springs and dampers when their impedance d is next to nothing (solimp="1e-4 1e-4"):
 then R >> A in its problem, and with solref in the direct format and A the constant invweight0 of the two bodies
@@ -62,12 +62,8 @@ def contact_attributes(
     if mu == 0.0 or touch.slip_damping == 0.0:
         return {"condim": "1", **_direct(touch, per, "")}
     slip = touch.slip_damping / touch.impratio
-    return {
-        "condim": "3",
-        "friction": _text(mu, mu, 0.005, 0.0001, 0.0001),
-        **_direct(touch, per, ""),
-        "solreffriction": _text(-touch.stiffness * per, -slip * per),
-    }
+    rubs = {"condim": "3", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)}
+    return {**rubs, **_direct(touch, per, ""), "solreffriction": _text(-touch.stiffness * per, -slip * per)}
 
 
 def stop_attributes(stiffness: float, damping: float, invweight: float) -> dict[str, str]:
@@ -142,16 +138,15 @@ def _direct_reason(solref: np.ndarray, solimp: np.ndarray) -> str:
 
 def contact_refusals(survey: Survey, all_of_them: bool = False) -> Iterator[Refusal]:
     """The contacts that are not modelled, or all of them, in one phrase."""
-    reasons = [(pair, _reason(survey, pair)) for pair in survey.pairs] if not all_of_them else []
-    wrong = [(pair, reason) for pair, reason in reasons if reason]
-    if all_of_them and survey.pairs:
-        yield Refusal("contacts", phrase_of(survey.model, survey.pairs))
-    elif wrong:
-        yield Refusal("contacts", f"{phrase_of(survey.model, [pair for pair, _ in wrong])} ({wrong[0][1]})")
+    reasons = {pair.geoms: "" if all_of_them else _reason(survey, pair) for pair in survey.pairs}
+    wrong = [pair for pair in survey.pairs if all_of_them or reasons[pair.geoms]]
+    if wrong:
+        why = "" if all_of_them else f" ({reasons[wrong[0].geoms]})"
+        yield Refusal("contacts", f"{phrase_of(survey.model, wrong)}{why}")
 
 
 def phrase_of(model: Any, pairs: Sequence[Pair]) -> str:
-    """Contacts for a sentence: the first by name, the others by their number."""
+    """Contacts in a phrase: the name of the first and the number of the others."""
     first = " and ".join(named(model, "geom", i) for i in pairs[0].geoms)
     return f"contacts of {first}" + ("" if len(pairs) == 1 else f" and {len(pairs) - 1} more pairs")
 
@@ -192,7 +187,7 @@ def _touch(model: Any, pair: Pair) -> ContactLaw:
 
 
 def read_stops(model: Any) -> tuple[Stop, ...]:
-    """The ends of ranges at which MuJoCo computes the law; other limits push in no plan."""
+    """The ends of ranges at which MuJoCo computes the law; a plan knows no other limits."""
     if disabled(model, "constraint", "limit"):
         return ()
     joints, found = load_mujoco().mjtJoint, []

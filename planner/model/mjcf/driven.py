@@ -1,4 +1,4 @@
-"""The twin of a machine some of whose joints are given their acceleration (the paper's Cases 2 and 3).
+"""Make the twin of a machine some of whose joints are given their acceleration (the paper's Cases 2 and 3).
 
 MuJoCo knows forces alone. So the joints that a plan prescribes are made heavy, and a motor pushes them as hard:
 
@@ -29,6 +29,7 @@ from planner.base.gl import load_mujoco
 from planner.model.joint_curves import ExponentialTorque
 from planner.model.mechanism import BALL, DIRECT, Actuators, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
+from planner.model.mjcf.edit import actuators_of
 from planner.model.mjcf.survey import Survey, compile_model, disabled
 from planner.model.mjcf.text import parsed, written
 from planner.model.twin import Twin
@@ -84,7 +85,7 @@ def prescribed_dofs(mechanism: Mechanism, prescribed: Collection[str]) -> np.nda
 
 
 def driven_dofs(dynamics: Any) -> np.ndarray:
-    """(n,) the degrees of freedom that dynamics of any kind prescribe; none where they do not know the word."""
+    """(n,) the degrees of freedom that dynamics of any kind prescribe; none where they have no `prescribed`."""
     prescribed = getattr(dynamics, "prescribed", ())
     return prescribed_dofs(dynamics.mechanism, prescribed) if prescribed else np.zeros(0, dtype=int)
 
@@ -92,12 +93,20 @@ def driven_dofs(dynamics: Any) -> np.ndarray:
 def driven(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collection[str]) -> str:
     """An MJCF text that compiles to `model`, with some of its joints, in the order of qvel, driven by accelerations."""
     root, survey = parsed(mjcf, "the model"), Survey(model)
-    _check(model, prescribed)
+    known = [model.joint(j).name for j in range(model.njnt)]
+    for name in prescribed:
+        if name not in known:
+            raise ModelError(f"the model has no joint {name!r}, expected one of: {', '.join(filter(None, known))}.")
+    if disabled(model, "actuation"):
+        raise ModelError("the model's actuators are switched off, expected actuation: its prescribed joints need it.")
     joints = [int(model.joint(name).id) for name in prescribed]
     elements = joints_of(root, model)
     for j in joints:
         _release(elements[j], model, j)
-    _silence(root, model, joints)
+    silent = _silent(model, joints)  # they keep their controls and activations
+    own = actuators_of(root, model, "no joint is driven") if silent else []
+    for i in silent:
+        own[i].set("gear", "0")
     _add_motors(root, model, joints)
     # The same file, but for inertias and what does not move them: it says how soft the contacts have become.
     heavy = compile_model(root, assets, "the model with its prescribed joints driven")
@@ -105,15 +114,6 @@ def driven(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collecti
     if survey.pairs:
         keep_law(root, survey, heavy.body_invweight0[:, 0], _still(model, joints))
     return ElementTree.tostring(root, encoding="unicode")
-
-
-def _check(model: Any, prescribed: Collection[str]) -> None:
-    known = [model.joint(j).name for j in range(model.njnt)]
-    for name in prescribed:
-        if name not in known:
-            raise ModelError(f"the model has no joint {name!r}, expected one of: {', '.join(filter(None, known))}.")
-    if disabled(model, "actuation"):
-        raise ModelError("the model's actuators are switched off, expected actuation: its prescribed joints need it.")
 
 
 def _release(element: ElementTree.Element, model: Any, joint: int) -> None:
@@ -130,18 +130,6 @@ def _release(element: ElementTree.Element, model: Any, joint: int) -> None:
     )
     if model.jnt_actfrclimited[joint]:
         element.set("actuatorfrclimited", "false")
-
-
-def _silence(root: ElementTree.Element, model: Any, joints: list[int]) -> None:
-    """Actuators of these joints keep their controls and activations, and push nothing."""
-    elements = [element for section in root.findall("actuator") for element in section]
-    silent = _silent(model, joints)
-    if silent and [element.get("name", "") for element in elements] != [
-        model.actuator(i).name for i in range(model.nu)
-    ]:
-        raise ModelError("the model's actuators are not all its own (<attach>, <replicate>), so no joint is driven.")
-    for i in silent:
-        elements[i].set("gear", "0")
 
 
 def _silent(model: Any, joints: list[int]) -> list[int]:
@@ -173,11 +161,8 @@ def _add_motors(root: ElementTree.Element, model: Any, joints: list[int]) -> Non
             while name in taken:
                 name += "'"
             taken.add(name)
-            attributes = {
-                "name": name, "joint": model.joint(j).name, "gear": " ".join(map(written, gear)), "group": str(group),
-                "ctrllimited": "false", "forcelimited": "false",
-            }  # fmt: skip
-            ElementTree.SubElement(section, "motor", attributes)
+            own = {"name": name, "joint": model.joint(j).name, "gear": written(*gear), "group": str(group)}
+            ElementTree.SubElement(section, "motor", own, ctrllimited="false", forcelimited="false")
             motors += 1
     for key in root.iterfind("keyframe/key"):
         if "ctrl" in key.attrib:
@@ -190,17 +175,17 @@ def _motor(joint: str, axis: int, dofs: int) -> str:
 
 
 def _keep_stops(elements: list[ElementTree.Element], model: Any, heavy: Any) -> None:
-    """Stops whose numbers are relative to the inertia behind them get those of the same force."""
+    """Rescale the stops whose numbers are relative to the inertia behind them, so that their force stays."""
     for j in map(int, np.flatnonzero(heavy.jnt_limited)):
         if heavy.jnt_solref[j, 0] >= 0.0:  # a time constant is none of a plan's stops
             continue
         dof = int(model.jnt_dofadr[j])
         ratio = float(heavy.dof_invweight0[dof] / model.dof_invweight0[dof])
-        elements[j].set("solreflimit", " ".join(map(written, ratio * model.jnt_solref[j])))
+        elements[j].set("solreflimit", written(*ratio * model.jnt_solref[j]))
 
 
 def _still(model: Any, joints: list[int]) -> np.ndarray:
-    """(nbody,) bodies that only these joints move, or none."""
+    """(nbody,) bodies that no joints but these move."""
     still = np.ones(model.nbody, dtype=bool)
     for body in range(1, model.nbody):
         own = np.flatnonzero(model.jnt_bodyid == body)

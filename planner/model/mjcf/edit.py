@@ -1,4 +1,4 @@
-"""Take what is not modelled out of the XML, so that a replay simulates the machine that was planned with."""
+"""Take elements that are not modelled out of the XML, so that a replay simulates the plan's machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.base.errors import ModelError
 from planner.model.mjcf.refuse import Refusal
 from planner.model.mjcf.survey import field
 
-# What the flags and options take out.
+# Options and flags that switch a kind off.
 _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "contacts": ({}, {"contact": "disable"}),
     "frictionloss": ({}, {"frictionloss": "disable"}),
@@ -20,13 +20,11 @@ _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "sleep": ({}, {"sleep": "disable"}),
     "fluid": ({"density": "0", "viscosity": "0"}, {}),
 }
-# Attributes without which an element does not do it.
+# Attributes that are deleted to switch a kind off.
 _ATTRIBUTES = {
-    "gravcomp": ("gravcomp",),
-    "actearly": ("actearly",),
-    "plasticity": ("springyield",),
+    "gravcomp": ("gravcomp",), "actearly": ("actearly",), "plasticity": ("springyield",),
     "mocap": ("mocap", "mpos", "mquat"),
-}
+}  # fmt: skip
 _NO_TENDON = {"stiffness": "0", "damping": "0", "frictionloss": "0", "limited": "false"}
 
 
@@ -34,14 +32,10 @@ def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: An
     """Edit the XML so that nothing of these refusals' kinds acts any more; `model` is compiled from it."""
     # Settings that come later replace earlier ones, whatever sections the file has.
     kinds = {one.kind for one in refusals}
-    options, flags = {}, {}
-    for kind in kinds:
-        option, flag = _OPTIONS.get(kind, ({}, {}))
-        options.update(option)
-        flags.update(flag)
-    if options or flags:
-        element = ElementTree.SubElement(root, "option", options)
-        ElementTree.SubElement(element, "flag", flags)
+    acting = [both for kind, both in _OPTIONS.items() if kind in kinds]  # in one order, for the same text every time
+    options, flags = ({name: value for both in acting for name, value in both[i].items()} for i in (0, 1))
+    if acting:
+        ElementTree.SubElement(ElementTree.SubElement(root, "option", options), "flag", flags)
     gone = {name for kind in kinds for name in _ATTRIBUTES.get(kind, ())}
     for element in root.iter():
         for name in gone & set(element.attrib):
@@ -59,15 +53,21 @@ def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: An
         _take_actuators_out(root, model, [one.index for one in refusals if one.kind == "actuator"])
 
 
+def actuators_of(root: ElementTree.Element, model: Any, so: str) -> list[ElementTree.Element]:
+    """The elements of all actuators in MuJoCo's order; a ModelError that ends with `so` where the file has not all."""
+    elements = [element for section in root.findall("actuator") for element in section]
+    names = [model.actuator(i).name for i in range(len(model.actuator_trntype))]
+    if [element.get("name", "") for element in elements] != names:
+        raise ModelError(f"the model's actuators are not all its own (<attach>, <replicate>), so {so}.")
+    return elements
+
+
 def _take_actuators_out(root: ElementTree.Element, model: Any, out: list[int]) -> None:
     """Remove actuators, their numbers in keyframes and what refers to them."""
-    n = len(model.actuator_trntype)
-    elements = [(section, child) for section in root.findall("actuator") for child in section]
-    names = [model.actuator(i).name for i in range(n)]
-    if [child.get("name", "") for _, child in elements] != names:
-        raise ModelError("the model's actuators are not all its own (<attach>, <replicate>), so none is taken out.")
-    for i in out:
-        elements[i][0].remove(elements[i][1])
+    n, elements = len(model.actuator_trntype), actuators_of(root, model, "none is taken out")
+    for section in root.findall("actuator"):
+        for element in {*section} & {elements[i] for i in out}:
+            section.remove(element)
     first = model.actuator_ctrladr if hasattr(model, "actuator_ctrladr") else np.arange(n)
     count = model.actuator_ctrlnum if hasattr(model, "actuator_ctrlnum") else np.ones(n, dtype=int)
     removed = {
@@ -81,7 +81,7 @@ def _take_actuators_out(root: ElementTree.Element, model: Any, out: list[int]) -
                 kept = [number for k, number in enumerate(numbers) if k not in places]
                 if kept:
                     key.set(attribute, " ".join(kept))
-    lost = {names[i] for i in out} - {""}
+    lost = {model.actuator(i).name for i in out} - {""}
     for parent in list(root.iter()):
         for child in list(parent):
             refers = child.get("objname") if child.get("objtype") == "actuator" else child.get("actuator")

@@ -1,4 +1,4 @@
-"""Meshes that are only seen, at the resolution of a picture: their files are most of what a model weighs.
+"""Store meshes that are only seen at the resolution of a picture: their files are most of the bytes of a model.
 
 A mesh is only seen where none of its geoms can touch anything and none gives its body a mass. Its box is divided in
 GRID cells along its longest side, the vertices of a cell become one at their mean, and faces without area go. No mass,
@@ -72,10 +72,10 @@ def _only_seen(root: ElementTree.Element, model: Any) -> set[int]:
 
 def _coarse_obj(model: Any, index: int) -> bytes:
     """A compiled mesh on the grid, as the text of an OBJ in the frame of the mesh's file; empty if it has no area."""
-    first, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
+    at, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
     face, faces = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
     T = pose(model.mesh_pos[index], model.mesh_quat[index])  # the compiler moved the mesh to its principal axes
-    vertices = model.mesh_vert[first : first + count] @ T[:3, :3].T + T[:3, 3]
+    vertices = model.mesh_vert[at : at + count] @ T[:3, :3].T + T[:3, 3]
     size = float(np.ptp(vertices, axis=0).max())
     cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
     _, place, members = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
@@ -83,7 +83,9 @@ def _coarse_obj(model: Any, index: int) -> bytes:
     means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
     corners = place[model.mesh_face[face : face + faces]]
     whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
-    corners = np.unique(_rolled(corners[whole]), axis=0)
+    corners = corners[whole]
+    first = np.argmin(corners, axis=1)[:, None]  # the least corner goes first, so that equal faces are
+    corners = np.unique(np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1), axis=0)
     a, b, c = (means[corners[:, k]] for k in range(3))
     if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
         return b""
@@ -91,9 +93,3 @@ def _coarse_obj(model: Any, index: int) -> bytes:
     lines = [" ".join(["v", *(f"{number:.{digits}f}" for number in row)]) for row in means]
     lines += [" ".join(["f", *map(str, row)]) for row in (corners + 1).tolist()]
     return "\n".join(lines).encode()
-
-
-def _rolled(corners: np.ndarray) -> np.ndarray:
-    """Faces with their least corner first, their orientation kept."""
-    first = np.argmin(corners, axis=1)[:, None]
-    return np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)

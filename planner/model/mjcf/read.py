@@ -1,4 +1,4 @@
-"""Mechanism.from_mjcf: MuJoCo's compiler reads the file, this turns what it made into links and screws.
+"""Mechanism.from_mjcf: convert the model that MuJoCo's compiler makes of a file to links and screws.
 
 MuJoCo moves the frame of a body joint by joint, every joint being given in that frame: so the links of a body with
 several joints all have its frame, and only the first is displaced from the link that carries it. What is welded to a
@@ -32,12 +32,9 @@ from planner.model.space import unit
 
 
 def read(
-    model: str | Path,
-    *,
-    ignore: Collection[str] | None = (),
-    contacts: str | ContactLaw = "on",
+    model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
     assets: dict[str, bytes] | None = None,
-) -> Mechanism:
+) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
     if not isinstance(ignore, Collection | None):
         raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
@@ -116,11 +113,8 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
         if site
     }
-    keyframes = {
-        key: np.concatenate([model.key_qpos[i], model.key_qvel[i], model.key_act[i]])
-        for i, key in enumerate(_names(model, "key", model.nkey))
-        if key
-    }
+    states = np.concatenate([model.key_qpos, model.key_qvel, model.key_act], axis=1)
+    keyframes = {key: state for key, state in zip(_names(model, "key", model.nkey), states, strict=True) if key}
     return Mechanism(
         nq=int(model.nq), parent=parent, base=base, **screws, T_home=T_home, qpos0=np.array(model.qpos0),
         **_masses(model, links, poses), armature=armature, damping=damping,

@@ -1,4 +1,4 @@
-"""Find by name what changes the motion of a compiled model and is not modelled."""
+"""Name the elements of a compiled model that change its motion and are not modelled."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 
-# What `ignore` may name.
+# Kinds that `ignore` may name.
 KINDS = (
     "frictionloss", "equality", "tendon", "fluid", "gravcomp", "actuator", "actearly", "polynomial", "plasticity",
     "mocap", "sleep",
@@ -183,11 +183,12 @@ def _transmission(model: Any, i: int) -> Iterator[str]:
     mujoco = load_mujoco()
     kinds, joints = mujoco.mjtTrn, mujoco.mjtJoint
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
+    has_length = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0
     if _is(kind, kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
         joint = model.jnt_type[target]
         if _is(joint, joints.mjJNT_BALL, joints.mjJNT_FREE) and kind == kinds.mjTRN_JOINTINPARENT:
             yield "jointinparent of a ball or free joint"
-        elif joint == joints.mjJNT_BALL and _has_length(model, i):
+        elif joint == joints.mjJNT_BALL and has_length:
             yield "force by the angle of a ball joint"
     elif kind == kinds.mjTRN_TENDON:
         first = model.wrap_type[model.tendon_adr[target]]
@@ -195,7 +196,3 @@ def _transmission(model: Any, i: int) -> Iterator[str]:
             yield "spatial tendon"
     elif not adheres_to_nothing(model, i):
         yield f"{_lower(kinds, kind)} transmission"
-
-
-def _has_length(model: Any, i: int) -> bool:
-    return model.actuator_biastype[i] == load_mujoco().mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[i, 1] != 0.0

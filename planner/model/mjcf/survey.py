@@ -1,4 +1,4 @@
-"""Compile an MJCF text, and look up once what readers and editors need of the compiled model.
+"""Compile an MJCF text, and look up once the facts that readers and editors need of the compiled model.
 
 MuJoCo settles defaults, flags, replicas and contact filters when it compiles, so the compiled model says what would
 act. `compile_model` is the only place that calls MuJoCo's compiler; a `Survey` of its result is handed to all that
@@ -62,7 +62,7 @@ def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 class Pair(NamedTuple):
-    """Two geoms that may touch, and how, as MuJoCo's compiler has it."""
+    """Two geoms that may touch, and the parameters of their contact."""
 
     geoms: tuple[int, int]
     condim: int

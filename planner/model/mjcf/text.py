@@ -61,7 +61,7 @@ class _Reading:
     """A model being read."""
 
     folder: Path  # Of its main file
-    budget: Budget  # What the files have come to, shared with the models that it attaches
+    budget: Budget  # Counts its files and elements, with those of the models that it attaches
     parents: tuple[Path, ...]  # The files of the models that attach it, and its own
     # The folder of the file that an element was included from.
     origins: dict[ElementTree.Element, Path] = field(default_factory=dict)

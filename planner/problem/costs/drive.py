@@ -1,4 +1,4 @@
-"""Forces of a drive as a criterion: what it takes to move prescribed joints as a plan asks (Cases 2 and 3).
+"""DriveCost: the forces that move prescribed joints as a plan asks (Cases 2 and 3).
 
     J = sum_n dt weight 1/2 (tau_n - reference)^2,     tau = tau_p(x, u) of the paper's hybrid dynamics, Fig. 2
 

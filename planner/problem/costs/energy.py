@@ -103,7 +103,7 @@ class EnergyCost(Term):
         return force, move[:, : self.mechanism.nv] @ acts.moment.T, move
 
     def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the power by deviations of both ends (N, nu, ndx) of each stage, and by its controls (N, nu, nu)."""
+        """Derivatives of the power by both ends (N, nu, ndx) of each stage, and by its controls (N, nu, nu)."""
         acts, nv = self.mechanism.actuators, self.mechanism.nv
         force, way, move = self._parts(xs, us)
         along = np.zeros((len(acts.moment), self.ndx))

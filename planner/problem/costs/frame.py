@@ -1,4 +1,4 @@
-"""FrameCost: where a frame of a machine (its hand, its foot, its trunk) should be, and how it should be turned."""
+"""FrameCost: targets for the position and orientation of a frame of a machine (its hand, its foot, its trunk)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class FrameCost(Term):
             self._weights("position", position, position_weight, final_position_weight, dt),
             self._weights("orientation", orientation, orientation_weight, final_orientation_weight, dt),
         ]
-        self._running, self._final = (np.concatenate(_alike(parts), axis=1) for parts in zip(*weights, strict=True))
+        self._running, self._final = (_side_by_side(*parts) for parts in zip(*weights, strict=True))
 
     def resampled(self, parts: int, ratio: float) -> FrameCost:
         """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
@@ -145,10 +145,10 @@ class FrameCost(Term):
         return model
 
 
-def _alike(parts: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-    """With as many rows as the longest has."""
-    rows = max(len(part) for part in parts)
-    return [np.broadcast_to(part, (rows, part.shape[1])) for part in parts]
+def _side_by_side(*parts: np.ndarray) -> np.ndarray:
+    """Arrays (rows, k) next to each other, one row of an array repeated as often as another one has rows."""
+    rows = max(map(len, parts))
+    return np.concatenate([np.broadcast_to(part, (rows, part.shape[1])) for part in parts], axis=1)
 
 
 def quaternion_of(R: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ class Accelerations:
         return self.dynamics.rates(xs, us)[:, self.nv : 2 * self.nv]
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
+        """Derivatives by a deviation of x (K, nv, ndx), and by u (K, nv, nu)."""
         rows = slice(self.nv, 2 * self.nv)
         A, B = self._euler.linearize(np.concatenate([xs, xs[:1]]), us)
         by_x = A[:, rows].copy()
@@ -197,7 +197,7 @@ def extended(space: StateSpace, more: int) -> StateSpace:
 
 
 def remembering(cost: Cost, dynamics: JerkDynamics) -> Cost:
-    """A cost of a machine's own states as one of the extended ones.
+    """Convert a cost of a machine's own states to one of the extended states.
 
     A TrackingCost stays one, which weighs nothing of what was added: limits look for its goal.
     """
@@ -225,7 +225,7 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
 
 
 def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
-    """A machine whose actuators change the accelerations of some of its joints: (joints' jerk) as a control.
+    """A machine whose controls are the jerks of some of its joints.
 
     It is the model in which MuJoCo replays prescribed joints, made heavy and pushed as hard (see model.mjcf.driven),
     with motors that integrate. What the rest of the machine does to such a joint is felt as that force over HEAVY.

@@ -1,4 +1,4 @@
-"""PenaltyCost: what points, distances, gaps and velocities of a machine should be, as least squares over the stages.
+"""PenaltyCost: least squares of heights, distances, gaps and velocities of a machine over the stages.
 
     J = sum_n dt weight_n 1/2 r_n^2  over the stages,  + final_weight 1/2 r_N^2 at the end
 
@@ -55,7 +55,7 @@ class PenaltyCost(Term):
         self.measures = measures_of(self.mechanism, self.N, terms, dt)
 
     def values(self, xs: np.ndarray) -> np.ndarray:
-        """(N+1, T) m or m/s, what the terms measure along xs (N+1, nx), also where they are off."""
+        """(N+1, T) m or m/s, the values of the terms along xs (N+1, nx), also where they are off."""
         fast = self._fast
         places, J = self._places(xs, moving=bool(fast.size))
         velocities = self._velocities(xs, J) if fast.size else places
@@ -100,7 +100,7 @@ class PenaltyCost(Term):
         return cost
 
     def _places(self, xs: np.ndarray, moving: bool) -> tuple[np.ndarray, np.ndarray]:
-        """(N+1, P, 3) of the points, and their derivatives (N+1, P, 3, nv)."""
+        """Places (N+1, P, 3) of the points, and their derivatives (N+1, P, 3, nv)."""
         m = self.measures
         places, J = points_of(self.mechanism, xs[:, : self.mechanism.nq], m.link, m.offset, moving=moving)
         return m.share[:, None] * places + np.swapaxes(m.world, 0, 1), m.share[:, None, None] * J if moving else J

@@ -1,4 +1,4 @@
-"""What a PenaltyCost weighs: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
+"""Terms of a PenaltyCost: heights and velocities of points, distances of points or capsules, gaps of contacts. Data.
 
 A term measures a value of the state and compares it, stage by stage, with what is wanted:
 
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, number, numbers, shown
+from planner.base.arguments import array, number, numbers, set_fields, shown
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Frame
 
@@ -47,9 +47,7 @@ class Point:
             raise PlannerError(f"frame is {shown(self.frame)}, expected a Frame, the name of a site or body, or None.")
         world = numbers("world", self.world)
         world = array("world", world, ("N+1", 3) if world.ndim == 2 else (3,))
-        _set(self, offset=array("offset", self.offset, (3,)), share=number("share", self.share), world=world)
-        for value in (self.offset, world):
-            value.flags.writeable = False
+        set_fields(self, offset=array("offset", self.offset, (3,)), share=number("share", self.share), world=world)
 
     def __str__(self) -> str:
         return self.frame if isinstance(self.frame, str) else "a point" if self.frame is None else "a frame"
@@ -72,7 +70,7 @@ class Segment:
     def __post_init__(self) -> None:
         for name in ("start", "end"):
             _point(name, getattr(self, name))
-        _set(self, radius=number("radius", self.radius, least=0.0))
+        set_fields(self, radius=number("radius", self.radius, least=0.0))
 
     def __str__(self) -> str:
         return f"{self.start} - {self.end}"
@@ -80,7 +78,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penalty:
-    """What is wanted of a value, and how much. Just one of least, most and target.
+    """A bound of a value or a target for it, exactly one of least, most and target, and its weight.
 
     Attributes:
         least: A number, or (N+1,) with NaN at stages where the term is off.
@@ -113,8 +111,8 @@ class Penalty:
         if not (np.isfinite(weight).all() and weight.min(initial=0.0) >= 0.0):
             raise PlannerError(f"weight is {shown(self.weight)}, expected finite weights of at least 0.")
         if self.final_weight is not None:
-            _set(self, final_weight=number("final_weight", self.final_weight, least=0.0))
-        _set(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
+            set_fields(self, final_weight=number("final_weight", self.final_weight, least=0.0))
+        set_fields(self, tolerance=tolerance, ramp=ramp, weight=weight, **{given[0]: bound})
 
     @property
     def wanted(self) -> str:
@@ -136,7 +134,7 @@ class Height(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _set(self, point=_point("point", self.point), normal=_direction("normal", self.normal))
+        set_fields(self, point=_point("point", self.point), normal=_direction("normal", self.normal))
 
     def __str__(self) -> str:
         return f"height of {self.point}"
@@ -158,8 +156,8 @@ class Velocity(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _set(self, point=_point("point", self.point), relative=_point("relative", self.relative))
-        _set(self, direction=_direction("direction", self.direction))
+        set_fields(self, point=_point("point", self.point), relative=_point("relative", self.relative))
+        set_fields(self, direction=_direction("direction", self.direction))
 
     def __str__(self) -> str:
         return f"velocity of {self.point}"
@@ -211,25 +209,15 @@ def _point(name: str, value: Any) -> Point:
 
 
 def _direction(name: str, value: Any) -> np.ndarray:
-    """(3,) of length one, read-only."""
+    """(3,) of length one."""
     direction = array(name, value, (3,))
     length = float(np.linalg.norm(direction))
     if not length > 0.0:
         raise PlannerError(f"{name} is (0, 0, 0), expected a direction.")
-    direction /= length
-    direction.flags.writeable = False
-    return direction
+    return direction / length
 
 
 def _per_stage(name: str, value: Any) -> np.ndarray:
-    """() or (N+1,), read-only; what is not finite is not yet refused."""
+    """() or (N+1,); numbers that are not finite are not yet refused."""
     given = numbers(name, value)
-    if given.ndim:
-        given = array(name, given, ("N+1",), any_value=True)
-    given.flags.writeable = False
-    return given
-
-
-def _set(data: Any, **values: Any) -> None:
-    for name, value in values.items():
-        object.__setattr__(data, name, value)
+    return array(name, given, ("N+1",), any_value=True) if given.ndim else given

@@ -34,7 +34,7 @@ class Quadratic(NamedTuple):
 
 
 class Cost(Protocol):
-    """What a user's own cost must offer."""
+    """The two methods of every cost, a user's own too."""
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -46,13 +46,13 @@ class Cost(Protocol):
 
 
 def check_cost(name: str, value: Any) -> None:
-    """That a value has the two methods of a cost; a PlannerError where it has not."""
+    """Raise a PlannerError unless a value has the two methods of a cost."""
     if not (callable(getattr(value, "value", None)) and callable(getattr(value, "quadratize", None))):
         raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
 
 
 def remade(cost: Any, method: str, *arguments: Any) -> Any:
-    """What a cost's `resampled` or `with_effort` returns."""
+    """Call `resampled` or `with_effort` of a cost; a PlannerError where it has no such method."""
     if not callable(getattr(cost, method, None)):
         signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
         raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
@@ -105,7 +105,7 @@ class SumCost(Term):
         )
 
     def _common(self, name: str) -> Any:
-        """What all costs that say so are made for; None when none does."""
+        """The one value of an attribute among the costs that have it; None when none has."""
         said = [value for cost in self.costs if (value := getattr(cost, name, None)) is not None]
         for value in said:
             if value != said[0]:
@@ -306,7 +306,7 @@ class TrackingCost(Term):
 
 
 def tracking_of(cost: Any) -> TrackingCost | None:
-    """The one TrackingCost with a final weight that a cost is, or has in its sum; None where there is not just one."""
+    """The one TrackingCost with a final weight in a cost or a sum; None for none or several."""
     terms = [term for term in getattr(cost, "costs", (cost,)) if isinstance(term, TrackingCost)]
     if len(terms) > 1:
         terms = [term for term in terms if np.any(term.Q[-1])]

@@ -1,4 +1,4 @@
-"""Weights: matrices and diagonals from what is easy to say, such as a number or one number per joint."""
+"""Weights: matrices and diagonals from a number, or from numbers by the names of joints."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def diagonal(name: str, value: Any, size: int, kind: str, places: Mapping[str, s
 def places(
     mechanism: Mechanism, prescribed: tuple[str, ...]
 ) -> tuple[dict[str, slice], dict[str, slice], dict[str, slice]]:
-    """Where weights by name go: joints in (nv,), actuators and prescribed joints in (nu,), actuators in (na,)."""
+    """Slices of named weights: joints in (nv,), actuators and prescribed joints in (nu,), actuators in (na,)."""
     joints = {name: s for name, s in zip(mechanism.joint_names, mechanism.joint_links, strict=True) if name}
     names = mechanism.actuators.names
     inputs = {name: slice(i, i + 1) for i, name in enumerate(names) if name}
