@@ -141,7 +141,7 @@ def ends_of(replay: Replay) -> dict[str, np.ndarray]:
 
 
 def end_misses(who: str, x: np.ndarray, goal: np.ndarray, tolerance: float, why: str) -> list[Measured]:
-    """How far an end x (2 n,) of "planned" or "replayed" is from a goal (2 n,) at rest; n angles, then n rates."""
+    """Distances of an end x (2 n,), "planned" or "replayed", from a goal (2 n,) at rest; n angles, then n rates."""
     whose = "the plan's end" if who == "planned" else "MuJoCo's end"
     angle, rate = np.abs(x - goal).reshape(2, -1).max(axis=1).tolist()
     return [

@@ -1,4 +1,4 @@
-"""The paper beside us: its own methods as baselines, and a study for each of its parts."""
+"""The paper's own methods as baselines, and studies that compare its parts with our results."""
 
 from planner.base.lazy import public_names
 

@@ -41,7 +41,7 @@ def test_equation_7_is_the_gradient_of_the_integral(problem):
     )
     P = 5.0 * np.random.default_rng(0).normal(size=6)
     gradient = cost(P[:, None])[1].ravel()
-    by_differences = slopes(lambda P: cost.value(P[:, None]), P, 1e-3)
+    by_differences = slopes(lambda P: cost(P[:, None])[0], P, 1e-3)
     assert np.linalg.norm(gradient - by_differences) < 1e-5 * np.linalg.norm(gradient)
 
 
@@ -49,7 +49,7 @@ def test_the_integral_is_what_the_sum_tends_to():
     """Explicit Euler's sum is off by the order of its step: a hundredth of it, a hundredth of the error."""
     P = np.array([0.0, 30.0, -20.0, 40.0, 10.0, 0.0])
     basis = SplineSpace(3, 3).basis(1.0)
-    integral = AdjointCost(ContinuousProblem(jump()), basis, np.zeros(3), Integration(1e-10)).value(P[:, None])
+    integral = AdjointCost(ContinuousProblem(jump()), basis, np.zeros(3), Integration(1e-10))(P[:, None])[0]
     errors = [abs(SplineCost(hopper(**(PAPER | {"horizon": N})), basis)(P)[0] - integral) for N in (500, 50_000)]
     assert errors[1] < 0.02 * errors[0]
 

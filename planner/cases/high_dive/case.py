@@ -139,10 +139,8 @@ def judge_entry(replay: Replay, entry: np.ndarray) -> Section:
             Measured(f"{who}_turn_miss", turn, "rad", TOLERANCE, f"{whose} pelvis from its goal at the entry"),
             Measured(f"{who}_joint_miss", angle, "rad", TOLERANCE, f"{whose} joints from straight, the largest"),
             Measured(f"{who}_joint_rate", rate, "rad/s", RATE_TOLERANCE, f"{whose} joints from rest, the largest"),
-            Measured(
-                f"{who}_momentum_drift", momentum_drift(mechanism, xs), "", DRIFT_BOUND,
-                f"largest change of {whose} angular momentum about the centre of mass, over its value at take-off",
-            ),
+            Measured(f"{who}_momentum_drift", momentum_drift(mechanism, xs), "", DRIFT_BOUND,
+                     f"largest change of {whose} angular momentum about the centre of mass, over that at take-off"),
         ]  # fmt: skip
     return Section("goal", tuple(measured))
 

@@ -1,4 +1,4 @@
-"""Measures of a step in a clinician's terms, and what its proof demands.
+"""Measures of a step in a clinician's terms, and the checks of its proof.
 
 Step 3 of the proof compares MuJoCo's legs with the plan's, RMS over all joints and the whole replay. Step 4 checks that
 the swinging foot is clear of the belt in plan and replay, and that a gait ends as it began. Step 5 counts how often
@@ -139,7 +139,7 @@ def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) ->
 
 @dataclass(frozen=True)
 class Robot:
-    """How hard a robot drives the pelvis over the stages: RMS and maximum of the length of each vector."""
+    """Forces and motion of the robot at the pelvis: RMS and maximum over the stages of the length of each vector."""
 
     force: tuple[float, float]  # N, weight included
     moment: tuple[float, float]  # N m

@@ -24,7 +24,7 @@ FEET = tuple(f"{side}_{point}" for side in SIDES for point in ("ankle_centre", "
 
 @dataclass(frozen=True)
 class Step:
-    """Who walks, how fast, and for how long."""
+    """A walker, a gait, and the planned part of its cycles."""
 
     walker: Walker
     gait: Gait  # the normal gait

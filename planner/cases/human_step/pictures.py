@@ -109,7 +109,7 @@ def _joint(step: Step, joint: str, tolerance: float, motions: Motions, normal: n
 
 
 def _hip_height(step: Step, motions: Motions) -> Chart:
-    """Hip hiking."""
+    """Height of each hip over that of the normal gait."""
 
     def lift(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
         normal = np.interp(t, step.t, normal_height(step, f"{side}_hip"))

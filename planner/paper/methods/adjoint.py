@@ -110,25 +110,18 @@ class AdjointCost:
         y0 = np.append(self._z0, 0.0)
         return solve_ivp(rates, (0.0, self._end), y0, dense_output=True, t_eval=times, **self._options)
 
-    def value(self, P: np.ndarray) -> float:
-        """J of amplitudes (n, inputs); infinite where the states run away."""
-        return self._ends(P, self.forward(P))[0]
-
-    def _ends(self, P: np.ndarray, states: Any) -> tuple[float, np.ndarray, np.ndarray]:
-        if not states.success or not np.all(np.isfinite(states.y)):
-            return np.inf, np.zeros(0), np.zeros(0)
-        end = states.y[:, -1]
-        phi, phi_z, phi_w = self._system.final(end[:-1], self.inputs(self._end, P))
-        return float(phi + end[-1]), phi_z, phi_w
-
     def __call__(self, P: np.ndarray) -> tuple[float, np.ndarray]:
-        """J and its gradient (n, inputs)."""
+        """J of amplitudes (n, inputs), infinite where the states run away, and its gradient (n, inputs)."""
         from scipy.integrate import solve_ivp
 
         system = self._system
         nz, shape = system.nz, (system.orders, system.inputs)
         states = self.forward(P)
-        J, phi_z, phi_w = self._ends(P, states)
+        if not states.success or not np.all(np.isfinite(states.y)):
+            return np.inf, np.zeros_like(P)
+        last = states.y[:, -1]
+        phi, phi_z, phi_w = system.final(last[:-1], self.inputs(self._end, P))
+        J = float(phi + last[-1])
         if not np.isfinite(J):
             return J, np.zeros_like(P)
         direct = self._D(self._end).T @ phi_w.reshape(shape)

@@ -199,7 +199,7 @@ def minimize_effort_underactuated(
     space: SplineSpace | None = None, guess: Guess | None = None, integration: Integration | None = None,
     max_iterations: int = 500,
 ) -> DrivenMotion:  # fmt: skip
-    """The motion of some joints, among splines, with which all of them reach a goal with least effort.
+    """Find splines of the driven joints with which all joints reach a goal with least effort (section 2.2).
 
     Args:
         mechanism: Of hinges and slides.

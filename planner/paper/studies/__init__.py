@@ -1,1 +1,1 @@
-"""The paper beside ours: one study per part of it, and the page that they make together."""
+"""Studies that compare parts of the paper with our results, and the page that they make together."""

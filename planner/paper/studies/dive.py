@@ -152,7 +152,7 @@ def _page(results: dict[str, Any]) -> list[str]:
 
 
 def _orders(kind: dict[str, Any]) -> list[str]:
-    """The order seen from each step to the one before; the first has none."""
+    """The order that each step shows against the one before; the first has none."""
     return ["", *(f"{order:.2f}" for order in kind["orders"])]
 
 

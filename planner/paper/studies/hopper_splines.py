@@ -75,7 +75,7 @@ def _adjoint(height: float, tolerance: float) -> dict[str, Any]:
 
 
 def _gradient_errors(amplitudes: np.ndarray) -> list[dict[str, Any]]:
-    """Of Eq. 7 by tolerance, without a control and along the hop that the exact gradient found."""
+    """Errors of the gradient of Eq. 7 by tolerance, at zero controls and along the hop of the exact gradient."""
     problem = _problem(DRAWN[0])
     basis, system = _space(DRAWN[1]).basis(problem.duration), ContinuousProblem(problem)
 

@@ -101,7 +101,7 @@ def _last(family: str, kind: str, parameter: float) -> float:
 
 
 def _crossing(family: str, kind: str, low: float, high: float) -> float | None:
-    """A parameter between two whose minimum is 9.9, or None where the minimum jumps past it."""
+    """A parameter between two at which the minimum is 9.9; None where the minimum jumps past it."""
     from scipy.optimize import brentq
 
     tried: dict[float, float] = {}

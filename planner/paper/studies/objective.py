@@ -55,7 +55,7 @@ CART = """
 
 
 def _measured(plan: Plan) -> dict[str, float]:
-    """Every criterion of one plan, as it stands: neither weighted nor smoothed."""
+    """Every criterion of one plan, neither weighted nor smoothed."""
     assert plan.problem is not None
     dynamics = plan.problem.dynamics
     return {
@@ -113,7 +113,7 @@ def switched(problem: Problem, bound: float, pause: tuple[float, float] | None =
 
 
 def fewest_seconds(problem: Problem, bound: float) -> float | None:
-    """The least end of such motions over the pause, s: five switches."""
+    """The least time, s, of motions with five switches, over middle and length of the pause."""
 
     def last(pause: np.ndarray) -> float:
         times = None if pause[1] <= 0.0 else switched(problem, bound, (float(pause[0]), float(pause[1])))

