@@ -316,7 +316,7 @@ def test_failed_encoder_leaves_nothing_behind(tmp_path, monkeypatch, script):
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "film.mp4").write_bytes(b"older")
-    with pytest.raises(FileError, match=r"^Cannot write '.*film\.mp4': .*\.$"):
+    with pytest.raises(FileError, match=r"^cannot write '.*film\.mp4': .*\.$"):
         render.render_video(make_replay(), folder / "film.mp4", **SMALL, fps=10)
     assert os.listdir(folder) == ["film.mp4"]
     assert (folder / "film.mp4").read_bytes() == b"older"

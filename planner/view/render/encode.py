@@ -42,7 +42,7 @@ class Encoder:
             self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
         except OSError as error:
             self._log.close()
-            raise FileError(f"Cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
+            raise FileError(f"cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
 
     def write(self, frame: np.ndarray) -> None:
         """Append a frame (height, width, 3), uint8.
@@ -97,4 +97,4 @@ def _ffmpeg(shown: PathLike) -> str:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
         cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        raise FileError(f"Cannot write {str(shown)!r}: {cure}") from error
+        raise FileError(f"cannot write {str(shown)!r}: {cure}") from error
