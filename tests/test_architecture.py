@@ -1,6 +1,7 @@
 """Rules of the tree: folders import one way, MuJoCo stays where it belongs, only the console prints, examples run."""
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -120,6 +121,17 @@ def test_public_names_exist_and_are_documented():
 
     for name in planner.__all__:
         assert getattr(planner, name).__doc__, name
+
+
+def test_stubs_write_each_public_name_on_a_line_of_its_own():
+    """planner/base/lazy.py reads them line by line."""
+    for stub in PACKAGE.rglob("__init__.pyi"):
+        lines = [node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)]
+        names = [alias for line in lines for alias in line.names]
+        assert len(names) == len(lines)
+        assert all(alias.asname == alias.name for alias in names)
+        package = ".".join(stub.relative_to(PACKAGE.parent).parent.parts)
+        assert sorted(alias.name for alias in names) == importlib.import_module(package).__all__
 
 
 def test_public_names_are_about_thirty_and_nothing_else_is_there():

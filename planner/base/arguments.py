@@ -71,10 +71,14 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     """Return one of some names; the error lists them and suggests the nearest."""
     if isinstance(value, str) and value in choices:
         return value
-    known = list(choices)
-    near = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    raise PlannerError(f"{name} is {shown(value)}, expected one of: {', '.join(known)}.{hint}")
+    hint = did_you_mean(value, choices)
+    raise PlannerError(f"{name} is {shown(value)}, expected one of: {', '.join(choices)}.{hint}")
+
+
+def did_you_mean(value: Any, known: Collection[str]) -> str:
+    """A sentence that suggests the nearest known name, with a space before it; "" where none is near."""
+    near = difflib.get_close_matches(value, list(known), n=1) if isinstance(value, str) else []
+    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def numbers(name: str, value: Any) -> np.ndarray:

@@ -48,17 +48,11 @@ def waist_height() -> float:
 
 @dataclass(frozen=True)
 class Segment:
-    """A rigid body.
+    """A rigid body."""
 
-    Attributes:
-        mass: kg.
-        com: (3,) centre of mass in the body's frame, m.
-        inertia: (3,) moments about the body's axes through the centre of mass, kg m^2.
-    """
-
-    mass: float
-    com: tuple[float, float, float]
-    inertia: tuple[float, float, float]
+    mass: float  # kg
+    com: tuple[float, float, float]  # m, centre of mass in the body's frame
+    inertia: tuple[float, float, float]  # kg m^2, about the body's axes through the centre of mass
 
 
 @dataclass(frozen=True)
@@ -85,12 +79,7 @@ _ALONG = {"thigh": 0.25, "shank": 0.20, "foot": 0.25}  # of the inertia across, 
 
 
 def segments(mass: float, height: float) -> dict[str, Segment]:
-    """Bodies of a person by name: pelvis, chest (with head), upper_arm, forearm, thigh, shank.
-
-    Args:
-        mass: M, kg.
-        height: H, m.
-    """
+    """Bodies of a person of a mass in kg and a height in m: pelvis, chest (with head), upper_arm, ... shank."""
     waist = waist_height()
     bodies = {name: _limb(limb, mass, height) for name, limb in _LIMBS.items()}
     bodies["pelvis"] = _trunk_part(PELVIS_MASS * mass, waist * height, (1.0 - PELVIS_COM) * waist * height)
@@ -104,10 +93,6 @@ def leg_segments(mass: float, height: float) -> dict[str, Segment]:
     """Thigh, shank and foot of a leg whose foot is a body of its own; segments() joins the foot to the shank.
 
     The inertia about the long axis is a share of the inertia across it, and larger than that of a cylinder.
-
-    Args:
-        mass: M, kg.
-        height: H, m.
     """
     thigh = _LIMBS["thigh"]
     rows = {"thigh": (thigh.mass, thigh.com, thigh.radius, THIGH), "shank": (LEG_MASS, LEG_COM, LEG_RADIUS, SHANK)}
@@ -128,13 +113,7 @@ def sideless(name: str) -> str:
 
 
 def fit(pelvis: ElementTree.Element, bodies: Mapping[str, Segment], scale: float) -> None:
-    """Fit a person's MJCF tree in place.
-
-    Args:
-        pelvis: The body that carries all others.
-        bodies: Masses by name without side.
-        scale: Factor of all lengths.
-    """
+    """Fit a person's MJCF tree in place: bodies by name without side, and all lengths times `scale`."""
     for element in pelvis.iter():
         # the radius of a contact point is not a length of the person
         lengths = ("pos",) if element.get("class") == "contact" else ("pos", "fromto", "size")

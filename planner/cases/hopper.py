@@ -124,41 +124,31 @@ def _twin(dynamics: HopperDynamics) -> Twin:
     )
     to_x = np.zeros((3, 5))
     to_x[[0, 1, 2], [0, 2, 4]] = 1.0
-    flight, stance = np.zeros((5, 3)), np.zeros((5, 3))
-    for map_ in (flight, stance):
-        map_[[0, 2, 4], [0, 1, 2]] = 1.0
-    flight[1, 2], stance[1, 0] = 1.0, 1.0
+    to_sim = np.zeros((2, 5, 3))  # in flight, in stance
+    to_sim[:, [0, 2, 4], [0, 1, 2]] = 1.0
+    to_sim[0, 1, 2] = to_sim[1, 1, 0] = 1.0
     return Twin(
-        mjcf=text, to_x=to_x, to_x_offset=np.array([0.0, 0.0, offset]), to_sim=np.array([flight, stance]),
+        mjcf=text, to_x=to_x, to_x_offset=np.array([0.0, 0.0, offset]), to_sim=to_sim,
         to_sim_offset=np.array([[0.0, -offset, 0.0, 0.0, -offset], [0.0, 0.0, 0.0, 0.0, -offset]]),
     )  # fmt: skip
 
 
 def _appearance(height: float) -> Appearance:
     # The camera shows ground and goal, and follows a part of the machine's rise.
-    goal = STANDING + height
-    top = goal + 14.0
-    follow = 0.3
+    goal, top, follow = STANDING + height, STANDING + height + 14.0, 0.3
     return Appearance(
         title=f"Hopper, goal {height:g} in",
         readouts=(Readout("height", 0, "in"), Readout("rate", 1, "in/s"), Readout("piston", 2, "in")),
-        ghost_offset=(26.0, 0.0, 0.0),
-        goal_line=((-12.0, 0.0, goal), (42.0, 0.0, goal)),
-        goal_label=f"goal {height:g} in",
-        look_at=(13.0, 0.0, 0.5 * (top - follow * height)),
-        follow=(0, follow),
-        distance=1.75 * top + 15.0,
-        azimuth=103.0,
-        elevation=-13.0,
-        force_scale=0.01,
-        force_unit="in/s^2, per mass",
-        force_offset=(-11.0, 0.0, 0.0),
-        speed=0.25,
+        ghost_offset=(26.0, 0.0, 0.0), speed=0.25,
+        goal_line=((-12.0, 0.0, goal), (42.0, 0.0, goal)), goal_label=f"goal {height:g} in",
+        look_at=(13.0, 0.0, 0.5 * (top - follow * height)), follow=(0, follow),
+        distance=1.75 * top + 15.0, azimuth=103.0, elevation=-13.0,
+        force_scale=0.01, force_unit="in/s^2, per mass", force_offset=(-11.0, 0.0, 0.0),
         plots=(
             Panel("Height", "height, in", states=((0, "height"),), difference=True),
             Panel("Piston and control", "piston, in", states=((2, "piston"),), controls=((0, "flow, in/s"),)),
         ),
-    )
+    )  # fmt: skip
 
 
 def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
@@ -174,14 +164,12 @@ def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
         return np.stack([y, np.where(stance, y, act), dy, dleg, act], axis=1)
 
     return Requirements(
-        equal_states=equal_states,
-        rates=dynamics.rates,
-        start="start",
+        equal_states=equal_states, rates=dynamics.rates, start="start",
         no_same_step="the twin's foot and contact need a step of their own: no step of MuJoCo is the plan's stage",
         tracking=lambda replay: judge_tracking(replay, height, dynamics.smoothing),
         goal=lambda replay: judge_goal(replay, height, dynamics.gravity),
         success=lambda ends: arrived(ends, height, dynamics.gravity),
-    )
+    )  # fmt: skip
 
 
 def arrived(ends: np.ndarray, goal: float, gravity: float) -> np.ndarray:

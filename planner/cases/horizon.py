@@ -12,17 +12,7 @@ MOST_STAGES = 100_000
 
 
 def stages(duration: Any, horizon: Any, per_second: float = 100.0, least: int = 1) -> tuple[float, int]:
-    """The checked duration, s, and the number of stages N.
-
-    Args:
-        duration: t_f, s.
-        horizon: N; None for `per_second` stages a second, but no fewer than `least`.
-        per_second: Stages a second without a horizon.
-        least: Stages of a short motion without a horizon.
-
-    Raises:
-        PlannerError: Not positive, or more than MOST_STAGES stages.
-    """
+    """The checked duration, s, and N: the horizon, or without one `per_second` a second, but at least `least`."""
     duration = number("duration", duration, above=0.0, most=LARGEST)
     if horizon is not None:
         return duration, count("horizon", horizon, most=MOST_STAGES)

@@ -35,27 +35,18 @@ _THIN = 1e-3  # inertia of a rod along itself over that across
 
 @dataclass(frozen=True)
 class Links:
-    """Two uniform rods in gravity, with checked values.
+    """Two uniform rods, upper arm and forearm, in gravity, with checked values."""
 
-    Attributes:
-        mass1: Mass of the upper arm, kg.
-        mass2: Mass of the forearm, kg.
-        length1: Length of the upper arm, m.
-        length2: Length of the forearm, m.
-        gravity: Downward acceleration, m/s^2; 0 for an arm on a table.
-    """
-
-    mass1: float
-    mass2: float
-    length1: float
-    length2: float
-    gravity: float
+    mass1: float  # kg
+    mass2: float  # kg
+    length1: float  # m
+    length2: float  # m
+    gravity: float  # m/s^2, downward; 0 for an arm on a table
 
     def __post_init__(self) -> None:
-        for name in ("mass1", "mass2", "length1", "length2"):
-            value = number(name, getattr(self, name), least=LIGHTEST, most=HEAVIEST)
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "gravity", number("gravity", self.gravity, least=0.0, most=HEAVIEST))
+        for name, value in vars(self).copy().items():
+            least = 0.0 if name == "gravity" else LIGHTEST
+            object.__setattr__(self, name, number(name, value, least=least, most=HEAVIEST))
 
     @property
     def scale(self) -> float:
@@ -76,10 +67,8 @@ def arm_text(model: str, links: Links) -> str:
         ".//site[@name='target']": {"pos": written(0, 0, l1 + l2), "size": written(0.085 * s)},
         ".//geom[@name='upper_arm']": {"fromto": written(0, 0.1 * s, 0, l1, 0.1 * s, 0), "size": written(0.055 * s)},
         f".//geom[@name='{hub}']": {"fromto": written(0, 0.21 * s, 0, 0, 0.04 * s, 0), "size": written(0.085 * s)},
-        ".//geom[@name='elbow_motor']": {
-            "fromto": written(l1, 0.165 * s, 0, l1, 0.04 * s, 0),
-            "size": written(0.075 * s),
-        },
+        ".//geom[@name='elbow_motor']":
+            {"fromto": written(l1, 0.165 * s, 0, l1, 0.04 * s, 0), "size": written(0.075 * s)},
         ".//geom[@name='forearm']": {"fromto": written(0, 0, 0, l2, 0, 0), "size": written(0.045 * s)},
         ".//geom[@name='elbow_cap']": {"fromto": written(0, 0.04 * s, 0, 0, -0.055 * s, 0), "size": written(0.065 * s)},
         ".//geom[@name='hand']": {"pos": written(l2, 0, 0), "size": written(0.06 * s)},
@@ -89,17 +78,14 @@ def arm_text(model: str, links: Links) -> str:
         ".//geom[@name='bearing']": {"fromto": written(0, 0.4 * s, 0, 0, 0.21 * s, 0), "size": written(0.11 * s)},
         ".//light[@name='key']": {"pos": written(-2.8 * s, -3.2 * s, 7.8 * s)},
         "statistic": {"center": written(0, 0, -0.2 * s), "extent": written(6.0 * s)},
-    }
+    }  # fmt: skip
     return edited(model_text(model_path(model) / "scene.xml"), edits)
 
 
 def _rod(mass: float, length: float) -> dict[str, str]:
     across = mass * length**2 / 12.0
-    return {
-        "pos": written(0.5 * length, 0, 0),
-        "mass": written(mass),
-        "diaginertia": written(_THIN * across, across, across),
-    }
+    inertia = written(_THIN * across, across, across)
+    return {"pos": written(0.5 * length, 0, 0), "mass": written(mass), "diaginertia": inertia}
 
 
 def _sized(scale: float, *values: float) -> str:
@@ -131,18 +117,14 @@ def arm_appearance(title: str, links: Links, controls: tuple[str, ...], speed: f
         title=title,
         readouts=(Readout("shoulder", 0, "rad"), Readout("elbow", 1, "rad")),
         ghost_offset=(-3.6 * s, 0.0, 0.0),  # to the left, so that the numbers do not cover machine and goal
-        goal_line=((-0.4 * s, 0.0, top), (0.4 * s, 0.0, top)),
-        goal_label="goal",
-        azimuth=90.0,
-        elevation=-5.0,
-        speed=speed,
+        goal_line=((-0.4 * s, 0.0, top), (0.4 * s, 0.0, top)), goal_label="goal", trail="tip",
+        azimuth=90.0, elevation=-5.0, speed=speed,
         plots=(
             Panel("Joint angles", "angle, rad", states=((0, "shoulder"), (1, "elbow"))),
             Panel("Joint rates", "rate, rad/s", states=((2, "shoulder"), (3, "elbow"))),
             Panel("Motors", "torque, N m", controls=tuple(enumerate(controls))),
         ),
-        trail="tip",
-    )
+    )  # fmt: skip
 
 
 def judge_upright(replay: Replay, tolerance: float) -> Section:

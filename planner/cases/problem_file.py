@@ -28,22 +28,19 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
-import difflib
-import tomllib
-from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import array, choice, count, number, shown
-from planner.base.errors import FileError, ModelError, PlannerError
-from planner.base.files import read_text
-from planner.base.measured import Measured, Section
-from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, GROUND, KEYS, LAW, LIMITS, REQUIRED, WEIGHTS
+from planner.base.arguments import array, choice, count, did_you_mean, number, shown
+from planner.base.errors import ModelError, PlannerError
+from planner.cases.arrival import check_departure, judge_arrival
+from planner.cases.problem_keys import GROUND, LAW, REQUIRED
+from planner.cases.problem_table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
@@ -55,65 +52,38 @@ from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.guess import hold
+from planner.problem.guess import holding_controls
 from planner.problem.limits import Limits
-from planner.problem.objective import checked_durations, weights_of
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
-from planner.solvers.multistart import MOST_STARTS
-
-if TYPE_CHECKING:
-    from planner.proof.replaying import Replay
 
 NAME = "problem-file"
 
-MOST_STAGES = 100_000
-
 
 class ProblemFile(NamedTuple):
-    """What a problem.toml says."""
+    """The problem of a problem.toml, and how to solve it."""
 
     problem: Problem
     starts: int
     seed: int
-
-    @property
-    def objective(self) -> dict[str, float] | None:
-        """Weights by names of OBJECTIVES, for solve_for; None for the problem as it is."""
-        return self.problem.parameters.get("objective")
-
-    @property
-    def durations(self) -> list[float] | None:
-        """The shortest and the longest, s, for an objective with time."""
-        return self.problem.parameters.get("durations")
+    objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
+    durations: list[float] | None  # the shortest and the longest, s, for an objective with time
 
 
-def load(
-    path: str | Path, *, starts: int | None = None, seed: int | None = None, objective: Any = None,
-    durations: list[float] | None = None,
-) -> ProblemFile:  # fmt: skip
-    """The problem in a file.
-
-    Args:
-        path: The problem.toml.
-        starts: In place of the file's.
-        seed: In place of the file's.
-        objective: In place of the file's.
-        durations: In place of the file's.
+def load(path: str | Path, **instead: Any) -> ProblemFile:
+    """The problem in a file, with `starts`, `seed`, `objective` and `durations` in place of the file's unless None.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """
     path = Path(path)
-    table = _checked(_read(path), str(path))
-    instead = {"starts": starts, "seed": seed, "objective": objective, "durations": durations}
+    table = with_defaults(read_table(path), str(path))
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
-    mechanism = _mechanism(path.parent / table["model"], table, None)
-    problem = _problem(table, mechanism, str(path))
+    problem = _problem(table, _mechanism(path.parent / table["model"], table, None), str(path))
     given = problem.parameters
-    return ProblemFile(problem, given["starts"], given["seed"])
+    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"))
 
 
 def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
@@ -122,13 +92,13 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     Raises:
         PlannerError: The file cannot be read, or it names a model besides.
     """
-    table = _read(Path(path))
+    table = read_table(Path(path))
     if "case" not in table:
         return None
     if "model" in table:
         raise PlannerError(f"{path} has both a case and a model, expected one of the two.")
     given = {name: value for name, value in table.items() if name not in ("case", "starts", "seed")}
-    starts = count("starts", table.get("starts", 1), most=MOST_STARTS)
+    starts = checked_starts(table.get("starts", 1))
     return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), least=0)
 
 
@@ -140,7 +110,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     """
     if twin is None:
         raise PlannerError("its model is missing.")
-    table = _checked(table, "the plan")
+    table = with_defaults(table, "the plan")
     return _problem(table, _mechanism(twin.planned, table, twin.assets), "the plan")
 
 
@@ -155,45 +125,7 @@ def load_problem(path: str | Path) -> Problem:
 
 
 def _again(mechanism: Mechanism, **table: Any) -> Problem:
-    return _problem(_checked(table, "the problem file"), mechanism, "the problem file")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    text = read_text(path, "the problem file")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path} is not TOML: {str(error).removesuffix('.')}.") from None
-    except ValueError:  # Python reads no integers of more than 4300 digits
-        raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
-    except RecursionError:
-        raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
-
-
-def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """The table with its defaults, when all of its keys exist."""
-    _known(table, KEYS, where)
-    weights = table.get("weights", {})
-    if not isinstance(weights, dict):
-        raise PlannerError(
-            f"weights is {shown(weights)}, expected a table [weights] with some of: {', '.join(WEIGHTS)}."
-        )
-    _known(weights, WEIGHTS, f"[weights] of {where}")
-    limits = table.get("limits", {})
-    if not isinstance(limits, dict):
-        raise PlannerError(f"limits is {shown(limits)}, expected a table [limits] with some of: {', '.join(LIMITS)}.")
-    _known(limits, LIMITS, f"[limits] of {where}")
-    if "model" not in table:
-        raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
-    return {**DEFAULTS, **table, "weights": {**DEFAULT_WEIGHTS, **weights}}
-
-
-def _known(table: dict[str, Any], keys: Collection[str], where: str) -> None:
-    for key in table:
-        if key not in keys:
-            near = difflib.get_close_matches(key, list(keys), n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise PlannerError(f"{where} has the key {key!r}, expected some of: {', '.join(keys)}.{hint}")
+    return _problem(with_defaults(table, "the problem file"), mechanism, "the problem file")
 
 
 def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
@@ -217,9 +149,9 @@ def _touch(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
     """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
     law = {} if isinstance(law, str) else law
     if "stiffness" in law:
-        _known(law, LAW, "a contacts table with stiffness")
+        check_keys(law, LAW, "a contacts table with stiffness")
         return ContactLaw(**law)
-    _known(law, GROUND, "a contacts table without stiffness")
+    check_keys(law, GROUND, "a contacts table without stiffness")
     gravity = float(np.linalg.norm(mechanism.gravity))
     return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
 
@@ -237,32 +169,17 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
     if table["settle"]:
         x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
-    dt, N = _stages(table["duration"], table["dt"])
-    table = table | {
-        "duration": float(table["duration"]), "dt": dt, "starts": count("starts", table["starts"], most=MOST_STARTS),
-        "seed": count("seed", table["seed"], least=0),
-        "tolerance": number("tolerance", table["tolerance"], above=0.0),
-        "guess": choice("guess", table["guess"], ("hold", "zero")),
-    }  # fmt: skip
-    if not isinstance(table["title"], str):
-        raise PlannerError(f"title is {shown(table['title'])}, expected a text.")
-    limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
-    if limits is not None:
-        table["limits"] = limits.to_dict()
-    if "objective" in table:
-        table["objective"] = weights_of(table["objective"])
-    if "durations" in table:
-        table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
+    table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
-    dynamics = RigidBodyDynamics(mechanism, dt, table["integrator"], prescribed)
+    dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
-    _check_departure(x0, cost, table["tolerance"])
+    check_departure(x0, cost, table["tolerance"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits,
+        limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
         requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
     )  # fmt: skip
     return with_objective(problem, table["objective"]) if "objective" in table else problem
@@ -282,7 +199,7 @@ def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
     moment = mechanism.actuators.moment.copy()
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
-    return np.concatenate([hold(free, x0), np.zeros(len(driven))])
+    return np.concatenate([holding_controls(free, x0), np.zeros(len(driven))])
 
 
 def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
@@ -292,19 +209,8 @@ def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
         raise PlannerError(f"settle of {name}: {error}") from None
 
 
-def _stages(duration: Any, dt: Any) -> tuple[float, int]:
-    duration, dt = number("duration", duration, above=0.0), number("dt", dt, above=0.0)
-    if not duration / dt < MOST_STAGES + 0.5:
-        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MOST_STAGES} stages.")
-    N = round(duration / dt)
-    if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
-        near = max(N, 1) * dt
-        raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
-    return dt, N
-
-
 def _states_of(mechanism: Mechanism) -> str:
-    """What a start or a goal may be, in words."""
+    """The forms of a start or a goal, for a message."""
     nq, nv = mechanism.nq, mechanism.nv
     keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
     joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
@@ -317,8 +223,7 @@ def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.
     x = base.copy()
     if isinstance(value, str):
         if value not in mechanism.keyframes:
-            near = difflib.get_close_matches(value, list(mechanism.keyframes), n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
+            hint = did_you_mean(value, mechanism.keyframes)
             raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.{hint}")
         x = mechanism.keyframe(value)
     elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
@@ -336,37 +241,3 @@ def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     return states(name, x, mechanism.space, ())
-
-
-def _judged(cost: TrackingCost) -> np.ndarray:
-    """(ndx,) what the final weights act on."""
-    return np.abs(cost.Q[-1]).max(axis=0) > 0.0
-
-
-def _check_departure(x0: np.ndarray, cost: TrackingCost, tolerance: float) -> None:
-    """That a plan which does nothing would miss the goal. Where start and goal are the same, to stay is the task."""
-    way, judged = np.abs(cost.space.difference(x0, cost.x_ref[-1])), _judged(cost)
-    if not np.any(way) or not np.any(judged):
-        return
-    largest = way[judged].max()
-    if 0.0 < largest <= tolerance:
-        raise PlannerError(
-            f"the start is already within tolerance {tolerance:g} of the goal (largest difference {largest:.3g} where "
-            f"final weights are above 0), expected a smaller tolerance: a plan that does nothing would pass."
-        )
-    if largest == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
-        raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
-
-
-def judge_arrival(replay: Replay, cost: TrackingCost, tolerance: float) -> Section:
-    """Whether the plan, and MuJoCo with it, end at the goal, in what the final weights act on."""
-    judged = _judged(cost)
-    if not np.any(judged):
-        return Section("goal", not_applicable="nothing is asked of the goal because no final weight is above 0")
-    note = "largest component with a final weight: rad, m, rad/s, m/s; weights that are small beside the effort miss"
-    ends = {"planned_goal_error": replay.plan.xs[-1], "replayed_goal_error": replay.xs[-1]}
-    measured = tuple(
-        Measured(name, float(np.abs(cost.space.difference(x, cost.x_ref[-1]))[judged].max()), "", tolerance, note)
-        for name, x in ends.items()
-    )
-    return Section("goal", measured)

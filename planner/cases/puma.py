@@ -64,11 +64,9 @@ TOLERANCE = 0.01
 ROUNDING = 1e-12  # relative, of a torque at its limit
 
 _BULGES: dict[str, dict[str, float]] = {  # rad, distance of a first guess from the straight lift, in its middle
-    "straight": {},
-    "tucked": {"elbow": -2.0},
-    "swung": {"shoulder": -1.5},
+    "straight": {}, "tucked": {"elbow": -2.0}, "swung": {"shoulder": -1.5},
     "swung-tucked": {"shoulder": -1.5, "elbow": 1.5},
-}
+}  # fmt: skip
 
 
 def puma(
@@ -192,17 +190,12 @@ def _appearance(payload: float) -> Appearance:
     return Appearance(
         title=f"Puma-like arm lifts {payload:.3g} kg (rated {RATED:g})",
         readouts=(Readout("shoulder", 1, "rad"), Readout("elbow", 2, "rad"), Readout("wrist", 4, "rad")),
-        ghost_offset=(-2.6, 0.0, 0.0),
-        goal_line=((-0.3, -0.217, 1.47), (0.3, -0.217, 1.47)),
-        goal_label="goal",
-        azimuth=90.0,
-        elevation=-5.0,
-        speed=0.5,
+        ghost_offset=(-2.6, 0.0, 0.0), azimuth=90.0, elevation=-5.0, speed=0.5,
+        goal_line=((-0.3, -0.217, 1.47), (0.3, -0.217, 1.47)), goal_label="goal", trail="tip",
         plots=(
             Panel("Arm", "angle, rad", states=arm),
             Panel("Wrist", "angle, rad", states=wrist),
             Panel("Motors of the arm", "torque, N m", controls=arm),
             Panel("Motors of the wrist", "torque, N m", controls=wrist),
         ),
-        trail="tip",
-    )
+    )  # fmt: skip

@@ -47,7 +47,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     if arguments.case == PROBLEM_FILE and named is None:
         given = {"starts": arguments.starts, "seed": arguments.seed}
         file = load(arguments.problem, **given, objective=objective, durations=durations)
-        return ProblemOf(*file, file.objective, file.durations)
+        return ProblemOf(*file)
     flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
     case, given, starts, seed = named or (arguments.case, flags, 1, 0)
     starts = starts if arguments.starts is None else count("starts", arguments.starts, most=MOST_STARTS)

@@ -64,16 +64,7 @@ class ExponentialTorque:
 
 
 def check_curve(curve: Any, turning: np.ndarray, name: str) -> None:
-    """Whether a torque can be of a machine.
-
-    Args:
-        curve: The torque.
-        turning: (nv,) bool, the degrees of freedom of hinges and slides.
-        name: What it is called in messages.
-
-    Raises:
-        PlannerError: It is none, or of a ball, or of a degree of freedom that the machine has not.
-    """
+    """Raise a PlannerError unless a torque acts on hinges and slides of a machine, `turning` (nv,) bool, alone."""
     if not isinstance(curve, ExponentialTorque):
         raise PlannerError(f"{name} is {shown(curve)}, expected an ExponentialTorque.")
     for dof in curve.dofs:

@@ -51,31 +51,18 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """The nu actuators of a mechanism. Ranges are data only, infinite where there are none.
+    """The nu actuators of a mechanism. Ranges are data only, infinite where there are none."""
 
-    Attributes:
-        names: (nu,) names, "" where the file gives none.
-        moment: (nu, nv) generalized force per actuator force.
-        gain: (nu,).
-        bias: (nu, 3) constant, per length, per length rate.
-        dynamics: (nu,) DIRECT, INTEGRATOR or FILTER.
-        activation: (nu,) index into act, -1 for DIRECT.
-        time_constant: (nu,) s, of FILTER.
-        control_range: (nu, 2).
-        force_range: (nu, 2).
-        activation_range: (nu, 2).
-    """
-
-    names: tuple[str, ...]
-    moment: np.ndarray
-    gain: np.ndarray
-    bias: np.ndarray
-    dynamics: np.ndarray
-    activation: np.ndarray
-    time_constant: np.ndarray
-    control_range: np.ndarray
-    force_range: np.ndarray
-    activation_range: np.ndarray
+    names: tuple[str, ...]  # (nu,) names, "" where the file gives none
+    moment: np.ndarray  # (nu, nv) generalized force per actuator force
+    gain: np.ndarray  # (nu,)
+    bias: np.ndarray  # (nu, 3) constant, per length, per length rate
+    dynamics: np.ndarray  # (nu,) DIRECT, INTEGRATOR or FILTER
+    activation: np.ndarray  # (nu,) index into act, -1 for DIRECT
+    time_constant: np.ndarray  # (nu,) s, of FILTER
+    control_range: np.ndarray  # (nu, 2)
+    force_range: np.ndarray  # (nu, 2)
+    activation_range: np.ndarray  # (nu, 2)
 
     @property
     def nu(self) -> int:

@@ -20,17 +20,11 @@ _SMALL = 1e-4  # rad; below it Taylor series to third order are exact to roundin
 
 @dataclass(frozen=True)
 class StateSpace:
-    """The layout of a state.
+    """The layout of a state."""
 
-    Attributes:
-        nx: Numbers of a state.
-        ndx: Numbers of a deviation.
-        quaternions: (address in the state, address in the deviation) of each.
-    """
-
-    nx: int
-    ndx: int
-    quaternions: tuple[tuple[int, int], ...] = ()
+    nx: int  # Numbers of a state
+    ndx: int  # Numbers of a deviation
+    quaternions: tuple[tuple[int, int], ...] = ()  # (address in the state, address in the deviation) of each
 
     @cached_property
     def _vector(self) -> tuple[np.ndarray, np.ndarray]:

@@ -16,110 +16,73 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Readout:
-    """A number written into every frame, e.g. the height.
+    """A number written into every frame, e.g. the height."""
 
-    Attributes:
-        label: What is written before the number.
-        index: Which entry of the plan's state x it is.
-        unit: The unit written behind it.
-    """
-
-    label: str
-    index: int
-    unit: str
+    label: str  # What is written before the number
+    index: int  # Which entry of the plan's state x it is
+    unit: str  # The unit written behind it
 
 
 @dataclass(frozen=True)
 class View:
-    """One of several cameras whose pictures stand side by side.
+    """One of several cameras whose pictures stand side by side."""
 
-    Attributes:
-        azimuth: Of the camera, degrees (MuJoCo's convention).
-        elevation: Of the camera, degrees (negative looks down).
-        distance: From the camera to its point; None takes the stage's.
-        look_at: The point it looks at; None takes the stage's.
-        label: Written into the picture, e.g. "front".
-    """
-
-    azimuth: float
-    elevation: float = -10.0
-    distance: float | None = None
-    look_at: Point | None = None
-    label: str = ""
+    azimuth: float  # Of the camera, degrees (MuJoCo's convention)
+    elevation: float = -10.0  # Of the camera, degrees (negative looks down)
+    distance: float | None = None  # From the camera to its point; None takes the stage's
+    look_at: Point | None = None  # The point it looks at; None takes the stage's
+    label: str = ""  # Written into the picture, e.g. "front"
 
 
 @dataclass(frozen=True, eq=False)
 class Ghost:
-    """A given motion that is shown as the ghost in the plan's place: what the machine was asked to imitate.
+    """A given motion that is shown as the ghost in the plan's place: what the machine was asked to imitate."""
 
-    Attributes:
-        states: (K, nx) states of the plan's kind at equal times over its duration, the first at its start and the last
-            at its end. Only positions are seen.
-        label: What the legend calls it.
-        colour: Red, green, blue, each 0..1.
-        opacity: 0..1; None leaves it to the picture: less for a ghost that stands in the machine.
-    """
-
+    # (K, nx) states of the plan's kind at equal times over its duration, the first at its start and the last at its
+    # end. Only positions are seen.
     states: np.ndarray
-    label: str
-    colour: Colour = (0.05, 0.62, 0.48)
-    opacity: float | None = None
+    label: str  # What the legend calls it
+    colour: Colour = (0.05, 0.62, 0.48)  # Red, green, blue, each 0..1
+    opacity: float | None = None  # 0..1; None leaves it to the picture: less for a ghost that stands in the machine
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """What a film of a plan shows beside the machine itself. Lengths are the model's.
+    """What a film of a plan shows beside the machine itself. Lengths are the model's."""
 
-    Attributes:
-        title: Written in the corner of every frame.
-        readouts: Numbers written into every frame.
-        ghost_offset: Where the ghost stands, relative to the simulated machine.
-        ghost: A motion that is shown as the ghost; None shows the plan.
-        scenery: Names of bodies and tendons that move but are no part of the machine, a treadmill's belt for example:
-            the ghost is drawn without them, and no camera tries to see all of them. A body's name stands for all that
-            hangs on it.
-        goal_line: Two end points of a line that marks the goal, or None.
-        goal_label: Written beside that line.
-        look_at: The point the camera looks at.
-        follow: What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
-        accompany: Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside
-            a machine that goes a long way; look_at is then relative to that place. None uses follow.
-        distance: From the camera to its point; None looks at the whole motion instead of look_at and follow.
-        azimuth: Of the camera, degrees (MuJoCo's convention).
-        elevation: Of the camera, degrees (negative looks down).
-        views: Cameras in place of the one: side by side in a film, one below the other in a strip. Of two films beside
-            each other, the second camera's pictures stand below the first's.
-        force_scale: Length of a contact force's arrow per unit of force; 0 draws none. There is one for each two shapes
-            that touch, friction included.
-        force_offset: From a contact's point to where its arrow begins, so that the machine does not hide it.
-        force_unit: Of the contact force, for plots.
-        speed: Playback speed; 0.25 is four times slow motion.
-        plots: Panels of the report.
-        pictures: (Plan, the judged planner.Replay or None) -> more pictures of the case, at most one of a kind.
-        trail: A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none.
-    """
-
-    title: str
-    readouts: tuple[Readout, ...] = ()
-    ghost_offset: Point = (0.0, 0.0, 0.0)
-    ghost: Ghost | None = None
+    title: str  # Written in the corner of every frame
+    readouts: tuple[Readout, ...] = ()  # Numbers written into every frame
+    ghost_offset: Point = (0.0, 0.0, 0.0)  # Where the ghost stands, relative to the simulated machine
+    ghost: Ghost | None = None  # A motion that is shown as the ghost; None shows the plan
+    # Names of bodies and tendons that move but are no part of the machine, a treadmill's belt for example: the ghost is
+    # drawn without them, and no camera tries to see all of them. A body's name stands for all that hangs on it.
     scenery: tuple[str, ...] = ()
-    goal_line: tuple[Point, Point] | None = None
-    goal_label: str = "goal"
-    look_at: Point = (0.0, 0.0, 0.0)
+    goal_line: tuple[Point, Point] | None = None  # Two end points of a line that marks the goal, or None
+    goal_label: str = "goal"  # Written beside that line
+    look_at: Point = (0.0, 0.0, 0.0)  # The point the camera looks at
+    # What the camera's point moves with: (state index, fraction) raises it by fraction * x[index].
     follow: tuple[int, float] | None = None
+    # Entries of the state that are a place in space, x, y and z: the camera's point moves with it, beside a machine
+    # that goes a long way; look_at is then relative to that place. None uses follow.
     accompany: tuple[int, int, int] | None = None
+    # From the camera to its point; None looks at the whole motion instead of look_at and follow.
     distance: float | None = None
-    azimuth: float = 90.0
-    elevation: float = -10.0
+    azimuth: float = 90.0  # Of the camera, degrees (MuJoCo's convention)
+    elevation: float = -10.0  # Of the camera, degrees (negative looks down)
+    # Cameras in place of the one: side by side in a film, one below the other in a strip. Of two films beside each
+    # other, the second camera's pictures stand below the first's.
     views: tuple[View, ...] = ()
+    # Length of a contact force's arrow per unit of force; 0 draws none. There is one for each two shapes that touch,
+    # friction included.
     force_scale: float = 0.0
+    # From a contact's point to where its arrow begins, so that the machine does not hide it.
     force_offset: Point = (0.0, 0.0, 0.0)
-    force_unit: str = ""
-    speed: float = 1.0
-    plots: tuple[Panel, ...] = field(default=())
+    force_unit: str = ""  # Of the contact force, for plots
+    speed: float = 1.0  # Playback speed; 0.25 is four times slow motion
+    plots: tuple[Panel, ...] = field(default=())  # Panels of the report
+    # (Plan, the judged planner.Replay or None) -> more pictures of the case, at most one of a kind.
     pictures: Callable[[Any, Any], Sequence[CasePicture]] | None = None
-    trail: str = ""
+    trail: str = ""  # A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none
 
     def seen_from(self, view: View) -> Appearance:
         """The stage with this camera alone."""
@@ -132,18 +95,10 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot of the report: some states or controls over time, plan against replay.
+    """One plot of the report: some states or controls over time, plan against replay."""
 
-    Attributes:
-        title: Of the panel.
-        ylabel: With the unit.
-        states: (index, label) of entries of x drawn in it.
-        controls: (index, label) of entries of u drawn in it.
-        difference: Also draw replay minus plan of the first state, on a second axis.
-    """
-
-    title: str
-    ylabel: str
-    states: tuple[tuple[int, str], ...] = ()
-    controls: tuple[tuple[int, str], ...] = ()
-    difference: bool = False
+    title: str  # Of the panel
+    ylabel: str  # With the unit
+    states: tuple[tuple[int, str], ...] = ()  # (index, label) of entries of x drawn in it
+    controls: tuple[tuple[int, str], ...] = ()  # (index, label) of entries of u drawn in it
+    difference: bool = False  # Also draw replay minus plan of the first state, on a second axis

@@ -48,22 +48,14 @@ _BROKEN = (
 
 
 def plan_name(path: str | Path) -> Path:
-    """A name that a plan can be saved under.
-
-    Raises:
-        FileError: It does not end in .npz.
-    """
+    """A name that a plan can be saved under."""
     if not isinstance(path, (str, os.PathLike)) or Path(path).suffix != ".npz":
         raise FileError(f"cannot save a plan as {path}: expected a name ending in .npz.")
     return Path(path)
 
 
 def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
-    """Write arrays and meta, atomically; the same content gives the same bytes.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write arrays and meta, atomically; the same content gives the same bytes."""
     meta = finite(meta)
     meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
     with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
@@ -72,15 +64,7 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any
 
 
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and meta of a plan file, checked against each other.
-
-    Args:
-        path: The file.
-        columns: Of the history.
-
-    Raises:
-        FileError: No such file, not a plan, damaged, or written by a newer version.
-    """
+    """Arrays and meta of a plan file whose history has so many columns, checked against each other."""
     if not os.path.isfile(path):  # but a folder, a pipe or a device, say
         raise FileError(f"{printable(path)} is not a file, expected a plan.npz.")
     named = printable(path)

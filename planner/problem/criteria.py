@@ -17,13 +17,7 @@ from planner.problem.problem import Problem
 
 
 class TimeCost(Term):
-    """weight N dt: the same for every motion of a duration.
-
-    Args:
-        duration: N dt, s.
-        weight: Per s.
-        space: Of the states.
-    """
+    """weight N dt: the same for every motion of a duration (s)."""
 
     def __init__(self, duration: float, weight: float, space: StateSpace) -> None:
         self.duration, self.weight = duration, number("the time's weight", weight, least=0.0)

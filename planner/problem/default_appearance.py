@@ -31,9 +31,7 @@ def appearance_of(problem: Any) -> Appearance:
 def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Appearance:
     """A camera across the plane of motion, the first joints as numbers, and plots of states and controls.
 
-    Args:
-        mechanism: The machine.
-        prescribed: Names of joints whose accelerations are controls too.
+    The accelerations of prescribed joints are controls too.
     """
     azimuth, elevation = _view(mechanism)
     name = re.search(r"<mujoco[^>]*\bmodel=[\"']([^\"']+)[\"']", mechanism.mjcf)
@@ -43,25 +41,18 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
         if joint in prescribed:
             controls += [(len(controls) + k, f"acceleration of {joint}") for k in range(links.stop - links.start)]
     panels = (
-        ("Joint angles", "angle, rad", angles),
-        ("Positions", "position, m", lengths),
-        ("Angular velocities", "angular velocity, rad/s", turning),
-        ("Velocities", "velocity, m/s", moving),
-    )
-    plots = [
-        Panel(_title(title, curves), unit, states=tuple(curves[:MOST])) for title, unit, curves in panels if curves
-    ]
+        ("Joint angles", "angle, rad", angles), ("Positions", "position, m", lengths),
+        ("Angular velocities", "angular velocity, rad/s", turning), ("Velocities", "velocity, m/s", moving),
+    )  # fmt: skip
+    plots = [Panel(_title(title, part), unit, states=tuple(part[:MOST])) for title, unit, part in panels if part]
     if controls:
         plots.append(Panel(_title("Controls", controls), "control", controls=tuple(controls[:MOST])))
     readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]
+    shown = tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS])
     return Appearance(
-        title=name[1] if name else "",
-        readouts=tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS]),
-        scenery=_belts(mechanism),
-        azimuth=azimuth,
-        elevation=elevation,
+        title=name[1] if name else "", readouts=shown, scenery=_belts(mechanism), azimuth=azimuth, elevation=elevation,
         plots=tuple(plots),
-    )
+    )  # fmt: skip
 
 
 def _curves(mechanism: Mechanism) -> tuple[Curves, Curves, Curves, Curves]:

@@ -29,11 +29,8 @@ def finer(problem: Problem) -> Problem:
     gets stages of half the length: a stage weight becomes two of half its size, with the same reference, and the final
     weight stays, so that the cost still approximates the same integral.
 
-    Args:
-        problem: With a recipe, or of dynamics with `with_step` and a cost with `resampled`.
-
     Raises:
-        PlannerError: Parts without these methods, or more than 100 000 stages.
+        PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
     """
     if problem.objective is not None:
         return with_objective(finer(plain(problem)), problem.objective.weights)
@@ -53,14 +50,10 @@ def finer(problem: Problem) -> Problem:
 
 
 def retimed(problem: Problem, duration: float) -> Problem:
-    """The same task with as many stages in another time, its first controls as they are.
-
-    Args:
-        problem: With a recipe, or of dynamics with `with_step` and a cost with `resampled`.
-        duration: s.
+    """The same task with as many stages in another time (s), its first controls as they are.
 
     Raises:
-        PlannerError: Parts without these methods.
+        PlannerError: Parts without with_step and resampled.
     """
     if problem.objective is not None:
         return with_objective(retimed(plain(problem), duration), problem.objective.weights)

@@ -6,24 +6,18 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.statics import supported
 from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 
 
-def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
-    """Controls (nu,) that hold a pose against gravity and springs, as far as the actuators can.
+def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """Controls (nu,) that keep the pose of a state x (nx,) against gravity and springs, as far as the actuators can.
 
     Least squares, and of all least squares the smallest: zero for what no actuator reaches. An actuator whose
     activation integrates its control holds what it has. Where contacts are near the ground it carries the machine as
     far as it can (planner.dynamics.statics).
-
-    Args:
-        mechanism: The machine.
-        x: (nx,) the state whose pose is held.
-
-    Raises:
-        PlannerError: A state of the wrong shape or that is not finite.
     """
     x = array("x", x, (mechanism.space.nx,))
     q, act = x[: mechanism.nq], x[mechanism.nq + mechanism.nv :]
@@ -41,14 +35,7 @@ def hold(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
 
-    Args:
-        mechanism: The machine; its actuators have no activations and reach every joint.
-        q: (N, nq) positions.
-        qd: (N, nv) velocities.
-        qdd: (N, nv) accelerations.
-
-    Raises:
-        PlannerError: The actuators cannot give every force.
+    The motion is q (N, nq), qd and qdd (N, nv); actuators have no activations and reach every joint.
     """
     actuators = mechanism.actuators
     reach = actuators.moment.T * actuators.gain
@@ -65,14 +52,7 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
 
     The middle is where a control that is held over a stage is best taken: the guess is then of second order.
 
-    Args:
-        start: (n,) positions.
-        goal: (n,) positions.
-        duration: s.
-        N: Number of stages.
-
-    Returns:
-        Positions, velocities and accelerations, each (N, n).
+    From start (n,) to goal (n,) in duration s: positions, velocities and accelerations, each (N, n).
     """
     s = (np.arange(N)[:, None] + 0.5) / N
     way = goal - start
@@ -81,6 +61,15 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
         (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
         (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
     )
+
+
+def rolled(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """The states (N+1, nx) to which controls (N, nu) lead from x0 (nx,), step by step."""
+    xs = np.empty((len(us) + 1, dynamics.nx))
+    xs[0] = x0
+    for n in range(len(us)):
+        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+    return xs
 
 
 def _lengths(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

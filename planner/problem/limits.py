@@ -31,7 +31,7 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a plan may not leave. A bound of None or infinity is none.
+    """Bounds and goals that a plan keeps. A bound of None or infinity is none.
 
     Attributes:
         control: (lower, upper), each a number, (nu,) or (N, nu); a number b for -b to b; a dict of numbers or pairs
@@ -101,10 +101,7 @@ class Limits:
                 place = inputs[choice("the actuator in the limits' control", name, inputs)]
                 lower[place], upper[place] = _pair(f"the limit of control {name!r}", value)
         elif isinstance(self.control, Sequence) and len(self.control) == 2:
-            lower, upper = (
-                _side("the limits' control", part, none)
-                for part, none in zip(self.control, (-np.inf, np.inf), strict=True)
-            )
+            lower, upper = _sides("the limits' control", self.control)
         else:
             upper = np.asarray(number("the limits' control", self.control, above=0.0))
             lower = -upper
@@ -112,10 +109,8 @@ class Limits:
         wrong = np.argwhere(~(lower <= upper) | (lower == np.inf) | (upper == -np.inf))
         if len(wrong):
             n, a = map(int, wrong[0])
-            raise PlannerError(
-                f"control {a} is limited to {lower[n, a]:g} ... {upper[n, a]:g}, "
-                "expected a lower bound below the upper."
-            )
+            given = f"{lower[n, a]:g} ... {upper[n, a]:g}"
+            raise PlannerError(f"control {a} is limited to {given}, expected a lower bound below the upper.")
         return (lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
 
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateRanges | None:
@@ -162,9 +157,8 @@ class Limits:
             for joint, value in given.items():
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:
-                    raise PlannerError(
-                        f"joint {joint!r} is a ball or free joint, expected ranges of hinge and slide joints only."
-                    )
+                    expected = "expected ranges of hinge and slide joints only"
+                    raise PlannerError(f"joint {joint!r} is a ball or free joint, {expected}.")
                 i = links.start
                 found[i] = _component(machine, i), _pair(f"the range of joint {joint!r}", value)
         if self.velocity is not None:
@@ -242,7 +236,7 @@ def _pair(name: str, value: Any) -> Pair:
     if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
         if len(value) != 2:
             raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
-        sides = [_side(name, part, none) for part, none in zip(value, (-np.inf, np.inf), strict=True)]
+        sides = _sides(name, value)
         if any(side.ndim for side in sides):
             raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
         low, high = map(float, sides)
@@ -284,10 +278,8 @@ def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
     for a, name in enumerate(acts.names):
         ranges = [(acts.force_range[a], acts.gain[a], "forcerange", 1)]
         for i in np.flatnonzero(acts.moment[a]):
-            several = int(np.count_nonzero(acts.moment[:, i]))
-            ranges.append(
-                (mechanism.joint_force_range[i], acts.gain[a] * acts.moment[a, i], "actuatorfrcrange", several)
-            )
+            several, gain = int(np.count_nonzero(acts.moment[:, i])), acts.gain[a] * acts.moment[a, i]
+            ranges.append((mechanism.joint_force_range[i], gain, "actuatorfrcrange", several))
         for limits, gain, what, several in ranges:
             if not np.isfinite(limits).any():
                 continue
@@ -301,12 +293,12 @@ def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def _side(name: str, value: Any, none: float) -> np.ndarray:
-    """A bound, or bounds, with what stands for None in its place; NaN is refused."""
-    bound = numbers(name, _filled(value, none))
-    if np.isnan(bound).any():
+def _sides(name: str, pair: Any) -> list[np.ndarray]:
+    """Lower and upper bounds with infinity in the place of None; NaN is refused."""
+    sides = [numbers(name, _filled(part, none)) for part, none in zip(pair, (-np.inf, np.inf), strict=True)]
+    if any(np.isnan(side).any() for side in sides):
         raise PlannerError(f"{name} has a bound that is not a number, expected numbers or None.")
-    return bound
+    return sides
 
 
 def _filled(value: Any, none: float) -> Any:

@@ -40,21 +40,14 @@ class Objective:
 
 
 def weights_of(objective: Any) -> dict[str, float]:
-    """The weights above 0 of an objective: a name, or weights by name.
-
-    Raises:
-        PlannerError: An unknown name, a weight that is not finite or negative, or none above 0.
-    """
+    """The weights above 0 of an objective: a name, or weights by name."""
     if isinstance(objective, str):
         return {choice("objective", objective, OBJECTIVES): 1.0}
     if not isinstance(objective, Mapping):
-        raise PlannerError(
-            f"objective is {shown(objective)}, expected one of {', '.join(OBJECTIVES)}, or weights by these names."
-        )
-    weights = {
-        choice("objective", name, OBJECTIVES): number(f"the weight of {name}", weight, least=0.0)
-        for name, weight in objective.items()
-    }
+        expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
+        raise PlannerError(f"objective is {shown(objective)}, {expected}.")
+    given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
+    weights = {name: number(f"the weight of {name}", weight, least=0.0) for name, weight in given.items()}
     weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
     if not weights:
         raise PlannerError(f"no weight of the objective is above 0, expected some of {', '.join(OBJECTIVES)}.")
@@ -62,11 +55,7 @@ def weights_of(objective: Any) -> dict[str, float]:
 
 
 def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
-    """The shortest and the longest duration, s, which an objective with time needs and any other refuses.
-
-    Raises:
-        PlannerError: There are some and no time, or time and none; not two numbers that rise.
-    """
+    """The shortest and the longest duration, s, which an objective with time needs and any other refuses."""
     if "time" not in weights:
         if durations is not None:
             raise PlannerError(f"durations are {shown(durations)}, expected none without time in the objective.")

@@ -48,11 +48,7 @@ def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
 
 
 def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | None) -> Problem:
-    """The problem that in_parts() described.
-
-    Raises:
-        PlannerError: A part is missing or does not fit.
-    """
+    """The problem that in_parts() described."""
     missing = [name for name in ARRAYS if name not in arrays]
     if twin is None or missing:
         what = f"without {', '.join(missing)}" if missing else "without a model"

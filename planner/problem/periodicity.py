@@ -16,23 +16,14 @@ STEPS = ("newton", "follow")
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """What of a motion's state is to be at the end what it was at the start, and how nearly.
+    """What of a motion's state is to be at the end what it was at the start, and how nearly."""
 
-    Attributes:
-        tolerance: (ndx,) the largest difference of each component of the deviation; infinite where it need not come
-            back, like the travel of a belt. A number holds for all.
-        step: How solve_periodic changes the start: "newton" or "follow".
-        passes: Most solves of solve_periodic.
-        settled: Part of the cost: what changed it by less in a pass "newton" has done with, and only closes the gap.
-
-    Raises:
-        PlannerError: Negative, not numbers, or nothing that must come back.
-    """
-
+    # (ndx,) the largest difference of each component of the deviation; infinite where it need not come back, like the
+    # travel of a belt. A number holds for all.
     tolerance: np.ndarray
-    step: str = "newton"
-    passes: int = 8
-    settled: float = 1e-3
+    step: str = "newton"  # How solve_periodic changes the start: "newton" or "follow"
+    passes: int = 8  # Most solves of solve_periodic
+    cost_tolerance: float = 1e-3  # Part of the cost: after a pass that changes it by less, "newton" only closes the gap
 
     def __post_init__(self) -> None:
         try:
@@ -46,20 +37,15 @@ class Periodic:
             )
         choice("step", self.step, STEPS)
         count("passes", self.passes)
-        number("settled", self.settled, least=0.0)
+        number("cost_tolerance", self.cost_tolerance, least=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 
     def of_size(self, ndx: int) -> Periodic:
-        """The same with a tolerance (ndx,).
-
-        Raises:
-            PlannerError: It is of another size.
-        """
+        """The same with a tolerance (ndx,)."""
         if self.tolerance.shape not in ((), (ndx,)):
-            raise PlannerError(
-                f"the tolerance of what is periodic has shape {self.tolerance.shape}, expected ({ndx},)."
-            )
+            shape = self.tolerance.shape
+            raise PlannerError(f"the tolerance of what is periodic has shape {shape}, expected ({ndx},).")
         return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
 
     @property
@@ -82,7 +68,7 @@ class Periodic:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
-        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "settled": self.settled}
+        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "cost_tolerance": self.cost_tolerance}
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:

@@ -31,7 +31,7 @@ from planner.problem.criteria import plain
 from planner.problem.digests import digest_of
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import Built, Recipe
 from planner.problem.state_ranges import Hinges
 
 
@@ -59,25 +59,15 @@ class Status(StrEnum):
 
 
 class Iteration(NamedTuple):
-    """One line of the iteration table. Costs and gradients are those before the step.
+    """One line of the iteration table. Costs and gradients are those before the step."""
 
-    Attributes:
-        iteration: Counted from 0.
-        cost: J of Eq. 9.
-        gradient_norm: Euclidean norm of the gradient of J with respect to all controls (Eq. 19).
-        step: Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised).
-        expected: Decrease that the LQ model promised for that step.
-        actual: Decrease that came.
-        regularisation: What was added to the diagonal of R + B'PB.
-    """
-
-    iteration: int
-    cost: float
-    gradient_norm: float
-    step: float
-    expected: float
-    actual: float
-    regularisation: float
+    iteration: int  # Counted from 0
+    cost: float  # J of Eq. 9
+    gradient_norm: float  # Euclidean norm of the gradient of J with respect to all controls (Eq. 19)
+    step: float  # Step length taken (Eq. 36); 0 when none was (converged, or regularisation was raised)
+    expected: float  # Decrease that the LQ model promised for that step
+    actual: float  # Decrease that came
+    regularisation: float  # What was added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
         return (
@@ -92,21 +82,13 @@ class Iteration(NamedTuple):
 
 
 class Start(NamedTuple):
-    """How one of several starts of a solve ended.
+    """How one of several starts of a solve ended."""
 
-    Attributes:
-        number: 0 is the problem's own first guess.
-        status: How it ended.
-        cost: J of Eq. 9.
-        iterations: It took.
-        score: What it is ranked by: the cost, or what solve()'s `rank` made of the plan.
-    """
-
-    number: int
-    status: Status
-    cost: float
-    iterations: int
-    score: float
+    number: int  # 0 is the problem's own first guess
+    status: Status  # How it ended
+    cost: float  # J of Eq. 9
+    iterations: int  # It took
+    score: float  # What it is ranked by: the cost, or what solve()'s `rank` made of the plan
 
     @property
     def rank(self) -> tuple[bool, float, int]:
@@ -123,7 +105,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Built):
     """An optimized motion with the gains that hold it.
 
     Attributes:
@@ -164,16 +146,6 @@ class Plan:
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
     hinges: Hinges | None = None
-
-    @property
-    def case(self) -> str | None:
-        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
-        return None if self.recipe is None else self.recipe.name
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Arguments of the recipe by name; none without a recipe."""
-        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:
@@ -252,20 +224,14 @@ class Plan:
         names = {name: digest_of(content) for name, content in files.items()}
         meta = {
             "recipe": None if recipe is None else {"name": recipe.name, "parameters": recipe.parameters},
-            "status": self.status.name,
-            "cost": float(self.cost),
-            "gradient_norm": float(self.gradient_norm),
-            "iterations": self.nit,
-            "versions": self.versions,
+            "status": self.status.name, "cost": float(self.cost), "gradient_norm": float(self.gradient_norm),
+            "iterations": self.nit, "versions": self.versions,
             "twin": None if self.twin is None else self.twin.to_dict(),
-            "mjcf": None if self.twin is None else self.twin.mjcf,
-            "files": names,
-            "space": self.space.to_dict(),
+            "mjcf": None if self.twin is None else self.twin.mjcf, "files": names, "space": self.space.to_dict(),
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
-            "options": self.options,
-            "objective": None if objective is None else objective.weights,
+            "options": self.options, "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
-        }
+        }  # fmt: skip
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}
         if self.hinges is not None:

@@ -20,42 +20,34 @@ from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
 from planner.problem.limits import Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
-from planner.problem.recipe import Recipe
+from planner.problem.recipe import Built, Recipe
 from planner.problem.state_ranges import StateRanges
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional.
+    """What a case asks of a proof beyond the general rules, or in their place. All of it is optional."""
 
-    Attributes:
-        equal_states: (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the
-            plan's dynamics do.
-        rates: (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
-        start: Keyframe of the twin that must be the plan's own start.
-        no_same_step: Why a replay at the plan's own step says nothing here.
-        tracking: planner.Replay -> the Section that judges it.
-        goal: planner.Replay -> the Section that judges whether the goal was reached.
-        success: End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
-        follows: In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the
-            plan's (T, nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
-        perturbation: What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its
-            defaults.
-    """
-
+    # (rng, K) -> K random simulator states (K, nw) at which the twin must accelerate exactly as the plan's dynamics do.
     equal_states: Callable[[np.random.Generator, int], np.ndarray] | None = None
+    # (xs (K, nx), us (K, nu)) -> (K, nx), the continuous dx/dt that parity is checked against.
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    start: str = ""
-    no_same_step: str = ""
-    tracking: Callable[[Any], Section] | None = None
+    start: str = ""  # Keyframe of the twin that must be the plan's own start
+    no_same_step: str = ""  # Why a replay at the plan's own step says nothing here
+    tracking: Callable[[Any], Section] | None = None  # planner.Replay -> the Section that judges it
+    # planner.Replay -> the Section that judges whether the goal was reached.
     goal: Callable[[Any], Section] | None = None
+    # End states (K, nx) of perturbed rollouts, all finite -> (K,) bool, whether each arrived.
     success: Callable[[np.ndarray], np.ndarray] | None = None
+    # In place of `success` where the way counts: (states (K, T, nx) of perturbed rollouts, all finite, the plan's (T,
+    # nx), the stages (T,) at whose start they are, N for the end) -> (K,) bool, whether each did.
     follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    # What step 5 varies where it is told nothing: amounts by names of Perturbation, in place of its defaults.
     perturbation: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Built):
     """Minimize J = phi(x(N)) + sum L(x(n), u(n), n) subject to x(n+1) = f(x(n), u(n)), x(0) = x0.
 
     Attributes:
@@ -106,9 +98,8 @@ class Problem:
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
         us = None if self.us is None else array("us", self.us, ("N", nu))
-        N = self.horizon if self.horizon is not None else getattr(self.cost, "N", None)
-        if N is None and us is not None:
-            N = len(us)
+        told = (self.horizon, getattr(self.cost, "N", None), None if us is None else len(us))
+        N = next((number for number in told if number is not None), None)
         if N is None:
             raise PlannerError("the problem has no horizon, expected horizon=N or first controls us (N, nu).")
         N = count("horizon", N, most=LONGEST_HORIZON)
@@ -159,16 +150,6 @@ class Problem:
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
-
-    @property
-    def case(self) -> str | None:
-        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
-        return None if self.recipe is None else self.recipe.name
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Arguments of the recipe by name; none without a recipe."""
-        return {} if self.recipe is None else self.recipe.parameters
 
     @property
     def N(self) -> int:

@@ -11,18 +11,29 @@ import numpy as np
 from planner.base.errors import PlannerError
 
 
+class Built:
+    """A problem or a plan of one, which may have a recipe."""
+
+    recipe: Recipe | None
+
+    @property
+    def case(self) -> str | None:
+        """Name of the recipe: a case of planner.cases, or "problem-file"; None without a recipe."""
+        return None if self.recipe is None else self.recipe.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Arguments of the recipe by name; none without a recipe."""
+        return {} if self.recipe is None else self.recipe.parameters
+
+
 @dataclass(frozen=True)
 class Recipe:
-    """The function that builds a problem, and its arguments.
+    """The function that builds a problem, and its arguments."""
 
-    Attributes:
-        name: Of the function, as a plan's file has it: a case of planner.cases, or "problem-file".
-        parameters: Every argument by name, as JSON values.
-        build: (**parameters) -> Problem; None in a plan whose problem was not built again.
-    """
-
-    name: str
-    parameters: dict[str, Any]
+    name: str  # Of the function, as a plan's file has it: a case of planner.cases, or "problem-file"
+    parameters: dict[str, Any]  # Every argument by name, as JSON values
+    # (**parameters) -> Problem; None in a plan whose problem was not built again.
     build: Callable[..., Any] | None = field(default=None, compare=False, repr=False)
     _parts: tuple[Any, ...] = field(default=(), compare=False, repr=False)  # of the problem that was built
 
@@ -38,11 +49,7 @@ class Recipe:
         return self if same and np.array_equal(x0, own_start) else None
 
     def rebuilt(self, **changes: Any) -> Any:
-        """The problem built with some arguments changed.
-
-        Raises:
-            PlannerError: The function refuses them, or is not known.
-        """
+        """The problem built with some arguments changed."""
         if self.build is None:
             raise PlannerError(f"what builds {self.name!r} is not known here, expected the problem that was solved.")
         return self.build(**self.parameters | changes)

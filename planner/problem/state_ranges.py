@@ -30,25 +30,15 @@ class Hinges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StateRanges:
-    """H components of the deviations from a reference, and their ranges.
+    """H components of the deviations from a reference, and their ranges."""
 
-    Attributes:
-        space: Of the states.
-        reference: (N+1, nx).
-        component: (H,) of a deviation (ndx,).
-        lower: (N+1, H), of the deviation; -inf where there is none.
-        upper: (N+1, H).
-        at_end: How many of them, the last ones, are exact goals: for the end alone.
-        names: (H,) for a reader.
-    """
-
-    space: StateSpace
-    reference: np.ndarray
-    component: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    at_end: int
-    names: tuple[str, ...]
+    space: StateSpace  # Of the states
+    reference: np.ndarray  # (N+1, nx)
+    component: np.ndarray  # (H,) of a deviation (ndx,)
+    lower: np.ndarray  # (N+1, H), of the deviation; -inf where there is none
+    upper: np.ndarray  # (N+1, H)
+    at_end: int  # How many of them, the last ones, are exact goals: for the end alone
+    names: tuple[str, ...]  # (H,) for a reader
 
     def free(self) -> Hinges:
         """Hinges that weigh nothing."""

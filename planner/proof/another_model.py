@@ -31,9 +31,6 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
 
     A plan that was made with contacts="off" or ignore=(...) is proved without them: that is the machine it is of. Its
     prescribed joints are driven in the other model too.
-
-    Raises:
-        ModelError: A file that cannot be read or that MuJoCo refuses.
     """
     compiled = CompiledTwin(with_model(twin, mjcf))
     mechanism = getattr(problem.dynamics, "mechanism", None)

@@ -19,27 +19,13 @@ from planner.proof.simulation import RUNAWAY, set_state, state_of, warnings_of
 
 
 def replay_case(
-    plan: Plan,
-    compiled: CompiledTwin,
-    k: int,
-    *,
-    seed: int = 0,
-    perturbation: Perturbation | None = None,
+    plan: Plan, compiled: CompiledTwin, k: int, *, seed: int = 0, perturbation: Perturbation | None = None,
     feedback: bool = True,
-) -> Replay:
-    """Rollout k of perturbed(), by plain mj_step: the same states to the last bit, NaN once it has exploded.
+) -> Replay:  # fmt: skip
+    """Rollout k of perturbed() with this seed, by plain mj_step: the same states to the last bit, NaN once it exploded.
 
-    Args:
-        plan: The plan.
-        compiled: The MuJoCo model it is simulated in; the replay keeps it, with the errors in its motion alone.
-        k: Number of the rollout, e.g. one of Perturbed.worst.
-        seed: That of the Monte Carlo.
-        perturbation: That of the Monte Carlo; None for Perturbation.usual(plan.problem).
-        feedback: With the plan's gains, or open loop.
-
-    Raises:
-        PlannerError: The plan cannot be simulated.
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    The replay keeps the compiled model, with the errors in its motion alone. The perturbation is by default
+    Perturbation.usual(plan.problem).
     """
     k, seed = count("k", k, least=0), count("seed", seed, least=0)
     mujoco = load_mujoco()

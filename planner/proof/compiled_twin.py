@@ -16,23 +16,14 @@ from planner.model.twin import Twin
 
 
 class CompiledTwin:
-    """A twin whose text is compiled when its model is first asked for, and never again.
-
-    Attributes:
-        twin: The text and the maps between its state and the plan's.
-    """
+    """A twin whose text is compiled when its model is first asked for, and never again."""
 
     def __init__(self, twin: Twin) -> None:
-        """Keep the twin; nothing is compiled yet."""
-        self.twin = twin
+        self.twin = twin  # the text and the maps between its state and the plan's
 
     @cached_property
     def model(self) -> Any:
-        """MuJoCo's model, not to be changed; every user changes a copy().
-
-        Raises:
-            ModelError: MuJoCo refuses the text.
-        """
+        """MuJoCo's model, not to be changed; every user changes a copy()."""
         model = compile_model(self.twin.mjcf, self.twin.assets)
         kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
         model.actuator_dyntype[model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)] = int(kinds.mjDYN_FILTER)

@@ -21,7 +21,7 @@ def consistency(plan: Plan, problem: Problem) -> Section:
     """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
     dynamics, cost = problem.dynamics, problem.cost
     with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
-        ends = dynamics.step(plan.xs[:-1], plan.us)
+        missed = plan.space.difference(dynamics.step(plan.xs[:-1], plan.us), plan.xs[1:])
         A, B = dynamics.linearize(plan.xs, plan.us)
         quadratic = cost.quadratize(plan.xs, plan.us)
         if plan.hinges is not None and problem.ranges is not None:
@@ -34,15 +34,9 @@ def consistency(plan: Plan, problem: Problem) -> Section:
         t = dynamics.dt * np.arange(plan.N + 1)
         errors = {
             "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
-            "stage_error": (
-                _largest(plan.space.difference(ends, plan.xs[1:])) / largest,
-                "each state against one stage from the last",
-            ),
+            "stage_error": (_largest(missed) / largest, "each state against one stage from the last"),
             "cost_error": (abs(cost.value(plan.xs, plan.us) - plan.cost) / scale, "the cost recomputed"),
-            "gradient_error": (
-                abs(norm - plan.gradient_norm) / max(terms, scale),
-                "the norm of Eq. 19 recomputed",
-            ),
+            "gradient_error": (abs(norm - plan.gradient_norm) / max(terms, scale), "the norm of Eq. 19 recomputed"),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
         measured = [Measured(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]

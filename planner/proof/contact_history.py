@@ -42,30 +42,18 @@ class ContactHistory:
 
 
 class ContactRecorder:
-    """Looks at the contacts of a simulation, step by step.
-
-    Attributes:
-        touches: Whether there is anything to record.
-        force: (M+1,) sum of the normal contact forces.
-        point: (M+1, 3) where it acts; NaN without contact.
-        first: The two geoms of the first contact and its step, or None.
-    """
+    """Records the contacts of a simulation, step by step."""
 
     def __init__(self, model: Any, steps: int, touches: bool | None = None) -> None:
-        """Nothing seen yet.
-
-        Args:
-            model: MuJoCo's.
-            steps: M, of the simulation.
-            touches: False where nobody asks for contacts; by default, whether there could be any.
-        """
+        """For M steps of MuJoCo's model; `touches` is False where nobody asks for contacts."""
         self._mujoco, self._model = load_mujoco(), model
-        self.touches = may_touch(model) if touches is None else touches
+        self.touches = may_touch(model) if touches is None else touches  # whether there is anything to record
         self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
         # Of each pair of geoms, by sample: the force's impulse (3,), the normal force, and its moment (3,).
         self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
-        self.force, self.point = np.zeros(steps + 1), np.full((steps + 1, 3), np.nan)
-        self.first: tuple[int, int, int] | None = None
+        self.force = np.zeros(steps + 1)  # sum of the normal contact forces
+        self.point = np.full((steps + 1, 3), np.nan)  # where it acts; NaN without contact
+        self.first: tuple[int, int, int] | None = None  # the two geoms of the first contact, and its step
 
     def look(self, i: int, data: Any) -> None:
         """Record the contacts of step i, by a forward pass at the state that `data` has."""

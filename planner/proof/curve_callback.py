@@ -27,16 +27,7 @@ _lock = threading.RLock()  # one owner of the callback at a time
 
 @contextmanager
 def curves_acting(twin: Twin, *models: Any, factors: np.ndarray | None = None) -> Iterator[None]:
-    """MuJoCo with the curves of a twin.
-
-    Args:
-        twin: Whose curves; without any nothing happens.
-        models: MuJoCo's, in which they act.
-        factors: (models, curves) of the torques; by default 1.
-
-    Raises:
-        ModelError: A model has no hinge or slide where a curve is.
-    """
+    """MuJoCo with the curves of a twin, if it has any, acting in some models, times factors (models, curves)."""
     if not twin.curves:
         yield
         return

@@ -19,9 +19,7 @@ _MOST = 4  # differences named; further ones are counted
 def differences(ours: Mechanism, theirs: Mechanism) -> str:
     """Name the joints and terms that differ, e.g. "mass at joint 'elbow' is 0.55, the plan has 0.5"; "" for nothing.
 
-    Args:
-        ours: The mechanism of the plan.
-        theirs: The other model, with as many joints and actuators.
+    The other model has as many joints and actuators.
     """
     found = list(_all(ours, theirs))
     more = [f"{len(found) - _MOST} more"] if len(found) > _MOST else []

@@ -34,18 +34,9 @@ _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
 def driven_parity(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> Section:
-    """Compare a mechanism whose joints are prescribed with the MuJoCo model that replays it.
+    """Compare a mechanism whose joints are prescribed with the MuJoCo model that drives them.
 
-    Args:
-        mechanism: Ours.
-        prescribed: Names of joints.
-        model: MuJoCo's, with these joints driven; its ranges and contacts are switched off.
-        states: How many random states.
-        bound: What passes, relative.
-        seed: Of the random states.
-
-    Raises:
-        ModelError: The model has other joints or actuators.
+    The model's ranges and contacts are switched off; `bound` is what passes, relative.
     """
     dofs, free = prescribed_dofs(mechanism, prescribed), released(mechanism, prescribed)
     inertias = rigid_body.mass_matrix(free, mechanism.qpos0).diagonal()
@@ -85,11 +76,9 @@ def _driven(
     error = float((np.abs(theirs - ours) / scale[:, None]).max())
     lag = float(np.abs(left).max())
     note = f"with the joints driven, at {states} random states (seed {seed}), relative to what it is made of at each"
-    shown = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
-    return (
-        Measured("driven_acceleration_error", error, "", bound, note),
-        Measured("left_by_the_motors", lag, "", None, shown),
-    )
+    judged = Measured("driven_acceleration_error", error, "", bound, note)
+    note = f"of a prescribed acceleration at these states, rad/s^2 or m/s^2: the force it takes over {HEAVY:g}"
+    return judged, Measured("left_by_the_motors", lag, "", None, note)
 
 
 def _rounded(mechanism: Mechanism, prescribed: Collection[str], xs: np.ndarray, qdd: np.ndarray) -> np.ndarray:

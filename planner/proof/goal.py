@@ -10,12 +10,17 @@ from planner.problem.problem import Problem
 from planner.proof.replaying import Replay
 
 
+def costs_with_goals(problem: Problem) -> list[TrackingCost]:
+    """The terms of a problem's cost with a final weight, and so with a goal state."""
+    costs = getattr(problem.cost, "costs", (problem.cost,))
+    return [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+
+
 def goal(run: Replay, problem: Problem) -> Section:
     """The machine's own judgement of one replay, or how far from its cost's final state it ends."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
-    costs = getattr(problem.cost, "costs", (problem.cost,))
-    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    wanted = costs_with_goals(problem)
     if not wanted:
         return Section("goal", not_applicable="the problem states no goal apart from its cost")
 
@@ -24,10 +29,5 @@ def goal(run: Replay, problem: Problem) -> Section:
         return float(max(errors))
 
     note = "largest component that the cost's final weight acts on, against its reference; shown, not judged"
-    return Section(
-        "goal",
-        (
-            Measured("planned_goal_error", distance(run.plan.xs[-1]), "", None, note),
-            Measured("replayed_goal_error", distance(run.xs[-1]), "", None, note),
-        ),
-    )
+    errors = {"planned_goal_error": run.plan.xs[-1], "replayed_goal_error": run.xs[-1]}
+    return Section("goal", tuple(Measured(name, distance(x), "", None, note) for name, x in errors.items()))

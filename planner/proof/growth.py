@@ -31,21 +31,13 @@ _ROUNDING = 1e-10  # errors below are not of the integrator
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Growth of errors along a plan. Modes are "open-loop" and "feedback".
+    """Growth of errors along a plan. Modes are "open-loop" and "feedback"."""
 
-    Attributes:
-        t: (N+1,) s.
-        transition: Mode -> (N+1,) log10 of the norm of the state transition from the start.
-        predicted: Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s.
-        measured: Mode -> (N+1,) the replay error measured at the knots, likewise.
-        switches: Whether a contact opened or closed during the replay.
-    """
-
-    t: np.ndarray
-    transition: dict[str, np.ndarray]
-    predicted: dict[str, np.ndarray]
-    measured: dict[str, np.ndarray]
-    switches: bool
+    t: np.ndarray  # (N+1,) s
+    transition: dict[str, np.ndarray]  # Mode -> (N+1,) log10 of the norm of the state transition from the start
+    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s
+    measured: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error measured at the knots, likewise
+    switches: bool  # Whether a contact opened or closed during the replay
 
     def rate(self, mode: str) -> float:
         """1/s, of the norm of the transition over the whole plan."""
@@ -85,13 +77,9 @@ def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
         found = {mode: _propagated(F, missed) for mode, F in stages.items()}
         measured = {mode: np.abs(run.error[:: run.substeps]).max(axis=1) for mode, run in runs.items()}
     forces = [run.contact_force > 0.0 for run in runs.values()]
-    return Growth(
-        t=plan.t,
-        transition={mode: norms for mode, (norms, _) in found.items()},
-        predicted={mode: errors for mode, (_, errors) in found.items()},
-        measured=measured,
-        switches=any(bool(np.any(touching != touching[0])) for touching in forces),
-    )
+    transition, predicted = ({mode: pair[k] for mode, pair in found.items()} for k in (0, 1))
+    switches = any(bool(np.any(touching != touching[0])) for touching in forces)
+    return Growth(plan.t, transition, predicted, measured, switches)
 
 
 def _missed(plan: Plan, problem: Problem) -> np.ndarray:

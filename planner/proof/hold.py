@@ -19,9 +19,9 @@ from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
-from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
+from planner.proof.goal import costs_with_goals
 from planner.proof.replaying import Replay
 from planner.proof.simulation import MOST_STEPS, simulate
 
@@ -33,19 +33,12 @@ _NEWTON = 20  # iterations
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The regulator u = u_goal + K difference(x, x_goal).
+    """The regulator u = u_goal + K difference(x, x_goal)."""
 
-    Attributes:
-        x_goal: (nx,) the equilibrium that is held: the goal where the cost's final weight acts.
-        u_goal: (nu,) the control that keeps it.
-        K: (nu, ndx).
-        space: Of the states.
-    """
-
-    x_goal: np.ndarray
-    u_goal: np.ndarray
-    K: np.ndarray
-    space: StateSpace
+    x_goal: np.ndarray  # (nx,) the equilibrium that is held: the goal where the cost's final weight acts
+    u_goal: np.ndarray  # (nu,) the control that keeps it
+    K: np.ndarray  # (nu, ndx)
+    space: StateSpace  # Of the states
 
     def control(self, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at a state (nx,)."""
@@ -84,12 +77,10 @@ def hold_gain(problem: Problem) -> Hold:
 
 def _goal(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """The last reference (nx,) and which components (ndx,) of a deviation from it cost nothing at the end."""
-    costs = getattr(problem.cost, "costs", (problem.cost,))
-    wanted = [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
+    wanted = costs_with_goals(problem)
     if len(wanted) != 1:
-        raise PlannerError(
-            f"the cost has {len(wanted)} terms with a goal state, expected one TrackingCost with a final weight."
-        )
+        has = f"the cost has {len(wanted)} terms with a goal state"
+        raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
     return wanted[0].x_ref[-1].copy(), ~np.any(wanted[0].Q[-1], axis=0)
 
 
@@ -141,27 +132,17 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """MuJoCo's motion after a replay, with a regulator acting at every step.
+    """MuJoCo's motion after a replay, with a regulator acting at every step."""
 
-    Attributes:
-        hold: The regulator.
-        t: (M+1,) s; goes on from the replay's.
-        qpos: (M+1, nq).
-        qvel: (M+1, nv).
-        act: (M+1, na).
-        ctrl: (M, nu) what was applied.
-        xs: (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
-        warnings: What MuJoCo complained of, one sentence each.
-    """
-
-    hold: Hold
-    t: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    act: np.ndarray
-    ctrl: np.ndarray
+    hold: Hold  # The regulator
+    t: np.ndarray  # (M+1,) s; goes on from the replay's
+    qpos: np.ndarray  # (M+1, nq)
+    qvel: np.ndarray  # (M+1, nv)
+    act: np.ndarray  # (M+1, na)
+    ctrl: np.ndarray  # (M, nu) what was applied
+    # (M+1, nx) the states in the plan's coordinates; the first is the replay's last. NaN after a runaway.
     xs: np.ndarray
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # What MuJoCo complained of, one sentence each
 
     @property
     def deviation(self) -> np.ndarray:
@@ -170,16 +151,7 @@ class Held:
 
 
 def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
-    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal.
-
-    Args:
-        replay: Of a plan that arrives.
-        hold: What holds the goal.
-        seconds: For so long.
-
-    Raises:
-        PlannerError: Too many steps, or a regulator of another machine.
-    """
+    """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
     steps = round(number("seconds", seconds, above=0.0) / replay.timestep)
     if not 1 <= steps <= MOST_STEPS:
         raise PlannerError(f"{seconds:g} s are {steps} steps of the replay, expected 1 to {MOST_STEPS}.")
@@ -201,12 +173,10 @@ def hold_section(held: Held) -> Section:
     last = held.t >= held.t[-1] - 1.0
     note = "largest component of the deviation from the goal, rad, m, rad/s, m/s"
     lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
-    return Section(
-        "hold",
-        (
-            Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
-            Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
-            Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
-            Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
-        ),
+    measured = (
+        Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
+        Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
+        Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
+        Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
     )
+    return Section("hold", measured)

@@ -15,12 +15,8 @@ def limit_violations(
 ) -> list[Measured]:
     """The largest violation of each kind of limit; nothing where there are none.
 
-    Args:
-        problem: What has the limits.
-        xs: (N+1, nx) states at the knots.
-        us: (N, nu) controls; None where they are not asked about.
-        whose: For the notes.
-        judged: Whether the measured have bounds, or are shown only.
+    Of states (N+1, nx) at the knots and, where they are asked about, controls (N, nu); notes say `whose` they are.
+    What is not judged is shown without bounds.
     """
     measured = []
     if problem.bounds is not None and us is not None:

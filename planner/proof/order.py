@@ -35,35 +35,20 @@ _SAFETY = 1.25  # Roache's factor for three grids and more
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Replays of one plan at halved steps.
+    """Replays of one plan at halved steps."""
 
-    Attributes:
-        steps: (L,) s, halved from one to the next.
-        ends: (L, nx) end states.
-        costs: (L,) J reached.
-        changes: (L-1,) from each end state to the next, Euclidean.
-        nominal: Order of the integrator.
-        observed: Of the end state, over the last steps whose changes are above rounding; None when none are.
-        judged: Why the order is only shown; "" when it is judged.
-        extrapolated_cost: J at a step of zero.
-        cost_uncertainty: Of it.
-        end_uncertainty: Of the end state, largest component.
-        plan_cost: What the plan says.
-        scale: What cost changes are relative to.
-    """
-
-    steps: np.ndarray
-    ends: np.ndarray
-    costs: np.ndarray
-    changes: np.ndarray
-    nominal: float
-    observed: float | None
-    judged: str
-    extrapolated_cost: float
-    cost_uncertainty: float
-    end_uncertainty: float
-    plan_cost: float
-    scale: float
+    steps: np.ndarray  # (L,) s, halved from one to the next
+    ends: np.ndarray  # (L, nx) end states
+    costs: np.ndarray  # (L,) J reached
+    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean
+    nominal: float  # Order of the integrator
+    observed: float | None  # Of the end state, over the last steps whose changes are above rounding; None when none are
+    judged: str  # Why the order is only shown; "" when it is judged
+    extrapolated_cost: float  # J at a step of zero
+    cost_uncertainty: float  # Of it
+    end_uncertainty: float  # Of the end state, largest component
+    plan_cost: float  # What the plan says
+    scale: float  # What cost changes are relative to
 
     @property
     def section(self) -> Section:
@@ -87,17 +72,12 @@ class Order:
             measured.append(Measured("order_shortfall", self.nominal - self.observed, "", bound, note))
         else:
             note = f"changes are below {_SEEN:g} at all steps from {steps}: no order can be seen"
-            measured.append(Measured("observed_order", float("nan"), "", None, note))
+            measured.append(Measured("observed_order", np.nan, "", None, note))
         return Section("order, open loop", tuple(measured))
 
 
 def order(problem: Problem, run: Replay) -> Order:
-    """Replay a plan open loop at halved steps.
-
-    Args:
-        problem: The plan's.
-        run: Its refined replay, open loop, whose model is taken.
-    """
+    """Replay a plan open loop at halved steps, in the model of its refined replay."""
     plan = run.plan
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
@@ -108,9 +88,8 @@ def order(problem: Problem, run: Replay) -> Order:
     with np.errstate(all="ignore"):
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        while not refined_only and observed is not None and observed < nominal - ORDER_BOUND:
-            if len(levels) == MOST_LEVELS:
-                break
+        most = len(levels) if refined_only else MOST_LEVELS
+        while len(levels) < most and observed is not None and observed < nominal - ORDER_BOUND:
             substeps.append(2 * substeps[-1])
             levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)

@@ -32,20 +32,12 @@ def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> st
 
 
 class Partial:
-    """Arrays of finished rollouts by name, kept in an .npz when there is a path.
-
-    Attributes:
-        arrays: By name; along the first axis, the rollouts in order.
-    """
+    """Arrays of finished rollouts by name, kept in an .npz when there is a path."""
 
     def __init__(self, path: Path | None, mark: str) -> None:
-        """Read what is there; a file of another plan, or none that can be read, is as good as none.
-
-        Raises:
-            FileError: The file exists and may not be read.
-        """
+        """Read what is there; a file of another plan, or none that can be read, is as good as none."""
         self._path, self._mark = path, mark
-        self.arrays: dict[str, np.ndarray] = {}
+        self.arrays: dict[str, np.ndarray] = {}  # along the first axis, the rollouts in order
         if path is None:
             return
         try:
@@ -60,11 +52,7 @@ class Partial:
             self.arrays = {}
 
     def add(self, **more: np.ndarray) -> None:
-        """Append rollouts, and write all of them to the file.
-
-        Raises:
-            FileError: The file cannot be written.
-        """
+        """Append rollouts, and write all of them to the file."""
         have = self.arrays
         self.arrays = have | {n: np.concatenate([have[n], new]) if n in have else new for n, new in more.items()}
         if self._path is not None:

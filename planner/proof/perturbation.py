@@ -98,31 +98,18 @@ class Perturbation:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """The errors of one rollout.
+    """The errors of one rollout."""
 
-    Attributes:
-        mass: (nbody,) factors.
-        inertia: (nbody,) factors, apart from those of the masses.
-        damping: (nv,) factors.
-        drag: (nv,) 1/s.
-        friction: (nv,) fractions of the largest force.
-        contact_friction: Factor.
-        start: (ndx,) deviation from the plan's start.
-        noise: (N, nu) fractions of the largest control.
-        delay: s.
-        stiffness: (njnt,) factors.
-    """
-
-    mass: np.ndarray
-    inertia: np.ndarray
-    damping: np.ndarray
-    drag: np.ndarray
-    friction: np.ndarray
-    contact_friction: float
-    start: np.ndarray
-    noise: np.ndarray
-    delay: float
-    stiffness: np.ndarray
+    mass: np.ndarray  # (nbody,) factors
+    inertia: np.ndarray  # (nbody,) factors, apart from those of the masses
+    damping: np.ndarray  # (nv,) factors
+    drag: np.ndarray  # (nv,) 1/s
+    friction: np.ndarray  # (nv,) fractions of the largest force
+    contact_friction: float  # Factor
+    start: np.ndarray  # (ndx,) deviation from the plan's start
+    noise: np.ndarray  # (N, nu) fractions of the largest control
+    delay: float  # s
+    stiffness: np.ndarray  # (njnt,) factors
 
 
 @dataclass(frozen=True)
@@ -165,20 +152,13 @@ def draw_masses(error: float, seed: int, level: int, k: int, sizes: Sizes) -> Dr
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """The machine as planned, and what its errors are measured by.
+    """The machine as planned, and what its errors are measured by."""
 
-    Attributes:
-        model: MuJoCo's.
-        load: (nv,) the largest generalized force along the plan, N m or N.
-        control: (nu,) the largest magnitude of each control along the plan.
-        sizes: Of a draw.
-        driven: Degrees of freedom whose accelerations the plan prescribes.
-    """
-
-    model: Any
-    load: np.ndarray
-    control: np.ndarray
-    sizes: Sizes
+    model: Any  # MuJoCo's
+    load: np.ndarray  # (nv,) the largest generalized force along the plan, N m or N
+    control: np.ndarray  # (nu,) the largest magnitude of each control along the plan
+    sizes: Sizes  # Of a draw
+    # Degrees of freedom whose accelerations the plan prescribes.
     driven: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @classmethod
@@ -204,11 +184,7 @@ class Nominal:
         return bool(self.model.opt.disableflags & (bits.mjDSBL_FRICTIONLOSS | bits.mjDSBL_CONSTRAINT))
 
     def with_errors(self, draw: Draw, data: Any) -> Any:
-        """A copy of the model with these errors; `data` is overwritten.
-
-        Raises:
-            PlannerError: MuJoCo cannot work with the masses.
-        """
+        """A copy of the model with these errors; `data` is overwritten."""
         mujoco, nominal = load_mujoco(), self.model
         moves = nominal.body_weldid != 0  # what is welded to the world has no inertia to speak of
         model = copy.copy(nominal)

@@ -40,41 +40,27 @@ _USUAL = 0.3  # of the budget is what the estimate may fill, so that its error d
 
 @dataclass(frozen=True, eq=False)
 class Perturbed:
-    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback".
+    """The findings of a Monte Carlo. Modes are "open-loop" and "feedback"."""
 
-    Attributes:
-        perturbation: What was varied.
-        seed: Of the random numbers.
-        asked: Rollouts that were asked for, in each mode.
-        done: Rollouts that were run; with a budget it may be fewer.
-        step: The simulator's step, s.
-        control_step: How often the gains act, s.
-        tolerance: On the end state, rad, m, rad/s, m/s; NaN where the machine has a rule of its own.
-        end_error: Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for
-            a simulation that exploded.
-        success: Per mode (done,), whether the rollout counts as one.
-        margin: Per mode, the largest mass error, relative, at which and below which 95 % succeed; NaN if not known.
-        per_level: Rollouts of each mass error behind the margin.
-        t: (T,) s, all knots of the plan, of a long one at most 201.
-        fans: Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts
-            that had not exploded by then.
-        notes: What there is to say about how it was done, one sentence each.
-    """
-
-    perturbation: Perturbation
-    seed: int
-    asked: int
-    done: int
-    step: float
-    control_step: float
-    tolerance: float
+    perturbation: Perturbation  # What was varied
+    seed: int  # Of the random numbers
+    asked: int  # Rollouts that were asked for, in each mode
+    done: int  # Rollouts that were run; with a budget it may be fewer
+    step: float  # The simulator's step, s
+    control_step: float  # How often the gains act, s
+    tolerance: float  # On the end state, rad, m, rad/s, m/s; NaN where the machine has a rule of its own
+    # Per mode (done,), the largest component of the end state's deviation from the plan's; infinite for a simulation
+    # that exploded.
     end_error: dict[str, np.ndarray]
-    success: dict[str, np.ndarray]
+    success: dict[str, np.ndarray]  # Per mode (done,), whether the rollout counts as one
+    # Per mode, the largest mass error, relative, at which and below which 95 % succeed; NaN if not known.
     margin: dict[str, float]
-    per_level: int
-    t: np.ndarray
+    per_level: int  # Rollouts of each mass error behind the margin
+    t: np.ndarray  # (T,) s, all knots of the plan, of a long one at most 201
+    # Per mode (5, T, ndx), percentiles 5, 25, 50, 75 and 95 of the deviations from the plan, over the rollouts that had
+    # not exploded by then.
     fans: dict[str, np.ndarray]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # What there is to say about how it was done, one sentence each
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -84,10 +70,8 @@ class Perturbed:
     @property
     def worst(self) -> dict[str, tuple[int, ...]]:
         """Per mode, the numbers of the rollouts that ended farthest off, the worst first: see replay_case."""
-        return {
-            mode: tuple(int(k) for k in np.argsort(-error, kind="stable")[:_WORST])
-            for mode, error in self.end_error.items()
-        }
+        order = {mode: np.argsort(-error, kind="stable") for mode, error in self.end_error.items()}
+        return {mode: tuple(map(int, ks[:_WORST])) for mode, ks in order.items()}
 
     @property
     def section(self) -> Section:
@@ -121,43 +105,28 @@ class Perturbed:
     def to_dict(self) -> dict[str, Any]:
         """All but the fans as JSON values; what is not finite becomes null."""
         return {
-            "perturbation": self.perturbation.to_dict(),
-            "seed": self.seed,
-            "rollouts": {"asked": self.asked, "done": self.done},
-            "timestep": self.step,
-            "control_step": self.control_step,
-            "tolerance": finite(self.tolerance),
-            "notes": list(self.notes),
+            "perturbation": self.perturbation.to_dict(), "seed": self.seed,
+            "rollouts": {"asked": self.asked, "done": self.done}, "timestep": self.step,
+            "control_step": self.control_step, "tolerance": finite(self.tolerance), "notes": list(self.notes),
             "modes": {
                 mode: {
-                    "success": rate.to_dict(),
-                    "worst": list(self.worst[mode]),
+                    "success": rate.to_dict(), "worst": list(self.worst[mode]),
                     "mass_margin": finite(self.margin[mode]),
                     "end_error": finite([float(error) for error in self.end_error[mode]]),
                 }
                 for mode, rate in self.rates.items()
             },
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Trials:
-    """The random machines of a Monte Carlo, and which of their motions count as successes.
+    """The random machines of a Monte Carlo, and which of their motions count as successes."""
 
-    Attributes:
-        rollouts: How many machines, in each mode; the k-th is the same whatever their number.
-        seed: Of the random numbers, at least 0.
-        perturbation: What is varied; None for Perturbation.usual() of the plan's problem.
-        tolerance: Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s.
-
-    Raises:
-        PlannerError: A number that cannot be.
-    """
-
-    rollouts: int = 512
-    seed: int = 0
-    perturbation: Perturbation | None = None
-    tolerance: float = TOLERANCE
+    rollouts: int = 512  # How many machines, in each mode; the k-th is the same whatever their number
+    seed: int = 0  # Of the random numbers, at least 0
+    perturbation: Perturbation | None = None  # What is varied; None for Perturbation.usual() of the plan's problem
+    tolerance: float = TOLERANCE  # Largest component of the end state's deviation from the plan's, rad, m, rad/s, m/s
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)
@@ -166,32 +135,15 @@ class Trials:
 
 
 def perturbed(
-    plan: Plan,
-    compiled: CompiledTwin,
-    trials: Trials | None = None,
-    *,
-    budget: float | None = None,
-    partial: Path | None = None,
-    progress: Callable[[int, int], object] | None = None,
-    threads: int | None = None,
-) -> Perturbed:
+    plan: Plan, compiled: CompiledTwin, trials: Trials | None = None, *, budget: float | None = None,
+    partial: Path | None = None, progress: Callable[[int, int], object] | None = None, threads: int | None = None,
+) -> Perturbed:  # fmt: skip
     """Simulate a plan many times with errors drawn at random, open loop and with its gains.
 
-    A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say.
-
-    Args:
-        plan: A plan of a problem.
-        compiled: The MuJoCo model it is simulated in.
-        trials: How many rollouts, with which errors; by default Trials().
-        budget: s; fewer rollouts where they would take too long, and an end when it is used up.
-        partial: An .npz that keeps finished rollouts; those of this plan, seed and perturbation are not run again.
-        progress: Called with (rollouts finished, all), those behind the margin included.
-        threads: Of the simulator; by default one per core. No result depends on it.
-
-    Raises:
-        PlannerError: The plan cannot be simulated, or an argument that cannot be.
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
-        FileError: `partial` cannot be read or written.
+    A rollout succeeds when it ends near the plan's last state, or as the problem's requirements say. With a budget (s)
+    there are fewer rollouts where they would take too long, and an end when it is used up. An .npz `partial` keeps
+    finished rollouts: those of this plan, seed and perturbation are not run again. `progress` is called with the
+    rollouts finished and all, those behind the margin included. No result depends on the number of threads.
     """
     trials = trials or Trials()
     asked, seed = trials.rollouts, trials.seed
@@ -206,14 +158,12 @@ def perturbed(
         store = Partial(None if partial is None else Path(partial), fingerprint(simulator, perturbation, seed))
         sizes = simulator.nominal.sizes
 
-        def level_draw(i: int) -> Draw:
-            repeat, level = divmod(i, len(LEVELS))  # so that more rollouts per level continue the fewer
+        def level_draw(k: int) -> Draw:
+            repeat, level = divmod(k, len(LEVELS))  # so that more rollouts per level continue the fewer
             return draw_masses(LEVELS[level], seed, level, repeat, sizes)
 
-        parts = {
-            "cases": (wanted, lambda k: draw(perturbation, seed, k, sizes)),
-            "levels": (per_level * len(LEVELS), level_draw),
-        }
+        parts = {"cases": (wanted, lambda k: draw(perturbation, seed, k, sizes))}
+        parts["levels"] = per_level * len(LEVELS), level_draw
         try:
             size = simulator.batch_size if budget is None else _affordable(budget / _PIECES, simulator.seconds, least=4)
             _run(simulator, parts, store, min(size, simulator.batch_size), deadline, progress)
@@ -229,13 +179,9 @@ def _affordable(budget: float, seconds: float, least: int = _FEWEST) -> int:
 
 
 def _run(
-    simulator: Rollouts,
-    parts: dict[str, tuple[int, Callable[[int], Draw]]],
-    store: Partial,
-    size: int,
-    deadline: float,
-    progress: Callable[[int, int], object] | None,
-) -> None:
+    simulator: Rollouts, parts: dict[str, tuple[int, Callable[[int], Draw]]], store: Partial, size: int,
+    deadline: float, progress: Callable[[int, int], object] | None,
+) -> None:  # fmt: skip
     """Run what is not in the store yet, in batches of at most `size`, in both modes each."""
     total, before = sum(wanted for wanted, _ in parts.values()), 0
     for name, (wanted, draw_one) in parts.items():

@@ -11,9 +11,6 @@ def reached_by_plan(run: Replay) -> tuple[str, ...]:
     """The sentences of a replay's `reached` that the plan's own knots justify too.
 
     A replay that goes astray may reach anything, and that comes of its going astray.
-
-    Args:
-        run: A replay of the plan.
     """
     if not run.reached:
         return ()

@@ -21,12 +21,8 @@ def ranges_reached(
 ) -> tuple[str, ...]:
     """Say where a simulated motion went beyond a model's ranges, one sentence per joint or actuator and kind.
 
-    Args:
-        model: MuJoCo's model.
-        t: (M+1,) s.
-        w: (M+1, nq + nv + na) states.
-        ctrl: (M, nu) controls.
-        stopped: Degrees of freedom whose ranges the plan knows, since it has their stops.
+    Times t (M+1,), states w (M+1, nw), controls (M, nu). A plan knows the ranges of `stopped` degrees of freedom, since
+    it has their stops.
     """
     steps = int(np.isfinite(w).all(axis=1).cumprod().sum())  # until it runs away, if it does
     t, w, ctrl = t[:steps], w[:steps], ctrl[: min(steps, len(ctrl))]

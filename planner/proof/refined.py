@@ -30,15 +30,11 @@ def tracking(run: Replay, problem: Problem) -> Section:
     error = np.abs(run.error)
     with np.errstate(all="ignore"):
         cost = 100.0 * abs(run.cost - run.plan.cost) / cost_scale(run.plan, problem)
-    return Section(
-        run.title,
-        (
-            Measured("end_state_error", float(error[-1].max()), "", STATE_BOUND, _LARGEST),
-            Measured("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
-            *common,
-            *_along_the_path(error, problem),
-        ),
+    judged = (
+        Measured("end_state_error", float(error[-1].max()), "", STATE_BOUND, _LARGEST),
+        Measured("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
     )
+    return Section(run.title, (*judged, *common, *_along_the_path(error, problem)))
 
 
 def _controls(run: Replay) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""refine(): what a proof finds wrong with a plan's step, a finer step puts right.
+"""refine(): solve again at a finer step where a proof fails because of the plan's step.
 
 A plan is optimal for its own integrator, and an optimizer finds what an integrator gives away, energy for one. Then the
 plan is sound, its model is MuJoCo's, MuJoCo agrees at the plan's own step, and at a refined one it goes elsewhere.
@@ -105,15 +105,9 @@ class Refined:
 
 
 def refine(
-    plan: Plan,
-    proof: Proof,
-    *,
-    limit: int = 4,
-    seconds: float = 60.0,
-    prove: Callable[[Plan], Proof] | None = None,
-    callback: Callable[[Refinement], object] | None = None,
-    **options: Any,
-) -> Refined:
+    plan: Plan, proof: Proof, *, limit: int = 4, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
+    callback: Callable[[Refinement], object] | None = None, **options: Any,
+) -> Refined:  # fmt: skip
     """Answer a FAIL that comes from a plan's step by finer steps, until PASS.
 
     Args:
@@ -158,12 +152,9 @@ def refine(
 
     interrupted = ended(_line(plan, proof, math.nan))
     while True:
-        reason = _done(proof, len(path) - 1, limit)
-        if not reason and interrupted:
-            reason = "It was interrupted."
-        if not reason and time.monotonic() > end:
-            reason = f"The time limit of {seconds:g} s was reached."
-        if reason:
+        reason = _done(proof, len(path) - 1, limit) or ("It was interrupted." if interrupted else "")
+        if reason or time.monotonic() > end:
+            reason = reason or f"The time limit of {seconds:g} s was reached."
             break
         began = time.monotonic()
         assert plan.problem is not None
@@ -186,29 +177,21 @@ def _done(proof: Proof, refinements: int, limit: int) -> str:
     """The reason to end with this plan; "" to go on."""
     if proof.passed:
         return f"It passed after {_counted(refinements)}." if refinements else "It passed as it was."
-    other = _from_discretisation(proof)
-    if other:
-        return other
-    if refinements >= limit:
-        return f"The limit of {_counted(limit)} was reached."
-    return ""
+    if other := _other_cause(proof):
+        return f"A finer step does not help where {other}"
+    return f"The limit of {_counted(limit)} was reached." if refinements >= limit else ""
 
 
 def _counted(refinements: int) -> str:
     return f"{refinements} refinement{'' if refinements == 1 else 's'}"
 
 
-def _from_discretisation(proof: Proof) -> str:
+def _other_cause(proof: Proof) -> str:
     """Say what else than the plan's step makes a proof FAIL; "" when the step does.
 
     It does where the plan is sound and its model MuJoCo's (steps 0 to 2), the plan itself gets where it should, and
     still MuJoCo does something else at a refined step: then only the steps differ.
     """
-    other = _other_cause(proof)
-    return f"A finer step does not help where {other}" if other else ""
-
-
-def _other_cause(proof: Proof) -> str:
     reached = reached_by_plan(proof.replay)  # first: MuJoCo holds it there at its own step too
     if reached:
         return f"the plan itself goes where MuJoCo holds it: {reached[0]}"

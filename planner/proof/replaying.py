@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -98,13 +99,9 @@ class Replay:
 
 
 def replay(
-    plan: Plan,
-    *,
-    feedback: bool = False,
-    twin: Twin | None = None,
-    substeps: int | None = None,
+    plan: Plan, *, feedback: bool = False, twin: Twin | None = None, substeps: int | None = None,
     integrator: str = "RK4",
-) -> Replay:
+) -> Replay:  # fmt: skip
     """Replay a plan in MuJoCo at a refined step.
 
     Args:
@@ -164,11 +161,7 @@ def replay_in(
 
 
 def problem_of(plan: Plan) -> Problem:
-    """The problem of a plan that can be simulated.
-
-    Raises:
-        PlannerError: The plan comes without its problem or is not finite.
-    """
+    """The problem of a plan that can be simulated."""
     if plan.problem is None:
         raise PlannerError("the plan comes without its problem, expected a plan of planner.cases or one just solved.")
     for name, values in (("states xs", plan.xs), ("controls us", plan.us), ("gains K", plan.K)):
@@ -177,13 +170,16 @@ def problem_of(plan: Plan) -> Problem:
     return plan.problem
 
 
+def _mechanism(plan: Plan) -> Any:
+    return getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+
+
 def knows_contacts(plan: Plan) -> bool:
     """Whether a plan's dynamics may have contacts; a mechanism's are all that its model has, or none."""
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    mechanism = _mechanism(plan)
     return mechanism is None or bool(mechanism.contacts or mechanism.body_contacts)
 
 
 def stopped_dofs(plan: Plan) -> frozenset[int]:
     """The degrees of freedom whose ends of range are part of a plan's dynamics."""
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    return frozenset(stop.dof for stop in mechanism.stops) if mechanism is not None else frozenset()
+    return frozenset(stop.dof for stop in getattr(_mechanism(plan), "stops", ()))

@@ -53,19 +53,10 @@ def rigid_parity(
     mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, states: int, bound: float, seed: int,
     spread: np.ndarray | float = 1.0,
 ) -> Section:  # fmt: skip
-    """Compare a mechanism with a MuJoCo model.
+    """Compare a mechanism with MuJoCo's model at random states, with random controls times `spread` (nu,).
 
-    Args:
-        mechanism: Ours.
-        model: MuJoCo's.
-        dynamics: Whose accelerations are compared, with nothing prescribed; by default the mechanism's.
-        states: How many random states.
-        bound: What passes, relative.
-        seed: Of the random states.
-        spread: (nu,) of the random controls.
-
-    Raises:
-        ModelError: The model has other joints or actuators.
+    The accelerations are of `dynamics` with nothing prescribed, by default the mechanism's; `bound` is what passes,
+    relative.
     """
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)
@@ -186,21 +177,18 @@ def unlimited(model: Any) -> None:
     model.jnt_actfrclimited[:] = 0
 
 
-def _cause(
-    term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relative: np.ndarray, bound: float
-) -> str:  # fmt: skip
+def _cause(term: str, mechanism: Mechanism, ours: _Terms, theirs: _Terms, relative: np.ndarray, bound: float) -> str:
     """The joint, and what of it, in which two models differ."""
     if not np.isfinite(relative).all():
         return "not a finite number"
     if term == "mass":
         return _mass_cause(mechanism, theirs.mass - ours.mass, relative > bound)
     if term == "bias":
-        moving = (
-            [0.5 * (t.bias - t.back) for t in (theirs, ours)],
-            [0.5 * (t.bias + t.back) - t.rest for t in (theirs, ours)],
-        )
-        parts = {"gravity or spring": theirs.rest - ours.rest}
-        parts |= {name: a - b for name, (a, b) in zip(("damping", "Coriolis force"), moving, strict=True)}
+        odd, even = (np.array([0.5 * (t.bias + sign * t.back) for t in (theirs, ours)]) for sign in (-1.0, 1.0))
+        parts = {
+            "gravity or spring": theirs.rest - ours.rest, "damping": odd[0] - odd[1],
+            "Coriolis force": (even[0] - theirs.rest) - (even[1] - ours.rest),
+        }  # fmt: skip
         name, difference = max(parts.items(), key=lambda part: float(np.abs(part[1]).max()))
         return f"{name} at {joint_of(mechanism, int(np.abs(difference).max(axis=0).argmax()))}"
     worst = int(relative.max(axis=0).argmax())

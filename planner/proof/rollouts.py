@@ -43,57 +43,36 @@ class OutOfTime(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Perturbed machines, ready to run.
+    """Perturbed machines, ready to run."""
 
-    Attributes:
-        models: K of MuJoCo's.
-        start: (K, nw) simulator states.
-        noise: (K, N, nu) added to the controls.
-        delay: (K,) steps of the simulator.
-        stiffness: (K, curves) factors of the twin's exponential torques.
-    """
-
-    models: list[Any]
-    start: np.ndarray
-    noise: np.ndarray
-    delay: np.ndarray
-    stiffness: np.ndarray
+    models: list[Any]  # K of MuJoCo's
+    start: np.ndarray  # (K, nw) simulator states
+    noise: np.ndarray  # (K, N, nu) added to the controls
+    delay: np.ndarray  # (K,) steps of the simulator
+    stiffness: np.ndarray  # (K, curves) factors of the twin's exponential torques
 
 
 class Rollouts:
-    """The simulations of one plan. A context manager: it holds threads.
-
-    Attributes:
-        plan: What is simulated.
-        twin: The model, and the maps between its state and the plan's.
-        nominal: The machine as planned.
-        substeps: Simulator steps per control step.
-        x_of: Simulator states (..., nw) as plan states (..., nx).
-        knots: (T,) the stages at whose start (or end, the last) states are kept.
-    """
+    """The simulations of one plan. A context manager: it holds threads."""
 
     def __init__(self, plan: Plan, compiled: CompiledTwin, threads: int | None = None) -> None:
-        """Prepare the model.
-
-        Raises:
-            PlannerError: The plan is not finite, comes without its problem, or takes too many steps.
-            ModelError: MuJoCo refuses the model, or it does not fit the plan.
-        """
         self._problem = problem_of(plan)
         compiled.check(plan.us.shape[1])
         mujoco, model, twin = load_mujoco(), compiled.model, compiled.twin
         self.plan, self.twin, self.control_step = plan, twin, self._problem.dynamics.dt / CONTROL_STEPS
         own = number("the model's timestep", model.opt.timestep, above=0.0)
         finest = max(1, math.ceil(min(self.control_step / own, 1e12) - 1e-9))
-        # Only contacts, and parts that the plan does not know of, ask for the model's own step.
+        # Simulator steps per control step. Only contacts, and parts that the plan does not know of, ask for the model's
+        # own step.
         self.substeps = finest if may_touch(model) or twin.to_x.shape != (plan.xs.shape[1],) * 2 else min(finest, 2)
         if self.steps > MOST_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
         model = compiled.stepping(self.step)
         self.nominal = Nominal.of(model, plan, twin)
+        # (T,) the stages at whose start (or end, the last) states are kept
         self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
         self._plan_xs = plan.between_knots(CONTROL_STEPS)
-        self.x_of = _affine(twin.to_x, twin.to_x_offset)
+        self.x_of = _affine(twin.to_x, twin.to_x_offset)  # simulator states (..., nw) as plan states (..., nx)
         self._scratch = mujoco.MjData(model)
         self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self._row = np.empty(mujoco.mj_stateSize(model, self._full))
@@ -157,11 +136,7 @@ class Rollouts:
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
-        """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes.
-
-        Raises:
-            OutOfTime: time.monotonic() has passed the deadline.
-        """
+        """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes."""
         K, nw = batch.start.shape
         n, commands = self.pieces(batch, mode)
         at = self.knots * CONTROL_STEPS * self.substeps  # the step before which each is kept

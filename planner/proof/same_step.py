@@ -39,11 +39,7 @@ Advance = Callable[[np.ndarray, np.ndarray, int], Iterator[np.ndarray]]
 
 
 def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
-    """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's.
-
-    Raises:
-        ModelError: MuJoCo refuses the model, or it does not fit the plan.
-    """
+    """MuJoCo's states at the plan's own step, along the path and stage by stage, against the plan's."""
     if problem.requirements is not None and problem.requirements.no_same_step:
         return Section("same step", not_applicable=problem.requirements.no_same_step)
     mechanism = getattr(problem.dynamics, "mechanism", None)
@@ -69,13 +65,9 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     note = f"{how} at the plan's step, largest component over the path, relative to the largest state"
     if bound > PATH_BOUND:
         note += f"; the bound is what rounding becomes, since this path amplifies it {amplification:.1e} times"
-    return Section(
-        "same step",
-        (
-            Measured("state_error", errors[0], "", bound, note),
-            Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot"),
-        ),
-    )
+    along = Measured("state_error", errors[0], "", bound, note)
+    alone = Measured("stage_error", errors[1], "", STAGE_BOUND, "the same, each stage begun at the plan's own knot")
+    return Section("same step", (along, alone))
 
 
 def rounding_amplification(A: np.ndarray) -> float:
@@ -90,15 +82,9 @@ def rounding_amplification(A: np.ndarray) -> float:
 def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = ()
 ) -> tuple[str, Stage] | None:
-    """One stage in MuJoCo: its method in words, and the function (x, u) -> x at its end.
+    """One stage of dt in MuJoCo: its method in words, and the function (x, u) -> x at its end; None for none.
 
-    Args:
-        integrator: The plan's.
-        dt: Length of the stage, s.
-        model: MuJoCo's; changed.
-        twin: The maps between its state and the plan's.
-        space: Of the plan's states.
-        driven: Degrees of freedom whose accelerations, the last controls, are met to rounding.
+    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding.
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)

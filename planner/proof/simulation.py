@@ -30,28 +30,13 @@ def state_of(data: Any) -> np.ndarray:
 
 
 def simulate(
-    model: Any,
-    w0: np.ndarray,
-    ctrl: np.ndarray,
-    *,
-    control: Callable[[int, np.ndarray], np.ndarray] | None = None,
-    recorder: ContactRecorder | None = None,
-    every: int = 1,
-    start: float = 0.0,
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Step a model M times.
+    model: Any, w0: np.ndarray, ctrl: np.ndarray, *, control: Callable[[int, np.ndarray], np.ndarray] | None = None,
+    recorder: ContactRecorder | None = None, every: int = 1, start: float = 0.0,
+) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
+    """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and complaints, one sentence each.
 
-    Args:
-        model: MuJoCo's, with its step and integrator set.
-        w0: (nw,) the first state.
-        ctrl: (M, nu) controls; those that `control` gives are written here.
-        control: The control (nu,) at a step and its state (nw,); without it ctrl is applied as it is.
-        recorder: Records the contacts at every step.
-        every: Steps from one look for a runaway to the next, which ends the simulation.
-        start: Time of the first state, s, for sentences.
-
-    Returns:
-        The states (M+1, nw), NaN once they have run away, and MuJoCo's complaints, one sentence each.
+    `control` gives the control (nu,) at a step and its state, which is written into ctrl. Every `every` steps the
+    simulation is ended if it has run away: its states are NaN from there. `start` is the time of w0 for sentences, s.
     """
     recorder = recorder or ContactRecorder(model, 0, touches=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)

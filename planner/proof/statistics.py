@@ -10,15 +10,10 @@ _Z = 1.959963984540054  # standard deviations: 95 % of a normal distribution lie
 
 @dataclass(frozen=True)
 class Rate:
-    """Successes among rollouts.
+    """Successes among rollouts."""
 
-    Attributes:
-        successes: How many there were.
-        of: How many could have been.
-    """
-
-    successes: int
-    of: int
+    successes: int  # How many there were
+    of: int  # How many could have been
 
     @property
     def value(self) -> float:

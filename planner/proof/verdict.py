@@ -135,38 +135,23 @@ class Proof:
 
     def to_dict(self) -> dict[str, Any]:
         """The proof as JSON values: proof.json."""
-        return {
-            "verdict": self.verdict,
-            "mode": self.mode,
-            "reason": self.reason,
-            **{name: section.to_dict() for name, section in self.sections.items()},
-            "asked": self.asked,
-            "monte_carlo": None if self.monte_carlo is None else self.monte_carlo.to_dict(),
-            "simulator": {
-                "engine": "MuJoCo",
-                "version": load_mujoco().__version__,
-                "integrator": self.replay.integrator,
-                "timestep": self.replay.timestep,
-                "steps_per_stage": self.replay.substeps,
-                "warnings": list(self.replay.warnings),
-            },
-        }
+        run = self.replay
+        simulator = {
+            "engine": "MuJoCo", "version": load_mujoco().__version__, "integrator": run.integrator,
+            "timestep": run.timestep, "steps_per_stage": run.substeps, "warnings": list(run.warnings),
+        }  # fmt: skip
+        sections = {name: section.to_dict() for name, section in self.sections.items()}
+        found = None if self.monte_carlo is None else self.monte_carlo.to_dict()
+        head = {"verdict": self.verdict, "mode": self.mode, "reason": self.reason}
+        return {**head, **sections, "asked": self.asked, "monte_carlo": found, "simulator": simulator}
 
 
 @np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
 def prove(
-    plan: Plan,
-    *,
-    mjcf: str | Path | None = None,
-    twin: Twin | None = None,
-    seed: int = 0,
-    rollouts: int = ROLLOUTS,
-    perturbation: Perturbation | None = None,
-    hold_seconds: float = 0.0,
-    budget: float | None = None,
-    partial: Path | None = None,
-    progress: Callable[[int, int], object] | None = None,
-) -> Proof:
+    plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
+    perturbation: Perturbation | None = None, hold_seconds: float = 0.0, budget: float | None = None,
+    partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+) -> Proof:  # fmt: skip
     """Replay a plan in MuJoCo at a refined step, open loop and with its gains, and judge it.
 
     Args:
@@ -209,32 +194,20 @@ def prove(
     sound = all(section.passed for section in first)
     mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
     seen = mode or "open-loop"
+    asked = {
+        "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "perturbation": None,
+        "another_model": compiled.twin is not plan.twin,
+    }  # fmt: skip
     proof = Proof(
-        verdict="FAIL" if mode is None else "PASS",
-        mode=mode,
+        verdict="FAIL" if mode is None else "PASS", mode=mode,
         reason=_reason(mode, (*first, *judged[seen]), steps[seen], runs[seen]),
-        plan=first[0],
-        parity=first[1],
-        same_step=first[2],
-        refined_open_loop=steps["open-loop"][0],
-        refined_feedback=steps["feedback"][0],
-        growth=errors.section,
-        order=convergence.section,
-        goal=steps[seen][1],
+        plan=first[0], parity=first[1], same_step=first[2],
+        refined_open_loop=steps["open-loop"][0], refined_feedback=steps["feedback"][0],
+        growth=errors.section, order=convergence.section, goal=steps[seen][1],
         hold=Section("hold", not_applicable="it was not asked for"),
         perturbed=Section("perturbed", not_applicable="no rollouts were asked for"),
-        replay=runs[seen],
-        replays=runs,
-        errors=errors,
-        convergence=convergence,
-        asked={
-            "seed": seed,
-            "rollouts": rollouts,
-            "hold_seconds": hold_seconds,
-            "perturbation": None,
-            "another_model": compiled.twin is not plan.twin,
-        },
-    )
+        replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
+    )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
     if not rollouts:
@@ -245,15 +218,9 @@ def prove(
 
 
 def with_rollouts(
-    proof: Proof,
-    rollouts: int = ROLLOUTS,
-    *,
-    seed: int = 0,
-    perturbation: Perturbation | None = None,
-    budget: float | None = None,
-    partial: Path | None = None,
-    progress: Callable[[int, int], object] | None = None,
-) -> Proof:
+    proof: Proof, rollouts: int = ROLLOUTS, *, seed: int = 0, perturbation: Perturbation | None = None,
+    budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+) -> Proof:  # fmt: skip
     """A proof with step 5 added; the arguments are those of prove()."""
     run, trials = proof.replay, Trials(rollouts, seed, perturbation)
     found = perturbed(run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress)

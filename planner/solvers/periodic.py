@@ -32,7 +32,7 @@ from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 LEFT = 1e-4
-"""Newton passes go on until the decrease that they promise is below this part of the cost, or the cost has settled."""
+"""Newton passes end when the decrease that they promise is below this part of the cost, or the cost hardly changes."""
 _TO_CLOSE = 2  # passes kept for the end, which only close the gap
 _SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
@@ -148,12 +148,12 @@ class _Search:
             raise KeyboardInterrupt
         if self.callback is not None:
             self.callback(line)
-        settled = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.settled * abs(cost)
-        little = answer is None or settled or left <= LEFT * abs(cost)
+        steady = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.cost_tolerance * abs(cost)
+        little = answer is None or steady or left <= LEFT * abs(cost)
         if not ran or (little and not open_):
             self.next = None
         else:
-            self.next = _followed(plan) if answer is None else moved(answer, close=settled or (open_ and self._is_late))
+            self.next = _followed(plan) if answer is None else moved(answer, close=steady or (open_ and self._is_late))
 
     @property
     def _is_late(self) -> bool:

@@ -205,7 +205,7 @@ def test_measures_of_a_robot():
         ({"jerk": -1.0}, "jerk is -1.0, expected a finite number of at least 0 and at most 1000"),
         ({"jerk": 1e-5}, "jerk is 1e-05, expected 0 or at least 0.001"),
         ({"force": float("nan")}, "force is nan"),
-        ({"jerk": 1.0, "pelvis": "force"}, "jerk is 1 with pelvis='force', expected 0: there effort weighs the forces"),
+        ({"jerk": 1.0, "pelvis": "force"}, "jerk is 1 with pelvis='force', expected 0: effort weighs the forces there"),
         ({"force": 2.0, "pelvis": "force"}, "force is 2 with pelvis='force'"),
         ({"force": 2.0, "jerk": 1.0}, "jerk is 1 and force is 2, expected one of the two to be 0"),
         ({"effort": 0.0}, "effort is 0.0, expected a finite number of at least 0.001"),

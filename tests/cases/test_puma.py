@@ -285,9 +285,8 @@ def test_the_puma_study_finds_what_its_page_says(monkeypatch, tmp_path):
     monkeypatch.setattr(puma_study, "TRIPLED", 1.2)
     results = puma_study.STUDY.run()
     (row,) = puma_study.STUDY.rows(results)
-    assert set(row) == {"where", "paper", "ours", "why"}
-    assert all(row.values())
-    assert "tripled" in row["paper"]
+    assert all(row)
+    assert "tripled" in row.paper
     assert results["shown"]["verdict"] == "PASS"
     page = puma_study.STUDY.page(results)
     assert f"| 1.5 | none | {results['searches'][0]['payload']:.1f} |" in page

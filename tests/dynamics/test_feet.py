@@ -12,7 +12,7 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.problem.guess import hold
+from planner.problem.guess import holding_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
 
@@ -71,7 +71,7 @@ def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
     assert forces.min() > 0.0
     assert forces.sum() == pytest.approx(MASS * G, rel=1e-8)
     assert forces @ at.points[:, 0] / forces.sum() == pytest.approx(center_of_mass(m, x[:4])[0], abs=1e-8)
-    u = hold(m, x)
+    u = holding_controls(m, x)
     rates = planner.RigidBodyDynamics(m, dt=1e-3).rates(x[None], u[None])
     np.testing.assert_allclose(rates, 0.0, atol=1e-6)
 
@@ -79,13 +79,14 @@ def test_a_settled_pose_is_at_rest_and_hold_holds_it(height):
 def test_hold_knows_the_ground_without_the_exact_depth():
     m = monoped()
     x = settled(m, np.array([0.0, 0.0, 0.0, 0.1]))
-    u = hold(m, x)
+    u = holding_controls(m, x)
     for moved in (-2e-3, 2e-3):
         y = x.copy()
         y[1] += moved
-        np.testing.assert_allclose(hold(m, y), u, atol=1e-5)
+        np.testing.assert_allclose(holding_controls(m, y), u, atol=1e-5)
     x[1] += 1.0  # in the air: as a machine without contacts
-    np.testing.assert_allclose(hold(m, x), hold(Mechanism.from_mjcf(MONOPED, contacts="off"), x), atol=1e-9)
+    free = Mechanism.from_mjcf(MONOPED, contacts="off")
+    np.testing.assert_allclose(holding_controls(m, x), holding_controls(free, x), atol=1e-9)
 
 
 def test_jacobians_of_contacts_are_those_of_differences():
@@ -199,7 +200,7 @@ def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
         position=free, velocity=1.0,
     )  # fmt: skip
     problem = planner.Problem(
-        dynamics, cost, start, us=np.tile(hold(m, start), (N, 1)), twin=planner.Twin.of(m),
+        dynamics, cost, start, us=np.tile(holding_controls(m, start), (N, 1)), twin=planner.Twin.of(m),
         limits=planner.Limits(control="model"),
     )  # fmt: skip
     plan = planner.solve(problem)

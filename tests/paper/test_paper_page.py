@@ -34,7 +34,7 @@ def seven():
 
 
 def sentence(results):
-    return f"### Number {results['number']}"
+    return [f"### Number {results['number']}"]
 
 
 def one_row(results):
@@ -42,8 +42,8 @@ def one_row(results):
 
 
 def study(name="one", rows=(ROW,), results=lambda: {"number": 7}):
-    text = "### Head\n\n#### Below\n\n![p](one.png)"
-    return Study(name, f"about {name}", results, lambda _: text, lambda _: list(rows), {f"{name}.png": draw})
+    lines = ["### Head", "", "#### Below", "", "![p](one.png)"]
+    return Study(name, f"about {name}", results, lambda _: lines, lambda _: list(rows), {f"{name}.png": draw})
 
 
 def fails():

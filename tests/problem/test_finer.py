@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from carts import write
+from driven import moved_cart
+from hands import MACHINE, random_states
 from swings import PENDULUM, discrete, strange, swing
 
 import planner
 from planner.cases.problem_file import load
+from planner.problem.costs.drive import DriveCost
 from planner.problem.discretisation import finer
 from planner.solvers.warm_start import roll_out, warm_start
 
@@ -51,9 +54,41 @@ def test_half_the_stage_is_the_same_integral():
     problem = swing("rk4", position=3.0, velocity=[0.2], control=[0.3], reference=rng.normal(size=(21, 2)))
     cost = problem.cost + problem.cost
     xs, us = rng.normal(size=(21, 2)), rng.normal(size=(20, 1))
-    twice = np.concatenate([np.repeat(xs[:-1], 2, axis=0), xs[-1:]]), np.repeat(us, 2, axis=0)
     for whole in (problem.cost, cost):
-        assert whole.resampled(2, 0.5).value(*twice) == pytest.approx(whole.value(xs, us), rel=1e-12)
+        assert whole.resampled(2, 0.5).value(*halved(xs, us)) == pytest.approx(whole.value(xs, us), rel=1e-12)
+
+
+def halved(xs, us):
+    """A trajectory whose stages are divided in two, at the same states and controls."""
+    return np.concatenate([np.repeat(xs[:-1], 2, axis=0), xs[-1:]]), np.repeat(us, 2, axis=0)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"position": [0.3, 0.2, 0.4], "position_weight": 2.0, "final_position_weight": 3.0},
+        {"position": np.arange(18.0).reshape(6, 3) / 18.0, "position_weight": np.arange(18.0).reshape(6, 3),
+         "orientation": [1.0, 0.2, 0.1, -0.3], "final_orientation_weight": 2.0},
+    ],
+    ids=["one for all stages", "per stage"],
+)  # fmt: skip
+def test_half_the_stage_is_the_same_integral_of_a_frame(parts):
+    machine, rng = planner.Mechanism.from_mjcf(MACHINE), np.random.default_rng(0)
+    cost = planner.FrameCost(machine, "hand", dt=0.1, **parts)
+    xs, us = random_states(machine, rng, 6), rng.normal(size=(5, machine.nu))
+    half = cost.resampled(2, 0.5)
+    assert half.N in (None, 10)
+    assert (half.N is None) == (cost.N is None)
+    assert half.value(*halved(xs, us)) == pytest.approx(cost.value(xs, us), rel=1e-12)
+
+
+def test_half_the_stage_is_the_same_integral_of_a_drive():
+    rng, dynamics = np.random.default_rng(1), moved_cart().dynamics
+    cost = DriveCost(dynamics, 5, 1e-2, reference=3.0)
+    xs, us = rng.normal(size=(6, 6)), rng.normal(size=(5, 3))
+    half = cost.resampled(2, 0.5)
+    assert half.N == 10
+    assert half.value(*halved(xs, us)) == pytest.approx(cost.value(xs, us), rel=1e-12)
 
 
 def test_quaternions_and_prescribed_joints_are_kept():

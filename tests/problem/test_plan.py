@@ -11,6 +11,7 @@ import planner
 from planner.base.errors import FileError
 from planner.cases.plan_file import load_plan
 from planner.model.space import StateSpace
+from planner.problem import archive
 from planner.problem.archive import FORMAT_VERSION
 from planner.problem.plan import Iteration, Plan, Start, Status
 
@@ -217,6 +218,27 @@ def test_pickled_arrays_are_refused(saved):
 def test_newer_format_names_its_version(saved):
     rewritten(saved, format_version=FORMAT_VERSION + 1, versions={"planner": "9.9"})
     with pytest.raises(FileError, match=r"written by planner 9\.9"):
+        planner.load_plan(saved)
+
+
+def test_an_older_format_says_what_to_do(saved):
+    rewritten(saved, format_version=4, versions={"planner": "0.3.0"})
+    with pytest.raises(FileError) as caught:
+        planner.load_plan(saved)
+    assert str(caught.value) == (
+        f"{saved} has format 4, written by planner 0.3.0; this planner reads format {FORMAT_VERSION}: "
+        "make the plan again with this one."
+    )
+
+
+def test_a_file_that_unpacks_to_too_much_is_not_unpacked(saved, monkeypatch):
+    with zipfile.ZipFile(saved) as file:
+        size = sum(entry.file_size for entry in file.infolist())
+    monkeypatch.setattr(archive, "_MOST_BYTES", size)
+    assert planner.load_plan(saved).nit > 0
+    monkeypatch.setattr(archive, "_MOST_BYTES", size - 1)
+    monkeypatch.setattr(np.lib.npyio.NpzFile, "__getitem__", lambda *_: pytest.fail("an array was unpacked"))
+    with pytest.raises(FileError, match=f"unpacks to {size} bytes, expected a plan of at most {size - 1}"):
         planner.load_plan(saved)
 
 

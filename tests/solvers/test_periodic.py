@@ -38,10 +38,11 @@ def cost_of(final, goal=None):
     return planner.TrackingCost(Q, np.full((N, 1, 1), DT), x_ref)
 
 
-def swinging(final=30.0, tolerance=1e-3, settled=1e-3, **parts):
+def swinging(final=30.0, tolerance=1e-3, cost_tolerance=1e-3, **parts):
     """A damped pendulum that is to swing on."""
     dynamics = planner.RigidBodyDynamics(mechanism('damping="0.3"'), DT, "rk4")
-    return planner.Problem(dynamics, cost_of(final), SWAYS[0], periodic=Periodic(tolerance, settled=settled), **parts)
+    periodic = Periodic(tolerance, cost_tolerance=cost_tolerance)
+    return planner.Problem(dynamics, cost_of(final), SWAYS[0], periodic=periodic, **parts)
 
 
 def linear(final=5.0):
@@ -133,7 +134,7 @@ def test_damping_shortens_the_step():
 
 def test_the_motion_found_does_not_depend_on_the_final_weights():
     """The goal at the end is a multiplier: 15.6 and 14.6 at first, and the same 3.4235 at the end."""
-    plans = [solve_periodic(swinging(final, tolerance=1e-6, settled=0.0), passes=15) for final in (30.0, 1000.0)]
+    plans = [solve_periodic(swinging(final, tolerance=1e-6, cost_tolerance=0.0), passes=15) for final in (30.0, 1000.0)]
     first, last = ([plan.options["tried"][i][0] for plan in plans] for i in (0, -1))
     assert all(plan.success for plan in plans)
     assert abs(first[0] - first[1]) > 1.0
@@ -145,7 +146,7 @@ def test_the_motion_found_does_not_depend_on_the_final_weights():
 
 def test_no_other_periodic_motion_costs_less():
     """Starts beside the one found, with ends made to meet them by a large weight."""
-    plan = solve_periodic(swinging(tolerance=1e-6, settled=0.0), passes=15)
+    plan = solve_periodic(swinging(tolerance=1e-6, cost_tolerance=0.0), passes=15)
     least = plan.options["tried"][-1][0]
     for d in 0.1 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]]):
         x0 = plan.xs[0] + d
@@ -156,10 +157,10 @@ def test_no_other_periodic_motion_costs_less():
 
 def test_the_last_passes_close_the_gap():
     """Where Newton's steps may not: the cost settles at once, or few passes are left."""
-    settled = solve_periodic(swinging(tolerance=1e-8, settled=1e9))
-    assert settled.success
-    assert np.abs(settled.xs[-1] - settled.xs[0]).max() < 1e-8
-    assert len(settled.options["tried"]) <= 6  # quadratically, from the second pass on
+    closed = solve_periodic(swinging(tolerance=1e-8, cost_tolerance=1e9))
+    assert closed.success
+    assert np.abs(closed.xs[-1] - closed.xs[0]).max() < 1e-8
+    assert len(closed.options["tried"]) <= 6  # quadratically, from the second pass on
     few = solve_periodic(swinging(tolerance=2e-3), passes=4)
     assert few.success
 
@@ -272,7 +273,7 @@ def test_problems_that_cannot_be_periodic_are_refused():
         (lambda: solve_periodic(problem, step="steps"), "step is 'steps'"),
         (lambda: solve_periodic(problem, passes=0), "passes is 0"),
         (lambda: replace(problem, periodic=Periodic([1.0, 1.0, 1.0])), "shape (3,), expected (2,)"),
-        (lambda: replace(problem, periodic=1.0), "expected a Periodic"),
+        (lambda: replace(problem, periodic=1.0), "expected Periodic"),
         (lambda: solve_periodic(replace(problem, cost=cost_of(0.0))), "no final weight"),
     ):
         with pytest.raises(planner.PlannerError) as caught:
@@ -314,5 +315,5 @@ def test_the_command_line_finds_ends_by_itself(walk):
     assert "--phase" in parser_flags
     assert "--ends" not in parser_flags
     assert command(walk) == "planner run human-step --phase gait --cost study"
-    with pytest.raises(planner.PlannerError, match="expected none: its cycle has a time of its own"):
+    with pytest.raises(planner.PlannerError, match="whose cycle has a fixed duration"):
         asked_problem(parse(["solve", "human-step", "--phase", "gait", "--objective", "time", "--durations", "1,2"]))

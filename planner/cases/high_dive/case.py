@@ -189,11 +189,7 @@ def _appearance(dive: Dive) -> Appearance:
     return Appearance(
         title=f"High dive: somersaults {dive.somersaults:g}, twists {dive.twists:g}",
         readouts=(Readout("height of hips", 2, "m"), Readout("fall", nq + 2, "m/s")),
-        accompany=(0, 1, 2),
-        distance=4.5 * height,
-        azimuth=90.0,
-        elevation=-6.0,
-        speed=0.5,
+        accompany=(0, 1, 2), distance=4.5 * height, azimuth=90.0, elevation=-6.0, speed=0.5,
         plots=(
             Panel("Arms", "angle, rad", states=curves(7, *arms)),
             Panel("Trunk and legs", "angle, rad", states=curves(7, *legs)),

@@ -35,19 +35,12 @@ _MOST = 1e6  # of speeds and heights
 
 @dataclass(frozen=True)
 class Diver:
-    """A person on a tower. Checked.
+    """A person on a tower, with checked values."""
 
-    Attributes:
-        mass: kg.
-        height: m.
-        tower: Height of the platform above the water, m.
-        gravity: m/s^2.
-    """
-
-    mass: float
-    height: float
-    tower: float
-    gravity: float
+    mass: float  # kg
+    height: float  # m
+    tower: float  # m, height of the platform above the water
+    gravity: float  # m/s^2
 
     def __post_init__(self) -> None:
         for name, least, most in (("mass", 1.0, 1e3), ("height", 0.1, 10.0), ("gravity", 1e-3, 1e3)):
@@ -86,15 +79,11 @@ class Diver:
         return (trunk + winter.UPPER_ARM + winter.FOREARM + winter.HAND) * self.height
 
     def take_off(self, up: float, ahead: float, rate: float) -> np.ndarray:
-        """The state (nx,) at take-off: a straight body that turns like a rigid body about its centre of mass.
+        """The state (nx,) at take-off of a straight body that turns like a rigid body about its centre of mass.
 
-        Args:
-            up: Upward speed of the centre of mass, m/s.
-            ahead: Forward speed of the centre of mass, m/s.
-            rate: Rate of the somersault, rad/s, positive forward.
+        `up` and `ahead` are speeds of the centre of mass, m/s; `rate` of the somersault, rad/s, is positive forward.
         """
-        x = self.mechanism.keyframe("start")
-        nq = self.mechanism.nq
+        x, nq = self.mechanism.keyframe("start"), self.mechanism.nq
         turning = np.array([0.0, rate, 0.0])
         arm = x[:3] - center_of_mass(self.mechanism, x[:nq])
         x[nq : nq + 3] = np.array([ahead, 0.0, up]) + np.cross(turning, arm)

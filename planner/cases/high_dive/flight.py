@@ -22,6 +22,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.space import exp_quaternion, product
 from planner.problem.costs.tracking import TrackingCost
+from planner.problem.guess import rolled
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
@@ -46,26 +47,15 @@ class Weights:
 
 @dataclass(frozen=True)
 class Dive:
-    """A flight from take-off to entry.
-
-    Attributes:
-        diver: The person and the tower.
-        up: Upward speed of the centre of mass at take-off, m/s.
-        ahead: Forward speed of the centre of mass at take-off, m/s.
-        rate: Rate of the somersault at take-off, rad/s.
-        duration: s.
-        somersaults: Turns over the head, positive forward.
-        twists: Turns about the long axis, positive to the left.
-        weights: Weights of the cost.
-    """
+    """A flight from take-off to entry."""
 
     diver: Diver
-    up: float
-    ahead: float
-    rate: float
-    duration: float
-    somersaults: float
-    twists: float
+    up: float  # m/s, of the centre of mass at take-off
+    ahead: float  # m/s, likewise
+    rate: float  # rad/s, of the somersault at take-off
+    duration: float  # s
+    somersaults: float  # turns over the head, positive forward
+    twists: float  # turns about the long axis, positive to the left
     weights: Weights
 
     @property
@@ -144,9 +134,6 @@ def _stiff_controls(dive: Dive, dynamics: RigidBodyDynamics, N: int) -> np.ndarr
     mechanism = dynamics.mechanism
     held = RigidBodyDynamics(mechanism, dynamics.dt, prescribed=mechanism.joint_names[1:])
     still = np.zeros((N, held.nu))
-    xs = np.empty((N, held.nx))
-    x = dive.start
-    for n in range(N):
-        xs[n], x = x, held.step(x[None], still[n : n + 1])[0]
+    xs = rolled(held, dive.start, still)[:-1]
     nq, nv = mechanism.nq, mechanism.nv
     return rnea(mechanism, xs[:, :nq], xs[:, nq:], held.rates(xs, still)[:, nv:])[:, 6:]

@@ -27,6 +27,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
+from planner.cases.horizon import MOST_STAGES
 from planner.cases.human_step.cost import step_cost, wishes
 from planner.cases.human_step.drive import Pelvis, Sparing, drive
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
@@ -50,7 +51,7 @@ Passive = Literal["table", "riener-edrich"]
 SLOWEST, FASTEST = 30.0, 200.0  # steps per minute
 LONGEST_STAGE = 0.02  # s, that still resolves contact
 STAGES = {"swing": 4e-3, "cycle": 5e-3, "gait": 5e-3}  # s
-MOST_CYCLES, MOST_STAGES = 20, 100_000
+MOST_CYCLES = 20
 HIGHEST = 0.2  # m, of a foot over the belt
 PROMISED = 0.01  # m, least wanted clearance that the proof checks
 CYLINDERS = tuple(f"cylinder_{side}_{end}" for side in SIDES for end in ("high", "low", "across"))
@@ -131,8 +132,7 @@ def human_step(
     return Problem(
         robot.dynamics, whole, x0=start, us=robot.us,
         recipe=Recipe("human-step", parameters, human_step), appearance=_appearance(step, wish.joints),
-        decrease_tolerance=TOLERANCE[phase],
-        gain_tolerance=TOLERANCE[phase],
+        decrease_tolerance=TOLERANCE[phase], gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
             tracking=lambda run: judge_tracking(step, run),
@@ -175,7 +175,6 @@ def _ends(step: Step, phase: str, ends: Any) -> tuple[np.ndarray, np.ndarray]:
 def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
     """The person on the belt beside the normal gait, seen from the right and from ahead."""
     names = step.walker.mechanism.joint_names
-    duration = step.N * step.dt
 
     def curves(side: str, *joints: str) -> tuple[tuple[int, str], ...]:
         return tuple((names.index(f"{side}_{joint}"), joint.replace("_", " ")) for joint in joints)
@@ -194,15 +193,12 @@ def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
         title=f"Human step, {step.walker.mass:g} kg, {step.walker.height:g} m",
         readouts=(Readout("height of pelvis", names.index("pelvis_z"), "m"),),
         look_at=(0.0, 0.0, 0.85 * step.walker.scale),
-        distance=4.2 * step.walker.scale,
-        azimuth=90.0,
-        elevation=-10.0,
+        distance=4.2 * step.walker.scale, azimuth=90.0, elevation=-10.0,
         views=(View(90.0, label="from the right"), View(180.0, look_at=low, label="from ahead")),
         ghost=Ghost(step.states, "normal gait"),
         scenery=(*(("belt",) if step.walker.belt else ()), *CYLINDERS),
-        force_scale=0.0 if not step.walker.belt else 8e-3,
-        force_unit="N",
-        speed=0.25 if duration < 1.0 else 0.5,
+        force_scale=0.0 if not step.walker.belt else 8e-3, force_unit="N",
+        speed=0.25 if step.N * step.dt < 1.0 else 0.5,
         pictures=partial(step_pictures, step, tolerances),
         plots=(
             *(Panel(f"{side.capitalize()} leg", "angle, rad", states=curves(side, "hip_flexion", "knee", "ankle"))

@@ -130,14 +130,9 @@ def step_cost(
 ) -> SumCost:  # fmt: skip
     """The cost of a step.
 
-    Args:
-        dynamics: The dynamics of the walker.
-        step: The step.
-        wish: Its tolerances.
-        effort: Tolerances (6,) of the controls.
-        control: Controls (6,) or (N, 6) without cost.
-        goal: Goal state (nx,) of the end; by default that of the normal gait.
-        acceleration: Tolerances (6,) of the accelerations of the pelvis, where these are states.
+    `effort` are the tolerances (6,) of the controls, `control` the controls (6,) or (N, 6) without cost, `goal` the
+    state (nx,) of the end (by default that of the normal gait), and `acceleration` the tolerances (6,) of the
+    accelerations of the pelvis, where these are states.
     """
     states = np.vstack([step.states[:-1], step.states[-1] if goal is None else goal])
     states[:-1, 2 * dynamics.mechanism.nv :] = 0.0  # accelerations that are states cost like controls
@@ -162,9 +157,7 @@ def _weights(step: Step, place: float, turn: float, joints: dict[str, float], pe
 
 def _foot(side: str, end: str, wish: Wishes, tolerance: float, period: float, **bound: Any) -> Height:
     """The height of heel or toe, with a bound `least` or `most`."""
-    return Height(
-        Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=wish.ramp, weight=1.0 / period, **bound
-    )  # fmt: skip
+    return Height(Point(f"{side}_{end}_point"), tolerance=tolerance, ramp=wish.ramp, weight=1.0 / period, **bound)
 
 
 def _during(t: np.ndarray, part: tuple[float, float], value: float) -> np.ndarray:

@@ -28,6 +28,7 @@ from planner.cases.human_step.phase import Step
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, Walker
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.drive import DriveCost
+from planner.problem.guess import rolled
 
 Pelvis = Literal["motion", "force"]
 
@@ -74,11 +75,7 @@ class Drive:
 
 
 def drive(step: Step, wish: Wishes, sparing: Sparing, integrator: str) -> Drive:
-    """The robot of a step, whose walker has the motors that `sparing` needs.
-
-    Raises:
-        PlannerError: No such integrator.
-    """
+    """The robot of a step, whose walker has the motors that `sparing` needs."""
     walker, effort = step.walker, np.sqrt(sparing.effort)
     led = not (walker.motors or walker.jerked)
     dynamics = RigidBodyDynamics(walker.mechanism, step.dt, integrator, prescribed=PELVIS if led else ())
@@ -108,8 +105,4 @@ def weight(walker: Walker) -> float:
 def forces_of(step: Step, accelerations: np.ndarray) -> np.ndarray:
     """Forces and moments (N, 6) at the pelvis that give it accelerations (N, 6) while the legs hang; N and N m."""
     carried = RigidBodyDynamics(replace(step.walker, motors=False).mechanism, step.dt, prescribed=PELVIS)
-    xs = np.empty((step.N + 1, carried.nx))
-    xs[0] = step.states[0]
-    for n in range(step.N):
-        xs[n + 1] = carried.step(xs[n : n + 1], accelerations[n : n + 1])[0]
-    return robot_wrench(carried, xs, accelerations)
+    return robot_wrench(carried, rolled(carried, step.states[0], accelerations), accelerations)

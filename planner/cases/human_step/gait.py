@@ -111,10 +111,9 @@ class Gait:
         return cls(**table)
 
     def angles(self, t: np.ndarray, duration: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angles, rates and accelerations at fractions t (K,) of a cycle of a duration in s.
+        """Angles, rates and accelerations, (K, 8) each, rad and s, columns as ANGLES, at fractions t (K,) of a cycle.
 
-        Returns:
-            (K, 8) each, rad, rad/s, rad/s^2, columns as ANGLES; t beyond 0 .. 1 repeats the cycle.
+        The duration of the cycle is in s; t beyond 0 .. 1 repeats it.
         """
         series = np.radians([np.where(used(name), getattr(self, name), 0.0) for name in ANGLES]).T
         value, slope, curvature = (part @ series for part in basis(t))
@@ -163,16 +162,8 @@ def reference(
 ) -> Reference:  # fmt: skip
     """Fit a gait to a body: compute the height of the pelvis and the speed of the belt from the places of the feet.
 
-    Args:
-        gait: The angles.
-        foot_points: Function of q (K, 16), columns as COLUMNS, that returns the places (K, 6, 3) of ankle, heel and toe
-            of the right foot, then of the left, m.
-        duration: Time of a cycle, s.
-        sway: Amplitude of the pelvis to each side, m; scale it with the height of the body.
-        sink: Mean depth of the lowest point of the feet in the belt, m.
-
-    Raises:
-        PlannerError: A number out of range, or points of another shape.
+    `foot_points` of q (K, 16), columns as COLUMNS, are the places (K, 6, 3) of ankle, heel and toe of the right foot,
+    then of the left, m. The duration of a cycle is in s; sway and sink are those of a Reference, m.
     """
     duration = number("duration", duration, above=0.0)
     sway, sink = number("sway", sway, least=0.0), number("sink", sink, least=0.0)

@@ -32,7 +32,7 @@ STANDS = (0.95, 0.66)  # fractions of a cycle between which a foot may be on the
 CLOSED_PLACE, CLOSED_TURN = 4e-3, np.radians(0.5)  # m and rad, between start and end of a gait
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
-PASSES, SETTLED = 6, 0.01  # of a gait: contacts that come and go change the last percent from pass to pass
+PASSES, COST_TOLERANCE = 6, 0.01  # of a gait: contacts that come and go change the last percent from pass to pass
 FOLLOWS = 2.5  # deg, RMS over joints and time: the difference between two planned cycles (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
 """Step 5 also varies the mass of the person and the stiffness of the joints, which nobody has measured."""
@@ -167,15 +167,12 @@ def judge_tracking(step: Step, run: Replay) -> Section:
     rms, most = float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
     place, turn = (float(np.abs(error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
     bound, how = (FEEDBACK, "with the plan's gains") if run.feedback else (OPEN_LOOP, "without feedback")
-    return Section(
-        run.title,
-        (
-            Measured("joint_error", rms, "deg", bound, f"RMS over the legs' joints, {how}"),
-            Measured("largest_joint_error", most, "deg", None, "over the replay"),
-            Measured("pelvis_error", place, "m", None, "largest, of its place"),
-            Measured("pelvis_turn_error", turn, "rad", None, "largest"),
-        ),
-    )
+    return Section(run.title, (
+        Measured("joint_error", rms, "deg", bound, f"RMS over the legs' joints, {how}"),
+        Measured("largest_joint_error", most, "deg", None, "over the replay"),
+        Measured("pelvis_error", place, "m", None, "largest, of its place"),
+        Measured("pelvis_turn_error", turn, "rad", None, "largest"),
+    ))  # fmt: skip
 
 
 def closing(step: Step) -> Periodic:
@@ -186,7 +183,7 @@ def closing(step: Step) -> Periodic:
         for place, turn in ((CLOSED_PLACE, CLOSED_TURN), (CLOSED_SPEED, CLOSED_RATE))
     ]
     accelerations = [CLOSED_ACCELERATION] * 3 + [CLOSED_TURNING] * 3 if step.walker.jerked else []
-    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, settled=SETTLED)
+    return Periodic(np.concatenate([*sides, accelerations]), passes=PASSES, cost_tolerance=COST_TOLERANCE)
 
 
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
@@ -232,14 +229,9 @@ def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
 
 
 def follows(step: Step, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray, clear: bool) -> np.ndarray:
-    """Which perturbed patients walk as planned, with legs near the plan and the swinging foot off the belt: (K,).
+    """Which perturbed patients (K,), of states (K, T, nx) at knots (T,), walk as the plan, of states (T, nx).
 
-    Args:
-        step: The step.
-        xs: States (K, T, nx).
-        plan_xs: States (T, nx) of the plan.
-        knots: Their stages (T,), 0 to N.
-        clear: Whether heel and toe must be above the belt in the middle of a swing.
+    Their legs must be near the plan's; with `clear`, heel and toe must be above the belt in the middle of a swing.
     """
     joints, nq = list(_places(step)[0].values()), step.walker.mechanism.nq
     won = np.sqrt(np.mean(np.degrees(xs[..., joints] - plan_xs[:, joints]) ** 2, axis=(1, 2))) < FOLLOWS

@@ -33,14 +33,7 @@ PLACES, TURNS = ("x", "y", "z"), ("tilt", "list", "rotation")
 def step_pictures(
     step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Replay | None
 ) -> tuple[CasePicture, ...]:
-    """Poses, measures and the path of the pelvis.
-
-    Args:
-        step: The step.
-        tolerances: Tolerances of the cost by joint of a leg, rad.
-        plan: The plan.
-        replay: The replay to draw beside it, or None.
-    """
+    """Poses, measures and the path of the pelvis; the cost's tolerances are by joint of a leg, rad."""
     return poses(step, plan), measured(step, tolerances, plan, replay), pelvis_path(step, plan, replay)
 
 
@@ -147,20 +140,14 @@ def _foot_force(step: Step, motions: Motions) -> Chart:
 def _pelvis(step: Step, motions: Motions) -> list[Chart]:
     """Place of the pelvis, from the mean of the normal gait, and its turn."""
     first = step.walker.mechanism.joint(PELVIS[0]).start
-    charts = []
-    for title, unit, names, offset, scale in (
-        ("Pelvis, from the middle of normal gait", "place, mm", PLACES, 0, 1e3),
-        ("Pelvis", "angle, deg", TURNS, 3, 180.0 / np.pi),
-    ):
-        curves = []
-        for k, name in enumerate(names):
-            i = first + offset + k
-            middle = step.states[:, i].mean() if offset == 0 else 0.0
-            for label, t, xs in [*motions, (NORMAL, step.t, step.states)]:
-                percent, values = by_cycle(t, scale * (xs[:, i] - middle))
-                curves.append(Curve(label or name, values, bool(label), name if label else "", percent))
-        charts.append(Chart(title, unit, curves, None))
-    return charts
+    driven = slice(first, first + len(PELVIS))
+    middle = np.append(step.states[:, driven][:, :3].mean(axis=0), np.zeros(3))
+    scale = np.repeat([1e3, 180.0 / np.pi], 3)
+    shown = [*motions, (NORMAL, step.t, step.states)]
+    return _by_axis(
+        [(label, t, scale * (xs[:, driven] - middle)) for label, t, xs in shown],
+        ("Pelvis, from the middle of normal gait", "place, mm"), ("Pelvis", "angle, deg"),
+    )  # fmt: skip
 
 
 def _wrench(step: Step, plan: Plan) -> list[Chart]:
@@ -168,14 +155,19 @@ def _wrench(step: Step, plan: Plan) -> list[Chart]:
     assert plan.problem is not None  # the pictures belong to a problem
     dynamics = plan.problem.dynamics
     assert isinstance(dynamics, RigidBodyDynamics)
-    wrench = robot_wrench(dynamics, plan.xs, plan.us)
+    motions: Motions = [("", step.t[:-1], robot_wrench(dynamics, plan.xs, plan.us))]
+    return _by_axis(motions, ("Robot on the pelvis", "force, N"), ("Robot on the pelvis", "moment, N m"))
+
+
+def _by_axis(motions: Motions, *heads: tuple[str, str]) -> list[Chart]:
+    """A chart of title and unit for places, and one for turns: a curve of every axis and motion, of values (K, 6)."""
     charts = []
-    for title, unit, names, offset in (("Robot on the pelvis", "force, N", PLACES, 0),
-                                       ("Robot on the pelvis", "moment, N m", TURNS, 3)):  # fmt: skip
+    for (title, unit), names, offset in zip(heads, (PLACES, TURNS), (0, 3), strict=True):
         curves = []
         for k, name in enumerate(names):
-            percent, values = by_cycle(step.t[:-1], wrench[:, offset + k])
-            curves.append(Curve(name, values, t=percent))
+            for label, t, values in motions:
+                percent, ys = by_cycle(t, values[:, offset + k])
+                curves.append(Curve(label or name, ys, bool(label), name if label else "", percent))
         charts.append(Chart(title, unit, curves, None))
     return charts
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from planner.kernels.algebra.spatial import axpy, cross
-from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lane_math import sincos, sqrt
 from planner.kernels.numba.lanes import WIDTH, as_floats, load, store
 
@@ -40,7 +40,7 @@ def _log_between(w0, x0, y0, z0, w, x, y, z):
     return f * b, f * c, f * d
 
 
-@part
+@inline
 def difference(q, at, reference, at_reference, r, at_r):
     """Rotation vector (three lanes of r) from one quaternion (four floats of reference) to another (lanes of q)."""
     p, out = as_floats(q), as_floats(r)
@@ -57,7 +57,7 @@ def difference(q, at, reference, at_reference, r, at_r):
         store(out, k + 2 * WIDTH, d)
 
 
-@part
+@inline
 def difference_floats(q, reference, r):
     """Rotation vector (three floats of r) from one quaternion to another."""
     b, c, d = _log_between(
@@ -109,7 +109,7 @@ def _inverse_right_jacobian(x, y, z):
     )  # fmt: skip
 
 
-@part
+@inline
 def inverse_right_jacobian(r, at_r, J, at_J):
     """Nine lanes of J: the inverse of Jr(r), row by row; log(R exp(e)) = r + J e with log R = r."""
     p, out = as_floats(r), as_floats(J)
@@ -120,7 +120,7 @@ def inverse_right_jacobian(r, at_r, J, at_J):
             store(out, (at_J + i) * WIDTH + lane, entries[i])
 
 
-@part
+@inline
 def inverse_right_jacobian_floats(r, J):
     """The same for one rotation vector of floats."""
     entries = _inverse_right_jacobian(load(r, 0), load(r, 1), load(r, 2))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference_floats, inverse_right_jacobian_floats
 from planner.kernels.lq.workspace import W
-from planner.kernels.numba.jit import inline, jit, part
+from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
 
 
@@ -136,7 +136,7 @@ def _add_turned(w, M, width, turn, i, j, q):
                 store(M, k, load(M, k) + q * fa * fb)
 
 
-@part
+@inline
 def _add_penalties(w, M, n):
     """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
     rows, width = w[W.penalised], w[W.width]

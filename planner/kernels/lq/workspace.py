@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.kernels.numba.jit import part
+from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, floats, lane_array, load, padded, store
 from planner.kernels.numba.layout import Layout
 
@@ -158,14 +158,14 @@ def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return row, column, weights[:, row, column], int(np.sum(~turned))
 
 
-@part
+@inline
 def accept(w, lane):
     """Make candidate `lane` the nominal trajectory."""
     take_lane(floats(w, W.xs), floats(w, W.trial_x), w[W.nx] * (w[W.N] + 1), lane)
     take_lane(floats(w, W.us), floats(w, W.trial_u), w[W.nu] * w[W.N], lane)
 
 
-@part
+@inline
 def take_lane(to, candidates, count, lane):
     """Copy one lane of `count` entries of four."""
     for i in range(count):

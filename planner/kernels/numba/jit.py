@@ -109,7 +109,7 @@ def jit(function: Callable[..., Any]) -> Any:
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a function that only kernels call, into each of them."""
-    return _compile_part(function, **_OPTIONS)
+    return _compile_part(function, **_OPTIONS, forceinline=False)
 
 
 def inline(function: Callable[..., Any]) -> Any:

@@ -145,7 +145,7 @@ def by_velocity(n, vt, fn_n, fn_t, a_n, a_t, viscosity, dv):
     return sub(axpy(scaled(x, n), spread(0.0) - y, vt), scaled(viscosity, dv))
 
 
-@part
+@inline
 def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
     """Subtract the derivatives of contacts from dtau/dq and dtau/dv, (nv, ld) lanes; ws as inverse dynamics left it."""
     value, parent, first = floats(m, TREE.contact_value), integers(m, TREE.parent), integers(m, TREE.first)
@@ -220,7 +220,7 @@ def add_stops(m, q, v, tau):
         store(tau, i, load(tau, i) - side * force)
 
 
-@part
+@inline
 def add_stop_derivatives(m, q, v, Dq, Dv, ld):
     """Add the derivatives of the stops' forces to dtau/dq and dtau/dv of inverse dynamics."""
     for k in range(m[TREE.stops]):

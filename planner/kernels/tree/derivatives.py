@@ -6,7 +6,7 @@ prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
 
 from __future__ import annotations
 
-from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
@@ -47,7 +47,7 @@ def store_four(p, k, v):
     store(p, k + 3, v[3])
 
 
-@part
+@inline
 def acceleration_derivatives(m, r, q, v, a, dA, external):
     """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); external: see Model."""
     nv, nu, ld, columns, x0 = m[TREE.nv], m[TREE.nu], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]

@@ -6,7 +6,7 @@ All terms but the springs of balls are linear, so their derivatives are the list
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference, inverse_right_jacobian
-from planner.kernels.numba.jit import part
+from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, store
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 
@@ -73,7 +73,7 @@ def activation_rates(m, u, act, rate):
         store(rate, k, load(gain, k) * load(u, load(index, k)) + load(decay, k) * load(act, k))
 
 
-@part
+@inline
 def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
     """Add the derivatives of springs and dampers to dtau/dq and dtau/dv, (nv, ld) lanes; scratch is twelve lanes."""
     kind = integers(m, TREE.kind)
@@ -95,7 +95,7 @@ def add_passive_derivatives(m, q, Dq, Dv, ld, scratch):
                     store(Dq, k, load(Dq, k) + load(ball_stiffness, ball) * load(scratch, 3 + 3 * r + c))
 
 
-@part
+@inline
 def add_actuator_derivatives(m, Dq, Dv, ld):
     """Subtract the derivatives of the actuators' forces from dtau/dq and dtau/dv of inverse dynamics."""
     row, column = integers(m, TREE.position_row), integers(m, TREE.position_column)

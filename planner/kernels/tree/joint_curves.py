@@ -28,7 +28,7 @@ def add_curves(m, q, tau):
         store(tau, i, load(tau, i) + _torque(m, k, q))
 
 
-@part
+@inline
 def subtract_curve_derivatives(m, q, Dq, ld):
     """Subtract the derivatives of the curves' torques from dtau/dq of inverse dynamics, (nv, ld) lanes."""
     start, dof, slope = integers(m, TREE.curve_start), integers(m, TREE.curve_slope_dof), floats(m, TREE.curve_slope)

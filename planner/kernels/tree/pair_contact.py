@@ -127,7 +127,7 @@ def _inverse(value, o, freedom, a1, a2):
     return k1, k2, moves1 * moves2 * dot(a1, a2) / determinant
 
 
-@part
+@inline
 def subtract_pair_derivatives(m, q, Dq, Dv, ld, ws):
     """Subtract the derivatives of the contacts of two bodies from dtau/dq and dtau/dv of inverse dynamics."""
     value, parent, first = floats(m, TREE.pair_value), integers(m, TREE.parent), integers(m, TREE.first)

@@ -32,7 +32,7 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
     sub,
     symmetric,
 )
-from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
 from planner.kernels.tree.model import BALL, BALL_NEXT, INERTIA_SIZE, TREE
 from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST, moved_inertia, place, placement
@@ -48,7 +48,7 @@ def _crossed(bw, bv, sw, sv):
     return cross(bw, sw), add(cross(bw, sv), cross(bv, sw))
 
 
-@part
+@inline
 def inverse_dynamics_derivatives(m, q, v, a, ws, tau, D, ld):
     """Forces tau and their derivatives D = (dtau/da, dtau/dq, dtau/dv) at (q, v, a), without springs and damping.
 
@@ -180,7 +180,7 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, D, ld):
             j = load(parent, j)
 
 
-@part
+@inline
 def invert(M, n, ld):
     """A symmetric positive definite M (n, ld) of lanes becomes its inverse, by n unpivoted sweeps of one triangle."""
     for k in range(n):

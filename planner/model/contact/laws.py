@@ -163,11 +163,7 @@ class Plane:
 
 
 def slide_direction(mechanism: Any, plane: Plane) -> np.ndarray:
-    """(3,) the velocity of a plane per rate of the slide that carries it, in the world; zeros where none does.
-
-    Raises:
-        PlannerError: It is no slide on the world along the plane.
-    """
+    """(3,) the velocity of a plane per rate of the slide that carries it, in the world; zeros where none does."""
     i = plane.slide
     if i < 0:
         return np.zeros(3)

@@ -32,11 +32,7 @@ class Budget:
     elements: int = 0
 
     def spend(self, text: str) -> None:
-        """Count one more file, before it is parsed.
-
-        Raises:
-            ModelError: It is too much.
-        """
+        """Count one more file, before it is parsed."""
         self.files += 1
         self.elements += text.count("<") - text.count("</")  # comments too, which does not matter
         if self.files > MOST_FILES:
@@ -46,11 +42,7 @@ class Budget:
 
 
 def parsed(text: str, name: str, budget: Budget | None = None) -> ElementTree.Element:
-    """The root of an MJCF text, within the budget.
-
-    Raises:
-        ModelError: It is not MJCF, or more than anyone would write.
-    """
+    """The root of an MJCF text, within the budget."""
     if "<!ENTITY" in text:  # entities can grow without bound; MJCF has no use for them
         raise ModelError(f"{name} declares XML entities, expected plain MJCF.")
     (budget or Budget()).spend(text)
@@ -74,12 +66,7 @@ def check_levels(root: ElementTree.Element, name: str) -> None:
 
 
 def check_copies(root: ElementTree.Element, files: dict[str, bytes]) -> None:
-    """Raise ModelError where <replicate> and its like, or attached models, make too many elements.
-
-    Args:
-        root: Includes resolved.
-        files: Those that it names, attached models among them.
-    """
+    """Raise ModelError where <replicate> and its like, or attached models among the files, make too many elements."""
     try:
         made = _made(root, files, {})
     except RecursionError:
@@ -89,12 +76,7 @@ def check_copies(root: ElementTree.Element, files: dict[str, bytes]) -> None:
 
 
 def check_stored(text: str, files: dict[str, bytes]) -> None:
-    """Raise ModelError unless a text from a plan stands alone: nothing but `files` may be read for it.
-
-    Args:
-        text: The model of a stored plan.
-        files: Those that the plan carries.
-    """
+    """Raise ModelError unless a text from a plan stands alone: nothing but the plan's own files may be read for it."""
     root = parsed(text, "its model")
     check_copies(root, files)  # before the walk: no model attaches itself
     carried, models = _by_name(files), [root]

@@ -27,13 +27,7 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> list[str]:
     """Edit the XML so that its contacts have a law; returns what of them is left out, one phrase or none.
 
-    Args:
-        root: Of the file, includes resolved; changed.
-        survey: Of what the root compiles to.
-        touch: The law. Of an infinite impratio becomes IMPRATIO.
-
-    Raises:
-        ModelError: Geoms that are not elements of the file itself.
+    The survey is of what the root compiles to. Of an infinite impratio becomes IMPRATIO.
     """
     if not survey.pairs:
         return []
@@ -60,14 +54,8 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
     """Edit the XML so that its contacts have the force that they have now, when its bodies have other inertias.
 
-    Args:
-        root: Of the file, includes resolved; changed.
-        survey: Of what the root compiles to, with the law in it.
-        weights: (nbody,) body_invweight0[:, 0] of the model with the other inertias, 1/kg.
-        still: (nbody,) bodies that no force moves: what touches between two of them is excluded.
-
-    Raises:
-        ModelError: Geoms that are not elements of the file itself.
+    `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two
+    bodies that no force moves, `still` (nbody,), is excluded.
     """
     model = survey.model
     body_names, geom_names = _names(root, model)
@@ -124,11 +112,7 @@ def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[str]]
 
 
 def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
-    """The elements of all joints, in MuJoCo's order.
-
-    Raises:
-        ModelError: Joints that are not elements of the file itself.
-    """
+    """The elements of all joints, in MuJoCo's order."""
     bodies = [body for world in root.findall("worldbody") for body in _bodies(world)]
     joints = [joint for body in bodies for joint in _own(body, "joint", "freejoint")]
     if [joint.get("name", "") for joint in joints] != [model.joint(j).name for j in range(model.njnt)]:

@@ -210,11 +210,7 @@ def read_stops(model: Any) -> tuple[Stop, ...]:
 
 
 def _smoothing(model: Any, name: str) -> tuple[float, float | None, float]:
-    """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend.
-
-    Raises:
-        ModelError: Its numbers cannot be these.
-    """
+    """Read the smoothing from the file's <numeric> of that name: ramp, force ramp (None by default) and bend."""
     mujoco = load_mujoco()
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if k < 0:

@@ -41,16 +41,7 @@ _twins: WeakKeyDictionary[Mechanism, dict[tuple[str, ...], Twin]] = WeakKeyDicti
 
 
 def twin_of(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Twin:
-    """The model that a mechanism was read from, with these joints driven; the plan's state is MuJoCo's own.
-
-    Args:
-        mechanism: The machine.
-        prescribed: Names of joints.
-
-    Raises:
-        PlannerError: There is no such joint.
-        ModelError: The joints are not elements of the file itself, or its actuators are switched off.
-    """
+    """The model that a mechanism was read from, with the prescribed joints driven; the plan's state is MuJoCo's own."""
     if not prescribed:
         return Twin.of(mechanism)
     names = in_order(mechanism, prescribed)
@@ -68,17 +59,7 @@ def _felt(mechanism: Mechanism, driven: np.ndarray) -> tuple[ExponentialTorque, 
 
 
 def as_driven(twin: Twin, model: Any, mechanism: Mechanism, prescribed: Collection[str]) -> Twin:
-    """A twin with another text, whose prescribed joints are driven; the twin itself where they are already.
-
-    Args:
-        twin: With a model of the mechanism's kind in it.
-        model: What its text compiles to.
-        mechanism: The plan's.
-        prescribed: Names of joints.
-
-    Raises:
-        ModelError: As for twin_of.
-    """
+    """A twin whose text compiles to `model`, with its prescribed joints driven, unless they are already."""
     if not prescribed or model.nu != mechanism.nu:
         return twin
     return replace(twin, mjcf=driven(twin.mjcf, twin.assets, model, in_order(mechanism, prescribed)))
@@ -109,17 +90,7 @@ def driven_dofs(dynamics: Any) -> np.ndarray:
 
 
 def driven(mjcf: str, assets: dict[str, bytes], model: Any, prescribed: Collection[str]) -> str:
-    """An MJCF text with some of its joints driven by accelerations.
-
-    Args:
-        mjcf: The text, includes resolved.
-        assets: Files that it names.
-        model: What they compile to.
-        prescribed: Names of joints, in the order of qvel.
-
-    Raises:
-        ModelError: There is no such joint, joints are not elements of the file itself, or its actuators are off.
-    """
+    """An MJCF text that compiles to `model`, with some of its joints, in the order of qvel, driven by accelerations."""
     root, survey = parsed(mjcf, "the model"), Survey(model)
     _check(model, prescribed)
     joints = [int(model.joint(name).id) for name in prescribed]

@@ -31,16 +31,7 @@ _NO_TENDON = {"stiffness": "0", "damping": "0", "frictionloss": "0", "limited": 
 
 
 def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: Any) -> None:
-    """Edit the XML so that nothing of these refusals' kinds acts any more.
-
-    Args:
-        root: Of the file, includes resolved; changed.
-        refusals: All that `model` has of some kinds.
-        model: What the root compiles to.
-
-    Raises:
-        ModelError: Actuators that are not elements of the file itself.
-    """
+    """Edit the XML so that nothing of these refusals' kinds acts any more; `model` is compiled from it."""
     # Settings that come later replace earlier ones, whatever sections the file has.
     kinds = {one.kind for one in refusals}
     options, flags = {}, {}

@@ -23,12 +23,9 @@ LARGE = 100_000
 
 
 def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], model: Any) -> bool:
-    """Replace large files of meshes that are only seen; returns whether there were any.
+    """Replace large files of meshes that are only seen, in the XML and the files; returns whether there were any.
 
-    Args:
-        root: The model's XML, changed in place: such a mesh becomes an OBJ without scale or reference pose.
-        files: The files that it names, changed in place.
-        model: What MuJoCo compiled of both.
+    Such a mesh becomes an OBJ without scale or reference pose.
     """
     elements = [mesh for mesh in root.iterfind("asset/mesh") if len(files.get(mesh.get("file", ""), b"")) >= LARGE]
     if not elements:
@@ -40,11 +37,12 @@ def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], mo
             continue
         old, name = mesh.get("file", ""), f"{mesh.get('name')}.coarse.obj"
         content = _coarse_obj(model, index)
-        if len(content) < len(files[old]):
+        if 0 < len(content) < len(files[old]):
             files[name] = content
             for key in set(mesh.attrib) - {"name", "class", "smoothnormal"}:
                 del mesh.attrib[key]
-            mesh.set("file", name)
+            # A default's scale is in the vertices already; a thin mesh may have no volume left, which MuJoCo asks for.
+            mesh.attrib.update(file=name, scale="1 1 1", inertia="shell")
             done = True
     used = {element.get("file") for element in root.iter()}
     for name in [name for name in files if name.endswith((".obj", ".stl", ".msh")) and name not in used]:
@@ -73,7 +71,7 @@ def _only_seen(root: ElementTree.Element, model: Any) -> set[int]:
 
 
 def _coarse_obj(model: Any, index: int) -> bytes:
-    """A compiled mesh on the grid, as the text of an OBJ in the frame of the mesh's file."""
+    """A compiled mesh on the grid, as the text of an OBJ in the frame of the mesh's file; empty if it has no area."""
     first, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
     face, faces = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
     T = pose(model.mesh_pos[index], model.mesh_quat[index])  # the compiler moved the mesh to its principal axes
@@ -86,6 +84,9 @@ def _coarse_obj(model: Any, index: int) -> bytes:
     corners = place[model.mesh_face[face : face + faces]]
     whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
     corners = np.unique(_rolled(corners[whole]), axis=0)
+    a, b, c = (means[corners[:, k]] for k in range(3))
+    if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
+        return b""
     digits = max(0, 4 - math.floor(math.log10(size)))  # a ten-thousandth of the mesh
     lines = [" ".join(["v", *(f"{number:.{digits}f}" for number in row)]) for row in means]
     lines += [" ".join(["f", *map(str, row)]) for row in (corners + 1).tolist()]

@@ -38,17 +38,7 @@ def read(
     contacts: str | ContactLaw = "on",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:
-    """A mechanism of an MJCF file or text; see Mechanism.from_mjcf.
-
-    Args:
-        model: A path, or the XML text itself.
-        ignore: Kinds to take out, of mechanism_KINDS; those that the file does not have do nothing.
-        contacts: "on", "off" or a law.
-        assets: Files that the text names, by that name.
-
-    Raises:
-        ModelError: See Mechanism.from_mjcf.
-    """
+    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
     if not isinstance(ignore, Collection | None):
         raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
@@ -94,11 +84,7 @@ def _refuse(found: list[Refusal], name: str) -> None:
 
 
 def mechanism_of(model: Any) -> Mechanism:
-    """Convert an MjModel to a Mechanism and ignore unsupported elements; `mjcf` stays empty.
-
-    Raises:
-        ModelError: The model has no joints, or numbers that a mechanism cannot have.
-    """
+    """Convert an MjModel to a Mechanism and ignore unsupported elements; `mjcf` stays empty."""
     return _mechanism(Survey(model), "", {}, (), "the model")
 
 

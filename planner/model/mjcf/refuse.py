@@ -20,17 +20,11 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Refusal:
-    """One thing that is not modelled.
+    """One thing that is not modelled."""
 
-    Attributes:
-        kind: "contacts", one of KINDS, or another kind that nothing takes out.
-        phrase: Its name for a sentence.
-        index: Of an actuator; -1 for other things.
-    """
-
-    kind: str
-    phrase: str
-    index: int = -1
+    kind: str  # "contacts", one of KINDS, or another kind that nothing takes out
+    phrase: str  # Its name for a sentence
+    index: int = -1  # Of an actuator; -1 for other things
 
 
 def passive_off(model: Any) -> bool:

@@ -20,11 +20,7 @@ from planner.base.gl import load_mujoco
 def compile_model(
     mjcf: str | ElementTree.Element, assets: dict[str, bytes] | None = None, name: str = "the model"
 ) -> Any:
-    """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel.
-
-    Raises:
-        ModelError: MuJoCo refuses it; the message is MuJoCo's own, in one line, and calls the model by `name`.
-    """
+    """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel."""
     mujoco = load_mujoco()
     text = mjcf if isinstance(mjcf, str) else ElementTree.tostring(mjcf, encoding="unicode")
     try:
@@ -78,15 +74,10 @@ class Pair(NamedTuple):
 
 
 class Survey:
-    """A compiled model and what is looked up in it, each part once.
-
-    Attributes:
-        model: MuJoCo's MjModel; not to be changed.
-    """
+    """A compiled model and what is looked up in it, each part once, when it is first asked for."""
 
     def __init__(self, model: Any) -> None:
-        """Look at a compiled model; each part is computed when it is first asked for."""
-        self.model = model
+        self.model = model  # MuJoCo's MjModel; not to be changed
 
     @cached_property
     def home(self) -> Any:

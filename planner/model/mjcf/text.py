@@ -34,11 +34,7 @@ def is_text(model: object) -> bool:
 
 
 def model_text(path: str | Path) -> str:
-    """The XML text of an MJCF file with its includes resolved.
-
-    Raises:
-        ModelError: A file that is missing, is not XML, includes itself, or comes to too much.
-    """
+    """The XML text of an MJCF file with its includes resolved."""
     return ElementTree.tostring(_read(Path(path), Budget(), ())[0], encoding="unicode")
 
 
@@ -47,14 +43,8 @@ def model_tree(
 ) -> tuple[ElementTree.Element, dict[str, bytes]]:
     """A model that stands alone: its XML with includes resolved and the files it names, by the name it uses.
 
-    The compiler's folders (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
-
-    Args:
-        model: A path, or the XML text itself; files that a text names are sought from the working directory.
-        assets: Files by the name that the text uses, sought first.
-
-    Raises:
-        ModelError: Text or a file that is missing, is not MJCF, includes itself, or comes to too much.
+    Files are sought in `assets` first; those that a text names, then from the working directory. The compiler's folders
+    (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
     """
     if isinstance(model, str) and not model.strip():
         raise ModelError("the model is an empty text, expected MJCF or the path of a file.")
@@ -68,18 +58,12 @@ def model_tree(
 
 @dataclass
 class _Reading:
-    """A model being read.
+    """A model being read."""
 
-    Attributes:
-        folder: Of its main file.
-        budget: What the files have come to, shared with the models that it attaches.
-        parents: The files of the models that attach it, and its own.
-        origins: The folder of the file that an element was included from.
-    """
-
-    folder: Path
-    budget: Budget
-    parents: tuple[Path, ...]
+    folder: Path  # Of its main file
+    budget: Budget  # What the files have come to, shared with the models that it attaches
+    parents: tuple[Path, ...]  # The files of the models that attach it, and its own
+    # The folder of the file that an element was included from.
     origins: dict[ElementTree.Element, Path] = field(default_factory=dict)
 
 
@@ -191,11 +175,7 @@ def _stored(name: str, content: bytes, files: dict[str, bytes]) -> str:
 
 
 def edited(text: str, edits: dict[str, dict[str, str]]) -> str:
-    """The text with attributes set: {"actuator/general[@name='piston']": {"gainprm": "100"}}.
-
-    Raises:
-        ModelError: Text that is not MJCF, or a path that finds no element.
-    """
+    """The text with attributes set: {"actuator/general[@name='piston']": {"gainprm": "100"}}."""
     root = parsed(text, "the model")
     for path, attributes in edits.items():
         element = root.find(path)

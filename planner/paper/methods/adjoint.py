@@ -84,17 +84,7 @@ class System(Protocol):
 
 
 class AdjointCost:
-    """J of amplitudes and its gradient by Eq. 7, integrated to a tolerance.
-
-    Args:
-        system: f, L and phi.
-        basis: Of the splines.
-        z0: (nz,) the state at t = 0.
-        integration: Of both; by default RK45 to 1e-6.
-
-    Raises:
-        PlannerError: An argument of a wrong shape or out of range.
-    """
+    """J of amplitudes and its gradient by Eq. 7, from the state z0 (nz,) at t = 0; by default by RK45 to 1e-6."""
 
     def __init__(self, system: System, basis: BSpline, z0: np.ndarray, integration: Integration | None = None) -> None:
         self._system, self._end, self._options = system, float(basis.t[-1]), (integration or Integration()).options

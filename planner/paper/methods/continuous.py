@@ -19,22 +19,12 @@ from planner.problem.problem import Problem
 class ContinuousProblem:
     """f, L and phi of a Problem with constant weights on the way, for Eq. 1 to 4; its input is the control.
 
-    Attributes:
-        nz: Size of the state.
-        inputs: Size of the control.
-        orders: 1: the control alone is the input, without derivatives.
-        x0: (nx,) start.
-        duration: t_f, s.
-        f: Its rates.
-        Q: (nx, nx) weight on the way, per second.
-        R: (nu, nu) likewise.
-
     Raises:
         PlannerError: A cost that is not a TrackingCost, one whose weights or references change on the way, or
             dynamics without rates.
     """
 
-    orders = 1
+    orders = 1  # the control alone is the input, without derivatives
 
     def __init__(self, problem: Problem) -> None:
         cost = problem.cost
@@ -47,7 +37,7 @@ class ContinuousProblem:
         self.f = Rates(problem.dynamics)
         self.nz, self.inputs = self.f.nx, self.f.nu
         self.x0, self.duration = problem.x0, problem.duration
-        self.Q, self.R = cost.Q[0] / dt, cost.R[0] / dt
+        self.Q, self.R = cost.Q[0] / dt, cost.R[0] / dt  # (nx, nx), (nu, nu) weights on the way, per second
         self.x_ref, self.u_ref = cost.x_ref[0], cost.u_ref[0]
         self._Q_end, self._x_end = cost.Q[-1], cost.x_ref[-1]
 

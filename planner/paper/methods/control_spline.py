@@ -42,15 +42,11 @@ class SplineControls(SplineDescent):
 
 
 class SplineCost:
-    """J of a Problem and its exact gradient as functions of amplitudes P (n, nu), all in a row.
-
-    Attributes:
-        b: (N, n) basis functions in the middle of each stage.
-    """
+    """J of a Problem and its exact gradient as functions of amplitudes P (n, nu), all in a row."""
 
     def __init__(self, problem: Problem, basis: BSpline) -> None:
         self._problem, self._engine = problem, borrow(problem)
-        self.b = basis(problem.dynamics.dt * (np.arange(problem.N) + 0.5))
+        self.b = basis(problem.dynamics.dt * (np.arange(problem.N) + 0.5))  # (N, n), in the middle of each stage
 
     def __call__(self, free: np.ndarray) -> tuple[float, np.ndarray]:
         """J and its gradient."""

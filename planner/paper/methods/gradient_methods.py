@@ -24,34 +24,25 @@ from planner.kernels.lq.search import SUFFICIENT
 from planner.kernels.lq.workspace import INDEFINITE
 from planner.problem.plan import Status
 from planner.problem.problem import Problem
-from planner.solvers.engine import Engine, borrow, give_back
+from planner.solvers.engine import borrow, give_back
 
 METHODS = ("l-bfgs", "steepest-descent")
 
 _SHORTEST = 2.0**-60  # of the first trial step: below it, rounding decides
 _CORRECTIONS = 10  # gradients that L-BFGS remembers, SciPy's own default
-_STEEP = (
-    4.0  # times the steepest rise from here: an infinite cost, told so that interpolation takes a tenth of the step
-)
+# SciPy is told this times the steepest rise for an infinite cost: its interpolation then takes a tenth of the step.
+_STEEP = 4.0
 _MU_LEAST, _MU_MOST, _MU_FACTOR = 1e-6, 1e10, 10.0  # of a sweep, as in solve(); the gradient does not depend on it
 
 
 class Descent(NamedTuple):
-    """One iteration. Cost and gradient are those after it.
+    """One iteration. Cost and gradient are those after it."""
 
-    Attributes:
-        iteration: Counted from 0, the first guess.
-        cost: J of Eq. 9.
-        gradient_norm: Euclidean norm of Eq. 19.
-        evaluations: Rollouts so far.
-        seconds: Since the start.
-    """
-
-    iteration: int
-    cost: float
-    gradient_norm: float
-    evaluations: int
-    seconds: float
+    iteration: int  # counted from 0, the first guess
+    cost: float  # J of Eq. 9
+    gradient_norm: float  # Euclidean norm of Eq. 19
+    evaluations: int  # rollouts so far
+    seconds: float  # since the start
 
     def __str__(self) -> str:
         return (
@@ -105,22 +96,17 @@ def cost_and_gradient(problem: Problem, us: np.ndarray) -> tuple[float, np.ndarr
 
     Where the rollout is not finite the gradient is zero.
     """
-    engine = borrow(problem)
-    objective = _Objective(problem, engine)
+    objective = _Objective(problem)
     cost = objective.cost(us)
     gradient = objective.gradient() if math.isfinite(cost) else np.zeros_like(us)
-    give_back(problem, engine)
+    give_back(problem, objective.engine)
     return cost, gradient
 
 
 def minimize_by_gradient(
-    problem: Problem,
-    method: str = "l-bfgs",
-    *,
-    max_iterations: int = 1000,
-    gradient_tolerance: float = 1e-6,
+    problem: Problem, method: str = "l-bfgs", *, max_iterations: int = 1000, gradient_tolerance: float = 1e-6,
     callback: Callable[[Descent], object] | None = None,
-) -> Descended:
+) -> Descended:  # fmt: skip
     """Optimize a motion by its gradient alone, from the problem's first guess.
 
     Args:
@@ -143,15 +129,14 @@ def minimize_by_gradient(
     number("gradient_tolerance", gradient_tolerance, least=0.0)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
-    engine = borrow(problem)
-    walk = _Walk(_Objective(problem, engine), problem.first_guess, gradient_tolerance, callback)
+    walk = _Walk(_Objective(problem), problem.first_guess, gradient_tolerance, callback)
     try:
         status = walk.begin() or search(walk, max_iterations)
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     walk.objective.cost(walk.us)
-    xs, us = engine.trajectory()
-    give_back(problem, engine)
+    xs, us = walk.objective.engine.trajectory()
+    give_back(problem, walk.objective.engine)
     last = walk.history[-1]
     return Descended(
         method, xs, us, last.cost, last.gradient_norm, status, tuple(walk.history), walk.objective.evaluations
@@ -159,23 +144,22 @@ def minimize_by_gradient(
 
 
 class _Objective:
-    """J and its gradient on an engine."""
+    """J and its gradient on an engine of its own, to be given back."""
 
-    def __init__(self, problem: Problem, engine: Engine) -> None:
-        self._x0, self._engine = problem.x0, engine
-        self.evaluations = 0
+    def __init__(self, problem: Problem) -> None:
+        self._x0, self.engine, self.evaluations = problem.x0, borrow(problem), 0
 
     def cost(self, us: np.ndarray) -> float:
         """J of controls (N, nu): one rollout."""
         self.evaluations += 1
-        return self._engine.start(self._x0, us)
+        return self.engine.start(self._x0, us)
 
     def gradient(self) -> np.ndarray:
         """The gradient (N, nu) where cost() was asked last; of a sweep, only the costate is wanted."""
-        mu, fresh, largest = 0.0, True, self._engine.largest_control_weight
-        while self._engine.sweep(mu * largest, fresh).kind == INDEFINITE and mu < _MU_MOST:
+        mu, fresh, largest = 0.0, True, self.engine.largest_control_weight
+        while self.engine.sweep(mu * largest, fresh).kind == INDEFINITE and mu < _MU_MOST:
             mu, fresh = max(_MU_LEAST, _MU_FACTOR * mu), False
-        return self._engine.gradient()
+        return self.engine.gradient()
 
 
 class _Walk:

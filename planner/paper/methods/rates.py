@@ -22,11 +22,7 @@ from planner.model.space import space_of
 
 
 class Rates:
-    """f of Eq. 1 and its partial derivatives.
-
-    Args:
-        dynamics: RigidBodyDynamics, HopperDynamics or FunctionDynamics, of whatever integrator and stage; states are
-            plain vectors.
+    """f of Eq. 1 and its partial derivatives, of dynamics of any integrator and stage whose states are plain vectors.
 
     Raises:
         PlannerError: Dynamics of another kind, a discrete map, or states with quaternions.

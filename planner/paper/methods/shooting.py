@@ -61,17 +61,10 @@ class Extremal:
 
 
 class HamiltonianFlow:
-    """States and costates from the start on, u being that of H_u = 0.
-
-    Args:
-        problem: With a TrackingCost of constant weights on the way, and dynamics affine in the control.
-        tolerance: Of the integrations.
-
-    Attributes:
-        evaluations: Flows integrated so far.
+    """States and costates of a problem from the start on, u being that of H_u = 0, integrated to a tolerance.
 
     Raises:
-        PlannerError: A problem of another form.
+        PlannerError: A cost that is no TrackingCost of constant weights on the way, or dynamics not affine in u.
     """
 
     def __init__(self, problem: Problem, tolerance: float = 1e-8) -> None:
@@ -80,10 +73,7 @@ class HamiltonianFlow:
         self.system = ContinuousProblem(problem)
         self._tolerance = number("tolerance", tolerance, least=3e-14, most=0.1)
         self._inverse = np.linalg.inv(self.system.R)
-        self.evaluations = 0
-        self._check_affine()
-
-    def _check_affine(self) -> None:
+        self.evaluations = 0  # flows integrated so far
         x, zero = self.system.x0, np.zeros(self.system.inputs)
         other = np.linspace(1.0, 2.0, self.system.inputs)
         if not np.allclose(self.system.f.partials(x, zero)[1], self.system.f.partials(x, other)[1], rtol=1e-6):
@@ -131,12 +121,7 @@ class HamiltonianFlow:
         return costate - phi_x, max(1.0, float(np.linalg.norm(phi_x)))
 
     def sensitivity(self, costate0: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """d(x, lambda)(t) / d lambda(0), (M, 2 nx, nx) at times (M,), by central differences of flows.
-
-        Args:
-            costate0: (nx,) lambda(0) of the flow.
-            times: (M,) s, increasing.
-        """
+        """d(x, lambda)(t) / d lambda(0), (M, 2 nx, nx) at increasing times (M,), by central differences of flows."""
         columns = []
         for direction in np.eye(len(costate0)):
             h = _DIFFERENCE * max(1.0, float(np.abs(costate0).max()))

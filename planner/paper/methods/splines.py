@@ -181,23 +181,16 @@ def minimize_effort(
 
 
 class Quadrature:
-    """Gauss-Legendre nodes in every knot interval, and the basis functions there.
-
-    Attributes:
-        basis: Of the splines.
-        t: (M,) s.
-        weights: (M,) s.
-        b: Basis functions, first and second derivatives at the nodes, (M, n) each.
-    """
+    """Gauss-Legendre nodes in every knot interval, and the basis functions there."""
 
     def __init__(self, basis: BSpline, nodes: int) -> None:
         points, weights = np.polynomial.legendre.leggauss(count("nodes", nodes, most=64))
         breaks = basis.t[basis.k : -basis.k]
         half = 0.5 * (breaks[-1] - breaks[0]) / (len(breaks) - 1)
         self.basis = basis
-        self.t = (breaks[:-1, None] + half * (1.0 + points)).ravel()
-        self.weights = np.tile(half * weights, len(breaks) - 1)
-        self.b = [basis(self.t, nu=order) for order in range(3)]
+        self.t = (breaks[:-1, None] + half * (1.0 + points)).ravel()  # (M,) s
+        self.weights = np.tile(half * weights, len(breaks) - 1)  # (M,) s
+        self.b = [basis(self.t, nu=order) for order in range(3)]  # basis functions and derivatives, (M, n) each
 
 
 def effort_of(mechanism: Mechanism, quadrature: Quadrature, amplitudes: np.ndarray) -> tuple[float, np.ndarray]:
@@ -238,14 +231,10 @@ def bfgs(
     cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray, gradient_tolerance: float,
     max_iterations: int, scale: float = 1.0,
 ) -> tuple[np.ndarray, dict[str, Any]]:  # fmt: skip
-    """Minimise J/scale by BFGS; returns the minimiser and the fields of a SplineDescent but its spline.
+    """Minimise J/scale by BFGS, and return the minimiser and the fields of a SplineDescent but its spline.
 
-    Args:
-        cost: Free amplitudes -> J and its gradient.
-        first: Where it begins.
-        gradient_tolerance: It ends when no component of the gradient of J/scale is larger.
-        max_iterations: Limit.
-        scale: Of J.
+    The cost is a function of the free amplitudes that returns J and its gradient. BFGS ends when no component of the
+    gradient of J/scale is larger than its tolerance.
     """
     from scipy.optimize import minimize
 

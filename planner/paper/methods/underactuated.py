@@ -66,22 +66,10 @@ class Weights:
 class DrivenSystem:
     """The driven joints follow inputs, the others move freely: f, L and phi of Eq. 1, 2 and 5 with exact derivatives.
 
-    Args:
-        mechanism: Of hinges and slides.
-        boundary: Start, goal and duration; the goal counts by the weights.
-        driven: Names of the joints whose motion is given.
-        weights: Of the cost.
-
-    Attributes:
-        nz: Two for each free joint.
-        inputs: Number of driven joints.
-        orders: 3: positions, velocities and accelerations of the driven joints.
-
-    Raises:
-        PlannerError: An unknown joint, none or all of them driven, or an argument out of range.
+    The state z has two numbers for each free joint. The arguments are those of minimize_effort_underactuated().
     """
 
-    orders = 3
+    orders = 3  # positions, velocities and accelerations of the driven joints
 
     def __init__(
         self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], weights: Weights | None = None

@@ -18,6 +18,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.momentum import angular_momentum
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
+from planner.problem.guess import rolled
 from planner.problem.plan import Plan
 from planner.proof.replaying import replay
 from planner.solvers.slq import solve
@@ -43,9 +44,7 @@ def _run() -> dict[str, Any]:
     mechanism, run = _mechanism(plan), replay(plan, feedback=True)
     names = mechanism.joint_names[1:]
     return {
-        "case": "high-dive",
-        "dives": dives,
-        "effort_alone": _dive(alone, None),
+        "case": "high-dive", "dives": dives, "effort_alone": _dive(alone, None),
         "momentum": {
             "at_take_off": angular_momentum(mechanism, plan.xs[0, : mechanism.nq], plan.xs[0, mechanism.nq :]).tolist(),
             "plan": momentum_drift(mechanism, plan.xs),
@@ -58,7 +57,7 @@ def _run() -> dict[str, Any]:
             "torques_Nm": {name: plan.us[:, i].tolist() for i, name in enumerate(names)},
             "change_of_momentum": _changes(plan).tolist(),
         },
-    }
+    }  # fmt: skip
 
 
 def _mechanism(plan: Plan) -> Any:
@@ -98,10 +97,8 @@ def _by_step(plan: Plan, integrator: str) -> dict[str, list[float]]:
     mechanism, whole, drifts = _mechanism(plan), plan.t[1], []
     for parts in PARTS:
         dynamics = RigidBodyDynamics(mechanism, whole / parts, integrator)
-        xs = [plan.xs[0]]
-        for u in np.repeat(plan.us[: plan.N // 2], parts, axis=0):
-            xs.append(dynamics.step(xs[-1][None], u[None])[0])
-        drifts.append(momentum_drift(mechanism, np.array(xs)))
+        xs = rolled(dynamics, plan.xs[0], np.repeat(plan.us[: plan.N // 2], parts, axis=0))
+        drifts.append(momentum_drift(mechanism, xs))
     orders = np.log2(np.array(drifts[:-1]) / drifts[1:])
     return {"dt": [whole / parts for parts in PARTS], "change": drifts, "orders": orders.tolist()}
 
@@ -109,22 +106,18 @@ def _by_step(plan: Plan, integrator: str) -> dict[str, list[float]]:
 def _rows(results: dict[str, Any]) -> list[Row]:
     dive, steps = results["dives"][SHOWN], results["momentum"]["by_step"]["rk4"]
     return [
-        Row(
-            "2.2, ref. [16]", "optimal high-dive motions for a human-like diver; no numbers",
+        Row("2.2, ref. [16]", "optimal high-dive motions for a human-like diver; no numbers",
             f"{dive['somersaults']:g} somersaults, {dive['twists']:g} twist: {dive['status'].lower()}, entry "
             f"{dive['turn_miss']:.1g} rad from vertical, largest torque {dive['largest_torque']:.0f} N m",
-            "solved by SLQ rather than by splines; body after Winter's tables; all numbers of the dive are ours",
-        ),
-        Row(
-            "2.2, ref. [16]: conservation", "not stated",
+            "solved by SLQ rather than by splines; body after Winter's tables; all numbers of the dive are ours"),
+        Row("2.2, ref. [16]: conservation", "not stated",
             f"angular momentum changes by {results['momentum']['plan']:.1g} of itself along the plan, of order "
             f"{steps['orders'][-1]:.1f} in the step (RK4); {results['momentum']['mujoco']:.1g} in MuJoCo",
-            "in flight it is constant: what changes is the integrator's error",
-        ),
+            "in flight it is constant: what changes is the integrator's error"),
     ]  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     alone, momentum = results["effort_alone"], results["momentum"]
     rk4, euler = momentum["by_step"]["rk4"], momentum["by_step"]["semi-implicit-euler"]
     steps = [
@@ -133,7 +126,7 @@ def _page(results: dict[str, Any]) -> str:
             rk4["dt"], rk4["change"], _orders(rk4), euler["change"], _orders(euler), strict=True
         )
     ]  # fmt: skip
-    lines = [
+    return [
         "## The high dive (ref. [16])", "",
         "A diver of 10 bodies and 14 motors (`planner run high-dive`), tower of 10 m, masses and lengths after Winter.",
         "The paper names such dives and gives no numbers. Effort is the integral of u²/2, without its weight.", "",
@@ -156,7 +149,6 @@ def _page(results: dict[str, Any]) -> str:
             "semi-implicit Euler": "{euler:.2g}", "order": "{euler_order}",
         }, steps),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _orders(kind: dict[str, Any]) -> list[str]:
@@ -190,6 +182,4 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "dive", "a high dive (reference 16)", _run, _page, _rows, {"dive.png": _draw}, seconds=25,
-)  # fmt: skip
+STUDY = Study("dive", "a high dive (reference 16)", _run, _page, _rows, {"dive.png": _draw}, seconds=25)

@@ -127,9 +127,9 @@ def _run() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     first = results["descents"][0]
-    lines = [
+    return [
         "## The acrobot by splines of the elbow and Eq. 7 (section 2.2)", "",
         "The elbow's motion is a quintic B-spline on 12 intervals, the control; the state is (q1, its rate); J,",
         "costate and gradient by an adaptive rule (RK45, that of Matlab's ode45). First guess: the elbow held, the arm",
@@ -150,7 +150,6 @@ def _page(results: dict[str, Any]) -> str:
             "near the end": "{near[gradient_norm]:.3g}", "relative error there": "{near[relative_error]:.1e}",
         }, results["slq"]), "", _said(results), "",
     ]  # fmt: skip
-    return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
@@ -174,21 +173,15 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     errors = dict(zip(results["tolerances"], results["points"][-1]["relative_errors"], strict=True))
     seconds = sum(d["seconds"] for d in results["descents"][1:])
     return [
-        Row(
-            "2.2", "Round-off leads to large relative errors of the gradient near convergence",
-            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _said(results),
-        ),
-        Row(
-            "2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
+        Row("2.2", "Round-off leads to large relative errors of the gradient near convergence",
+            ", ".join(f"{errors[t]:.0e} at tolerance {t:g}" for t in (1e-3, 1e-4, 1e-6)), _said(results)),
+        Row("2.2, Eq. 7", "Swing-up from q1 = -1.0 by splines, after tolerances were adjusted",
             f"J {last['cost']:.3g}, angles within {last['angle_miss']:.3f} rad; BFGS: {last['message']} "
             f"SLQ: J {plan['cost']:.3g}",
-            "masses and t_f are ours; another parametrisation, another local minimum",
-        ),
-        Row(
-            "2.2", "The acrobot takes about 5 minutes on a PIII-800 at best",
+            "masses and t_f are ours; another parametrisation, another local minimum"),
+        Row("2.2", "The acrobot takes about 5 minutes on a PIII-800 at best",
             f"{seconds:.1f} s by splines, {plan['seconds']:.3f} s by SLQ",
-            "the splines integrate adaptively in Python around compiled dynamics; SLQ is compiled",
-        ),
+            "the splines integrate adaptively in Python around compiled dynamics; SLQ is compiled"),
     ]  # fmt: skip
 
 
@@ -210,7 +203,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
-    _run, _page, _rows, {"elbow_gradient.png": _draw}, seconds=25,
-)  # fmt: skip
+STUDY = Study("elbow", "the adjoint gradient of Eq. 7 near convergence (2.2)",
+              _run, _page, _rows, {"elbow_gradient.png": _draw}, seconds=25)  # fmt: skip

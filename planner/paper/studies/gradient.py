@@ -42,12 +42,7 @@ COLOURS = ("#0b5aa6", "#c1570a", "#41ab5d", "#7d8590", "#9a6fc9", "#222222")
 
 
 def gradient_results(problems: Mapping[str, Callable[[], Problem]] = PROBLEMS, limit: int = LIMIT) -> dict[str, Any]:
-    """Every method on every problem, as JSON values.
-
-    Args:
-        problems: By name.
-        limit: Of iterations.
-    """
+    """Every method on every problem, with a limit of iterations, as JSON values."""
     found = []
     for name, build in problems.items():
         problem = build()
@@ -113,7 +108,7 @@ def _entry(found: Plan | Descended, seconds: float, points: list[tuple[int, floa
     }  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     lines = [
         "# Gradient methods beside SLQ (section 3)", "",
         "The same discrete problems, first guesses, rollouts and exact derivatives for all: steepest descent with",
@@ -139,7 +134,7 @@ def _page(results: dict[str, Any]) -> str:
         "NO_DESCENT of L-BFGS at a small gradient is rounding: its line search finds no lower cost any more. Different",
         "final costs of runs that converged are different local minima.",
     ]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -155,30 +150,20 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     error = max(case["gradient_error"] for case in results["cases"])
     slq, open_loop, exact = SLQ
     return [
-        Row(
-            "3.1, Eq. 16-19", "The gradient of J comes from the costate recursion",
+        Row("3.1, Eq. 16-19", "The gradient of J comes from the costate recursion",
             f"relative error against differences at most {error:.1e}",
-            "it does not differ; what is left is rounding",
-        ),
-        Row(
-            "3.3", "The direction of the LQ problem is not the steepest descent direction",
-            ". ".join(map(all_cases, GRADIENT)), "the paper shows no such comparison",
-        ),
-        Row(
-            "3.3, Eq. 36", "U + alpha dU, rolled out without feedback", all_cases(open_loop),
+            "it does not differ; what is left is rounding"),
+        Row("3.3", "The direction of the LQ problem is not the steepest descent direction",
+            ". ".join(map(all_cases, GRADIENT)), "the paper shows no such comparison"),
+        Row("3.3, Eq. 36", "U + alpha dU, rolled out without feedback", all_cases(open_loop),
             "right for the hopper; on arms that fall over small changes of early controls grow along the motion, and "
-            "only tiny steps lower the cost",
-        ),
-        Row(
-            "3.3, Eq. 37", "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
+            "only tiny steps lower the cost"),
+        Row("3.3, Eq. 37", "The LQ problem has the Hessian of the cost alone (Gauss-Newton)",
             f"with the dynamics' second derivatives too, {all_cases(exact)}",
             "away from a minimum the exact Hessian is indefinite and needs regularisation: it pays where "
-            "Gauss-Newton is slow, not here (docs/measured.md)",
-        ),
-        Row(
-            "5", '"The algorithm converges quickly to the optimal solution"', all_cases(slq),
-            "with the feedback update, to a local minimum; the paper gives neither counts nor times here",
-        ),
+            "Gauss-Newton is slow, not here (docs/measured.md)"),
+        Row("5", '"The algorithm converges quickly to the optimal solution"', all_cases(slq),
+            "with the feedback update, to a local minimum; the paper gives neither counts nor times here"),
     ]  # fmt: skip
 
 
@@ -208,7 +193,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "gradients", "gradient methods beside SLQ",
-    gradient_results, _page, _rows, {"gradients.png": _draw}, seconds=35,
-)  # fmt: skip
+STUDY = Study("gradients", "gradient methods beside SLQ",
+              gradient_results, _page, _rows, {"gradients.png": _draw}, seconds=35)  # fmt: skip

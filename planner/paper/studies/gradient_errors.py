@@ -18,13 +18,7 @@ Evaluated = tuple[float, np.ndarray]
 
 
 def errors_at(point: str, exact: Evaluated, values: Sequence[Evaluated]) -> dict[str, Any]:
-    """Errors of J and its gradient at one point, for each tolerance.
-
-    Args:
-        point: Its name.
-        exact: J and its gradient at a very tight tolerance.
-        values: The same at each tolerance.
-    """
+    """Errors of J and its gradient at a named point: `values` at each tolerance, `exact` at a very tight one."""
     J, gradient = exact
     size = float(np.linalg.norm(gradient))
     return {

@@ -19,14 +19,14 @@ from planner.paper.studies.study import Row, Study
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
-from planner.view.plots.style import grid_of, save
+from planner.view.plots.style import dress, grid_of, save
 
 HEIGHTS = (1.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}  # section 4
-FINAL_WEIGHTS = (10.0, 100.0, 1000.0, 1e4, 1e5)
-TOLERANCES = (1e-3, 1e-6, 1e-10)
-FLOW_WEIGHTS = (0.1, 1.0, 10.0, 100.0)
-SMOOTHINGS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+SWEPT = {  # arguments of paper_plan() and the values that each takes
+    "final_weight": (10.0, 100.0, 1000.0, 1e4, 1e5), "tolerance": (1e-3, 1e-6, 1e-10),
+    "flow_weight": (0.1, 1.0, 10.0, 100.0), "smoothing": (1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+}  # fmt: skip
 SCENES = ((20.0, 1.0), (50.0, 1.0), (50.0, 3.0))  # (height, duration) whose phases are drawn; the last one is ours
 LIMIT = 2000  # iterations; a solve that needs more counts as failed
 
@@ -43,50 +43,37 @@ def _run() -> dict[str, Any]:
         return [plan.nit if plan.success else None for plan in plans]
 
     return {
-        "case": "hopper",
-        "heights": list(HEIGHTS),
+        "case": "hopper", "heights": list(HEIGHTS),
         "paper_iterations": [PAPER_ITERATIONS.get(height) for height in HEIGHTS],
         "iterations": {"open-loop": counts(), "feedback": counts(update="feedback")},
-        "iterations_by_final_weight": {f"{q:g}": counts(final_weight=q) for q in FINAL_WEIGHTS},
-        "iterations_by_tolerance": {f"{tolerance:g}": counts(tolerance=tolerance) for tolerance in TOLERANCES},
-        "iterations_by_flow_weight": {f"{r:g}": counts(flow_weight=r) for r in FLOW_WEIGHTS},
-        "iterations_by_smoothing": {f"{a:g}": counts(smoothing=a) for a in SMOOTHINGS},
+        **{f"iterations_by_{name}": {f"{value:g}": counts(**{name: value}) for value in values}
+           for name, values in SWEPT.items()},
         "phases": [_phases(*scene) for scene in SCENES],
-        "replayed": [_replayed(q) for q in FINAL_WEIGHTS],
-    }
-
-
-def _long_plan(height: float, duration: float) -> Plan:
-    """The same at the paper's step for another duration."""
-    return paper_plan(height, duration=duration, horizon=round(duration * int(PAPER["horizon"])))
+        "replayed": [_replayed(q) for q in SWEPT["final_weight"]],
+    }  # fmt: skip
 
 
 def _phases(height: float, duration: float) -> dict[str, Any]:
-    plan = _long_plan(height, duration)
+    """Stance and flight of the plan at the paper's step."""
+    plan = paper_plan(height, duration=duration, horizon=round(duration * int(PAPER["horizon"])))
     events = crossings(plan.t, plan.xs, float(plan.parameters["smoothing"]))
     return {
-        "height": height,
-        "duration": duration,
-        "status": plan.status.name,
+        "height": height, "duration": duration, "status": plan.status.name,
         "touchdowns_s": [float(t) for t, rate in events if rate > 0.0],
         "lift_offs_s": [float(t) for t, rate in events if rate < 0.0],
-        "t_s": plan.t.tolist(),
-        "height_in": plan.xs[:, 0].tolist(),
-        "piston_in": plan.xs[:, 2].tolist(),
+        "t_s": plan.t.tolist(), "height_in": plan.xs[:, 0].tolist(), "piston_in": plan.xs[:, 2].tolist(),
         "flow_in_per_s": plan.us[:, 0].tolist(),
-    }
+    }  # fmt: skip
 
 
 def _replayed(final_weight: float) -> dict[str, Any]:
     plan = paper_plan(20.0, final_weight=final_weight)
     proof = prove(plan, rollouts=0)  # whether the plan holds at all; how it bears perturbations is beside the point
+    planned, reached = plan.xs[-1].tolist(), proof.replay.xs[-1].tolist()
     return {
-        "final_weight": final_weight,
-        "planned_height": float(plan.xs[-1, 0]),
-        "planned_rate": float(plan.xs[-1, 1]),
-        "reached_height": float(proof.replay.xs[-1, 0]),
-        "verdict": proof.verdict,
-    }
+        "final_weight": final_weight, "planned_height": planned[0], "planned_rate": planned[1],
+        "reached_height": reached[0], "verdict": proof.verdict,
+    }  # fmt: skip
 
 
 def _table(results: dict[str, Any], rows: dict[str, Sequence[Any]]) -> list[str]:
@@ -124,7 +111,7 @@ def _on_smoothing(results: dict[str, Any]) -> str:
     )
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     def failed(cells: Sequence[Any]) -> list[Any]:
         return ["failed" if cell is None else cell for cell in cells]
 
@@ -173,7 +160,7 @@ def _page(results: dict[str, Any]) -> str:
             "verdict": "{verdict}",
         }, results["replayed"]),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -193,40 +180,28 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     stances = f"{len(first['touchdowns_s'])} touchdowns within 1 s at height {first['height']:g}, "
     stances += f"{len(longest['touchdowns_s'])} within {longest['duration']:g} s at height {longest['height']:g}"
     return [
-        Row(
-            "2.4, Eq. 8", "A weight q_fin on the final height, of which no value is given",
+        Row("2.4, Eq. 8", "A weight q_fin on the final height, of which no value is given",
             "1000 taken; 10 to 1e5 tried: " + "; ".join(
                 f"q_fin = {q}: {ends(cells)}" for q, cells in results["iterations_by_final_weight"].items()
             ),
-            "the paper does not say; the counts of section 4 depend on it",
-        ),
-        Row(
-            "4", "3 iterations for y_N = 1 to 166 for y_N = 50",
+            "the paper does not say; the counts of section 4 depend on it"),
+        Row("4", "3 iterations for y_N = 1 to 166 for y_N = 50",
             f"open-loop update: {ends(results['iterations']['open-loop'])}; feedback update: "
             f"{ends(results['iterations']['feedback'])}",
             f"q_fin and the stopping rule are not given: at {high:g} in they alone move the count "
-            f"({spread('iterations_by_final_weight')} and {spread('iterations_by_tolerance')})",
-        ),
-        Row(
-            "4", "Converged much faster when the weighting r is increased",
+            f"({spread('iterations_by_final_weight')} and {spread('iterations_by_tolerance')})"),
+        Row("4", "Converged much faster when the weighting r is increased",
             _on_flow_weight(results).removeprefix("Ours, "),
-            "agrees where convergence is slow; where it takes a few iterations there is nothing to gain",
-        ),
-        Row(
-            "4", "Failed to converge for alpha < 1e-5", _on_smoothing(results).removeprefix("Ours "),
-            f"each solve here may take {LIMIT} iterations and counts as failed only then; the paper's limit is unknown",
-        ),
-        Row(
-            "4, figure of the hop",
+            "agrees where convergence is slow; where it takes a few iterations there is nothing to gain"),
+        Row("4", "Failed to converge for alpha < 1e-5", _on_smoothing(results).removeprefix("Ours "),
+            f"a solve that has not converged after {LIMIT} iterations counts as failed; the paper's limit is unknown"),
+        Row("4, figure of the hop",
             "An alternating sequence of stance and flight, with its switches found by the algorithm",
-            stances, "agrees in kind; the figure has no numbers to compare",
-        ),
-        Row(
-            "4", "A simple Euler approximation with N = 50",
+            stances, "agrees in kind; the figure has no numbers to compare"),
+        Row("4", "A simple Euler approximation with N = 50",
             f"in MuJoCo its plans for 20 in reach {min(reached):.1f} to {max(reached):.1f} in "
             f"({len(sound)} of {len(reached)} pass the proof)",
-            "the step is too coarse: the plan is right for Euler's recursion, not for the machine",
-        ),
+            "the step is too coarse: the plan is right for Euler's recursion, not for the machine"),
     ]  # fmt: skip
 
 
@@ -248,36 +223,25 @@ def _draw(results: dict[str, Any], path: Path) -> None:
             axes.set_ylim(low, high)
             axes.set_xlim(0.0, t[-1])
             axes.legend(frameon=False, loc="upper left")
-        top.set_title(f"height {phase['height']:g} in, {phase['duration']:g} s (stance shaded)")
-        bottom.set_xlabel("time, s")
-    grid[0, 0].set_ylabel("in")
-    grid[1, 0].set_ylabel("in/s")
-    _draw_counts(grid[0, 3], results)
-    smoothing = grid[1, 3]
-    for i, height in enumerate(results["heights"]):
+        title = f"height {phase['height']:g} in, {phase['duration']:g} s (stance shaded)"
+        dress(top, title, "" if column else "in")
+        dress(bottom, "", "" if column else "in/s", "time, s")
+    counts, smoothing = grid[:, 3]
+    heights = results["heights"]
+    for name, cells in results["iterations"].items():
+        counts.semilogy(heights, [np.nan if c is None else c for c in cells], marker="o", ms=4, label=f"ours, {name}")
+    known = [(h, c) for h, c in zip(heights, results["paper_iterations"], strict=True) if c is not None]
+    counts.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color="k", label="paper")
+    dress(counts, "iterations (q_fin = 1000)", "", "goal height, in")
+    counts.legend(frameon=False)
+    for i, height in enumerate(heights):
         points = [(float(a), cells[i]) for a, cells in results["iterations_by_smoothing"].items() if cells[i]]
         if height in (1.0, 20.0, 50.0):
             smoothing.loglog(*zip(*points, strict=True), marker="o", ms=4, label=f"height {height:g}")
     smoothing.axvline(1e-5, color="0.6", lw=0.8, ls=":")
-    smoothing.set_title("failed where there is no point")
-    smoothing.set_xlabel("smoothing alpha, in")
-    smoothing.set_ylabel("iterations")
+    dress(smoothing, "failed where there is no point", "iterations", "smoothing alpha, in")
     smoothing.legend(frameon=False)
     save(figure, path)
 
 
-def _draw_counts(axes: Any, results: dict[str, Any]) -> None:
-    heights = results["heights"]
-    for name, cells in results["iterations"].items():
-        axes.semilogy(heights, [np.nan if c is None else c for c in cells], marker="o", ms=4, label=f"ours, {name}")
-    known = [(h, c) for h, c in zip(heights, results["paper_iterations"], strict=True) if c is not None]
-    axes.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color="k", label="paper")
-    axes.set_title("iterations (q_fin = 1000)")
-    axes.set_xlabel("goal height, in")
-    axes.legend(frameon=False)
-
-
-STUDY = Study(
-    "hopper", "the numerical example (section 4)",
-    _run, _page, _rows, {"hopper.png": _draw}, seconds=25,
-)  # fmt: skip
+STUDY = Study("hopper", "the numerical example (section 4)", _run, _page, _rows, {"hopper.png": _draw}, seconds=25)

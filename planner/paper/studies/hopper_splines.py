@@ -109,7 +109,7 @@ def _slq_cost(results: dict[str, Any], height: float) -> float:
     return next(p["cost"] for p in results["slq"] if p["height"] == height)
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     exact = [
         {
             **r, "slq": _slq_cost(results, r["height"]), "ended": "yes" if r["success"] else r["message"],
@@ -117,7 +117,7 @@ def _page(results: dict[str, Any]) -> str:
         }
         for r in results["exact"]
     ]  # fmt: skip
-    lines = [
+    return [
         "## The hopper by B-splines (section 2.4)", "",
         "The paper's problem (explicit Euler, N = 50, q_fin = 1000), u(t) a quintic B-spline, from zero, by BFGS.", "",
         "![cost by iteration, error of the gradient](hopper_splines.png)", "",
@@ -137,7 +137,6 @@ def _page(results: dict[str, Any]) -> str:
         f"Relative error of Eq. 7 at height {results['drawn'][0]:g} against one at {results['reference']:g}:", "",
         *errors_table(results["gradient_errors"], results["tolerances"]), "", _said(results), "",
     ]  # fmt: skip
-    return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
@@ -164,20 +163,16 @@ def _said(results: dict[str, Any]) -> str:
 def _rows(results: dict[str, Any]) -> list[Row]:
     exact, adjoint = results["exact"], results["adjoint"]
     return [
-        Row(
-            "2.4", "The hopper by B-splines and Eq. 7 would not converge, with much tweaking",
+        Row("2.4", "The hopper by B-splines and Eq. 7 would not converge, with much tweaking",
             "; ".join(f"height {r['height']:g} at {r['tolerance']:g}: J {r['costs'][0]:.3g} to {r['cost']:.3g}, "
                       f"{'converged' if r['success'] else 'not converged'}" for r in adjoint)
             + f" ({sum(r['seconds'] for r in adjoint):.0f} s)",
-            _said(results),
-        ),
-        Row(
-            "2.4", "The same splines with the exact gradient of the discretised cost: not tried",
+            _said(results)),
+        Row("2.4", "The same splines with the exact gradient of the discretised cost: not tried",
             f"{sum(r['success'] for r in exact)} of {len(exact)} converge, in "
             f"{min(r['iterations'] for r in exact)} to {max(r['iterations'] for r in exact)} iterations "
             f"({sum(r['seconds'] for r in exact):.0f} s)",
-            "J and gradient agree to rounding; the basis alone was not what failed",
-        ),
+            "J and gradient agree to rounding; the basis alone was not what failed"),
     ]  # fmt: skip
 
 
@@ -200,7 +195,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "hopper-splines", "the hopper by B-splines (2.4)",
-    _run, _page, _rows, {"hopper_splines.png": _draw}, seconds=30,
-)  # fmt: skip
+STUDY = Study("hopper-splines", "the hopper by B-splines (2.4)",
+              _run, _page, _rows, {"hopper_splines.png": _draw}, seconds=30)  # fmt: skip

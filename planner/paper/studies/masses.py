@@ -8,6 +8,7 @@ family of arms below has one parameter, and each of its arms has the 73.6. The o
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,7 +35,12 @@ KINDS = {"rods": (0.5, 1.0 / 12.0), "points at the tips": (1.0, 0.0), "points ha
 """Centre of mass over length, and inertia about it over mass length^2."""
 LENGTHS = (0.3, 0.6, 1.0, 1.25, 1.5, 2.0)  # m, of both links with equal masses
 RATIOS = (0.25, 0.5, 0.75, 1.0, 2.0, 4.0)  # of the forearm's mass to the upper arm's, at 1 m
-SMOOTH = ("quintic", "cubic", "cosine")
+RISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "quintic": lambda s: 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5,
+    "cubic": lambda s: 3.0 * s**2 - 2.0 * s**3,
+    "cosine": lambda s: 0.5 * (1.0 - np.cos(np.pi * s)),
+}
+"""Smooth ways from 0 to 1 for s from 0 to 1, at rest at both ends."""
 STARTS, TRIALS = 8, 8
 
 _POINT = 1e-6  # inertia of a point over mass length^2: MuJoCo refuses a body without any
@@ -65,20 +71,11 @@ def mechanism_of(arm: Arm) -> Mechanism:
     return Mechanism.from_mjcf(edited(text, edits))
 
 
-def rise(name: str, s: np.ndarray) -> np.ndarray:
-    """A smooth way from 0 to 1 for s (M,) from 0 to 1, at rest at both ends."""
-    return {
-        "quintic": lambda: 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5,
-        "cubic": lambda: 3.0 * s**2 - 2.0 * s**3,
-        "cosine": lambda: 0.5 * (1.0 - np.cos(np.pi * s)),
-    }[name]()
-
-
-def by_splines(mechanism: Mechanism, smooth: str = SMOOTH[0]) -> SplineMotion:
+def by_splines(mechanism: Mechanism, rise: str = "quintic") -> SplineMotion:
     """The paper's direct method from the paper's first guess."""
     return minimize_effort(
         mechanism, Boundary(np.zeros(2), UPRIGHT, DURATION), gradient_tolerance=1e-4,
-        guess=lambda t: rise(smooth, t / DURATION)[:, None] * UPRIGHT,
+        guess=lambda t: RISES[rise](t / DURATION)[:, None] * UPRIGHT,
     )  # fmt: skip
 
 
@@ -136,7 +133,7 @@ def _described(arm: Arm) -> dict[str, Any]:
         **arm._asdict(), "first": motion.first_cost, "last": motion.cost, "seconds": seconds,
         "iterations": motion.iterations, "shoulder_lowest": float(q[:, 0].min()),
         "elbow_range": [float(q[:, 1].min()), float(q[:, 1].max())],
-        "by_guess": {name: [m.first_cost, m.cost] for name in SMOOTH for m in [by_splines(mechanism, name)]},
+        "by_guess": {name: [m.first_cost, m.cost] for name in RISES for m in [by_splines(mechanism, name)]},
         "slq": slq_effort(arm, 1), "slq_starts": slq_effort(arm, STARTS),
     }  # fmt: skip
 
@@ -166,7 +163,7 @@ def _name(arm: dict[str, Any]) -> str:
     )
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     lines = [
         "## Which arm has the efforts 73.6 and 9.9 (section 2.1)", "",
         "Every arm below has 73.6 along the first guess (a quintic in time, q2 = 0), which sets the scale of its",
@@ -190,7 +187,7 @@ def _page(results: dict[str, Any]) -> str:
             "SLQ, several starts": "{slq_starts[effort]:.1f}",
         }, ({"name": _name(arm), **arm} for arm in [*results["candidates"], results["ours"]])),
     ]  # fmt: skip
-    return "\n".join([*lines, "", _said(results), ""])
+    return [*lines, "", _said(results)]
 
 
 def _said(results: dict[str, Any]) -> str:
@@ -211,21 +208,15 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     ours, found = results["ours"], results["candidates"]
     best = "; ".join(f"{_name(c)}: {c['first']:.1f} to {c['last']:.2f}" for c in found) or "no arm with both"
     return [
-        Row(
-            "2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
-            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results),
-        ),
-        Row(
-            "2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
+        Row("2.1", f"Quintic B-splines and BFGS: effort {FIRST} to {LAST}; no masses given", best,
+            "the paper gives no masses or lengths, nor which smooth guess; " + _said(results)),
+        Row("2.1", f"{FIRST} to {LAST}, on our own arm (rods of 0.5 kg and 1 m)",
             f"{ours['first']:.1f} to {ours['last']:.1f} by BFGS; SLQ {ours['slq']['effort']:.1f}, "
             f"of {results['starts']} starts {ours['slq_starts']['effort']:.1f}",
-            "another arm, and the nearest of many local minima",
-        ),
-        Row(
-            "2.1", "The direct method takes about 2 minutes on a PIII-800",
+            "another arm, and the nearest of many local minima"),
+        Row("2.1", "The direct method takes about 2 minutes on a PIII-800",
             f"{ours['seconds']:.2f} s, {ours['iterations']} iterations",
-            "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes",
-        ),
+            "a processor of today, compiled dynamics, and an exact gradient by quadrature at fixed nodes"),
     ]  # fmt: skip
 
 
@@ -251,7 +242,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "masses", "the direct method, and which arm has the paper's efforts (2.1)",
-    _run, _page, _rows, {"masses.png": _draw}, seconds=20,
-)  # fmt: skip
+STUDY = Study("masses", "the direct method, and which arm has the paper's efforts (2.1)",
+              _run, _page, _rows, {"masses.png": _draw}, seconds=20)  # fmt: skip

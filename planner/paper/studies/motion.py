@@ -84,8 +84,8 @@ def _path(plan: Plan) -> list[list[float]]:
     return np.stack([a * np.cos(elbow) + b * np.cos(hand), a * np.sin(elbow) + b * np.sin(hand)], axis=1).tolist()
 
 
-def _page(results: dict[str, Any]) -> str:
-    lines = [
+def _page(results: dict[str, Any]) -> list[str]:
+    return [
         "# The machines and their motions (Fig. 1 to 4)", "",
         *table(
             {"machine of Fig. 1": "{case}", "states": "{states}", "controls": "{controls}", "t_f, s": "{t_f:g}"},
@@ -101,7 +101,6 @@ def _page(results: dict[str, Any]) -> str:
             "turns of q1": "{swings}", "miss": "{miss:.3f}",
         }, results["motions"]),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -115,27 +114,19 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         )
 
     return [
-        Row(
-            "1, Fig. 1", "Four systems: 2R arm, the same without the base motor, human step, hopper", machines,
-            "it does not differ",
-        ),
-        Row(
-            "1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
+        Row("1, Fig. 1", "Four systems: 2R arm, the same without the base motor, human step, hopper", machines,
+            "it does not differ"),
+        Row("1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
             f"as printed in poe.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
-            "it does not differ; gravity enters as acceleration of the base, which the figure leaves out",
-        ),
-        Row(
-            "2.1, Fig. 3",
+            "it does not differ; gravity enters as acceleration of the base, which the figure leaves out"),
+        Row("2.1, Fig. 3",
             "The arm swings down while folding the second link, then swings up and pumps the second link upright",
             f"from the paper's guess: {described(paper)}; best of {STARTS} guesses: {described(best)}",
             "another method, other masses (the paper has none) and many local minima; the paper calls its own locally "
-            "optimal",
-        ),
-        Row(
-            "2.2, Fig. 4", "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
+            "optimal"),
+        Row("2.2, Fig. 4", "From q1 = -1.0 the elbow pumps energy until the arm stands upright",
             f"{described(acrobot)}; q1 turns back {acrobot['swings']} times",
-            "the paper gives neither masses nor t_f, so only the kind of motion can be compared",
-        ),
+            "the paper gives neither masses nor t_f, so only the kind of motion can be compared"),
     ]  # fmt: skip
 
 
@@ -162,7 +153,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
-    _run, _page, _rows, {"motions.png": _draw},
-)  # fmt: skip
+STUDY = Study("motions", "the machines, inverse dynamics and the motions of the arms (Fig. 1 to 4)",
+              _run, _page, _rows, {"motions.png": _draw})  # fmt: skip

@@ -26,7 +26,7 @@ from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.free_time import solve_for
-from planner.view.plots.style import grid_of, save
+from planner.view.plots.style import dress, grid_of, save
 
 BOUND = 15.0
 """N m of both motors: the arm stretched out needs 9.8 to be held, its motion of least jerk 12.7."""
@@ -87,12 +87,8 @@ def switched(problem: Problem, bound: float, pause: tuple[float, float] | None =
     """Switching times, s, of the arm's motion with full torques; the last is its end. None where there are none.
 
     The shoulder switches once, from up to down; the elbow twice, down, up, down. Four unknowns for the four equations
-    of the end, integrated by RK4 between switches.
-
-    Args:
-        problem: The two-link arm.
-        bound: Of both torques, N m.
-        pause: Middle and length, s, of a time within the elbow's middle arc in which it pulls down.
+    of the end, integrated by RK4 between switches. Both torques are bounded, N m; `pause` is the middle and length, s,
+    of a time within the elbow's middle arc in which it pulls down.
     """
     dynamics: Any = problem.dynamics
     goal, (middle_of, length) = np.array([0.5 * np.pi, 0.0, 0.0, 0.0]), (0.0, 0.0) if pause is None else pause
@@ -149,9 +145,7 @@ def _run() -> dict[str, Any]:
     fast = _least_time(arm, SWITCHED, 2.0)
     acrobot = _least_time(cases.acrobot(horizon=150), ELBOW, 4.0)
     return {
-        "bound_Nm": BOUND,
-        "units": MEASURES,
-        "motions": motions,
+        "bound_Nm": BOUND, "units": MEASURES, "motions": motions,
         "best": {name: min(motions, key=lambda m: motions[m]["values"][name]) for name in MEASURES},
         "least_times": [
             {"machine": "cart, 1 m, 1 kg, 1 N", "known_s": 2.0, "known": "bang-bang, in closed form",
@@ -161,8 +155,7 @@ def _run() -> dict[str, Any]:
              **_time_facts(fast, SWITCHED)},
             {"machine": f"acrobot, {ELBOW:g} N m", "known_s": None, "known": "", **_time_facts(acrobot, ELBOW)},
         ],
-        "acrobot": _motion(acrobot, ELBOW),
-        "acrobot_bound_Nm": ELBOW,
+        "acrobot": _motion(acrobot, ELBOW), "acrobot_bound_Nm": ELBOW,
     }  # fmt: skip
 
 
@@ -177,7 +170,7 @@ def _time_facts(plan: Plan, bound: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     values = {f"{name}, {unit}": f"{{{name}}}" for name, unit in results["units"].items()}
     motions = []
     for name, motion in results["motions"].items():
@@ -190,7 +183,7 @@ def _page(results: dict[str, Any]) -> str:
         {"seconds": "" if row["known_s"] is None else f"{row['known_s']:.4f}", "share": 100 * row["stages_on_a_bound"]}
         | row for row in results["least_times"]
     ]  # fmt: skip
-    lines = [
+    return [
         "## The criteria the paper names: effort, energy, jerk, time", "",
         f"The two-link arm from horizontal to upright, torques within {results['bound_Nm']:g} N m, its goal met to",
         "1e-4. Effort is half the integral of the squared torques, energy the work of both motors whatever its sign,",
@@ -206,7 +199,6 @@ def _page(results: dict[str, Any]) -> str:
         "SLQ finds local minima, so a least time found is an upper bound of the true one. The acrobot's is not",
         "bang-bang throughout: below it SLQ found no motion, which does not prove that there is none.",
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -214,23 +206,17 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     values = {name: results["motions"][name]["values"] for name in results["motions"]}
     own = all(best[name] == name for name in MEASURES)
     return [
-        Row(
-            "1", "Criteria: effort, energy, jerk, time",
+        Row("1", "Criteria: effort, energy, jerk, time",
             ", ".join(f"{name} {values[name][name]:.4g} {unit}" for name, unit in MEASURES.items()),
             "the paper plans by effort only; two-link arm, "
-            + ("each the least of its own criterion" if own else "not each the least of its own: local minima"),
-        ),
-        Row(
-            "1", "Minimum time",
+            + ("each the least of its own criterion" if own else "not each the least of its own: local minima")),
+        Row("1", "Minimum time",
             f"cart {cart['found_s']:.4f} s (exact: 2 s); arm {arm['found_s']:.4f} s, "
             f"{100 * arm['stages_on_a_bound']:.0f} % of stages on a bound",
-            "the paper shows none; bounds met exactly, stage length by bisection",
-        ),
-        Row(
-            "2.2", "Acrobot swing-up, by effort",
+            "the paper shows none; bounds met exactly, stage length by bisection"),
+        Row("2.2", "Acrobot swing-up, by effort",
             f"in least time {acrobot['found_s']:.3f} s with {ELBOW:g} N m",
-            "the least found: a local minimum, and an upper bound",
-        ),
+            "the least found: a local minimum, and an upper bound"),
     ]  # fmt: skip
 
 
@@ -256,16 +242,13 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         bottom.set_ylim(-1.15 * bound, 1.15 * bound)
         for axes in (top, bottom):
             axes.set_xlim(0.0, t[-1])
-        top.set_title(f"{name}\n{t[-1]:.3g} s")
-        bottom.set_xlabel("time, s")
-    grid[0, 0].set_ylabel("joint angle, rad")
-    grid[1, 0].set_ylabel("torque, N m")
+        first = top is grid[0, 0]
+        dress(top, f"{name}\n{t[-1]:.3g} s", "joint angle, rad" if first else "")
+        dress(bottom, "", "torque, N m" if first else "", "time, s")
     grid[0, 2].legend(frameon=False, loc="center left")
     figure.suptitle("dashed: bounds of the torques; grey: one of them is on its bound", fontsize="medium")
     save(figure, path)
 
 
-STUDY = Study(
-    "objectives", "effort, energy, jerk and time (section 1)",
-    _run, _page, _rows, {"objectives.png": _draw}, seconds=60,
-)  # fmt: skip
+STUDY = Study("objectives", "effort, energy, jerk and time (section 1)",
+              _run, _page, _rows, {"objectives.png": _draw}, seconds=60)  # fmt: skip

@@ -23,19 +23,12 @@ HEADS = ("where", "the paper says", "we get", "why it differs")
 
 @dataclass(frozen=True)
 class Finished:
-    """A study that was run.
-
-    Attributes:
-        study: The study.
-        seconds: It took, pictures included.
-        results: Of the study; None where it failed.
-        problem: Why it failed, "" where it did not.
-    """
+    """A study that was run."""
 
     study: Study
-    seconds: float
-    results: dict[str, Any] | None = None
-    problem: str = ""
+    seconds: float  # it took, pictures included
+    results: dict[str, Any] | None = None  # None where it failed
+    problem: str = ""  # why it failed
 
     @property
     def rows(self) -> list[Row]:
@@ -48,13 +41,9 @@ class Finished:
 def run_studies(
     studies: Sequence[Study], pictures: Path, note: Callable[[str], object] = lambda _: None, processes: int = 1
 ) -> list[Finished]:
-    """Run studies and draw their pictures.
+    """Run studies, so many processes at a time, and draw their pictures into a folder; the longest begin first.
 
-    Args:
-        studies: In the order of the page.
-        pictures: Folder that they are drawn into.
-        note: Called with a line before and after each, or after each where several run at once.
-        processes: How many run at the same time; those that take long begin first.
+    `note` is called with a line before and after each study, or only after each where several run at once.
     """
     if processes > 1 and len(studies) > 1:
         return _run_together(studies, pictures, note, min(processes, len(studies)))
@@ -115,13 +104,9 @@ def complete(done: Sequence[Finished], rows: Sequence[Row]) -> bool:
 
 
 def page(done: Sequence[Finished], rows: Sequence[Row], pictures: str, seconds: float) -> str:
-    """The whole page.
+    """The whole page of studies and rows that took so many seconds together.
 
-    Args:
-        done: Studies that ran.
-        rows: Of the table.
-        pictures: Where their pictures are, seen from the page: "" or a path with "/" at its end.
-        seconds: That all took together.
+    `pictures` is the folder of their pictures, seen from the page: "" or a path with "/" at its end.
     """
     lines = [
         "# The paper beside ours", "",

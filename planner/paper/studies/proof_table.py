@@ -16,6 +16,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
+from planner.paper.studies.records import row_of
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -32,19 +33,11 @@ HEADS = (
 
 @dataclass(frozen=True)
 class Exhibit:
-    """One row: a problem, and what is done to the model before the proof.
+    """One row: a problem, and edits of the model before the proof."""
 
-    Attributes:
-        name: In the table.
-        problem: Makes it.
-        package: That its model comes with, "" for ours.
-        faults: Edits of the model that is proved in.
-    """
-
-    name: str
+    name: str  # in the table
     problem: Callable[[], Problem]
-    package: str = ""
-    faults: dict[str, dict[str, str]] | None = None
+    faults: dict[str, dict[str, str]] | None = None  # edits of the model that is proved in
 
 
 def _file(package: str, inside: str) -> Path:
@@ -83,33 +76,23 @@ EXHIBITS = (
     Exhibit("two-link", cases.two_link),
     Exhibit("acrobot", cases.acrobot),
     Exhibit("acrobot, from hanging", lambda: cases.acrobot(start="hanging")),
-    Exhibit("cart and pole of dm-control, 3 s", lambda: _cart_pole(3.0), "dm_control"),
-    Exhibit("double pendulum on a cart of Gymnasium", _double_pendulum, "gymnasium"),
-    Exhibit("cart and pole in 2 s: beyond its ctrlrange", lambda: _cart_pole(2.0), "dm_control"),
+    Exhibit("cart and pole of dm-control, 3 s", lambda: _cart_pole(3.0)),
+    Exhibit("double pendulum on a cart of Gymnasium", _double_pendulum),
+    Exhibit("cart and pole in 2 s: beyond its ctrlrange", lambda: _cart_pole(2.0)),
     Exhibit("the paper's hopper: 50 steps of Euler", lambda: cases.hopper(integrator="euler", horizon=50)),
-    Exhibit(
-        "acrobot, semi-implicit Euler at 0.02 s",
-        lambda: cases.acrobot(integrator="semi-implicit-euler", horizon=150),
-    ),
-    Exhibit(
-        "two-link, forearm 1 % heavier than planned", cases.two_link,
-        faults={".//body[@name='forearm']/inertial": {"mass": "0.505"}},
-    ),
+    Exhibit("acrobot, semi-implicit Euler at 0.02 s",
+            lambda: cases.acrobot(integrator="semi-implicit-euler", horizon=150)),
+    Exhibit("two-link, forearm 1 % heavier than planned", cases.two_link,
+            faults={".//body[@name='forearm']/inertial": {"mass": "0.505"}}),
 )  # fmt: skip
 
 
 def proofs(
     rollouts: int = 256, budget: float | None = BUDGET, progress: Callable[[str], object] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Plan and prove every exhibit.
+    """Plan and prove every exhibit with a number of rollouts and a budget in s; call `progress` with each name.
 
-    Args:
-        rollouts: Of each perturbed step.
-        budget: s of each perturbed step.
-        progress: Called with each name.
-
-    Returns:
-        One row each: "name", and the proof as JSON values or the reason why there is none.
+    A row for each has the machine's name, and the proof as JSON values or the reason why there is none.
     """
     rows = []
     for exhibit in EXHIBITS:
@@ -172,9 +155,8 @@ def _rate(rate: Rate | None) -> str:
 
 def proofs_markdown(rows: list[dict[str, Any]]) -> str:
     """The table, and under it why what failed failed."""
-    lines = [f"| {' | '.join(HEADS)} |", f"|{' --- |' * len(HEADS)}"]
-    for row in rows:
-        cells = row.get("cells") or [row["missing"], *[""] * (len(HEADS) - 2)]
-        lines.append(f"| {' | '.join([row['machine'], *cells])} |")
+    lines = [row_of(HEADS), f"|{' --- |' * len(HEADS)}"]
+    lines += [row_of([row["machine"], *(row.get("cells") or [row["missing"], *[""] * (len(HEADS) - 2)])])
+              for row in rows]  # fmt: skip
     lines += ["", *(f"- {row['machine']}: {row['reason']}" for row in rows if row.get("verdict") == "FAIL")]
     return "\n".join(lines) + "\n"

@@ -97,8 +97,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     ratios = ", ".join(f"{search['ratio']:.1f} in {search['duration']:g} s" for search in free)
     least = "at least " if slow["failed"] is None else ""
     return [
-        Row(
-            "2.1, reference [20]", "payload of a Puma 762 tripled above the manufacturer's figure",
+        Row("2.1, reference [20]", "payload of a Puma 762 tripled above the manufacturer's figure",
             f"times the static limit of {static['payload']:.0f} kg, within the torque limits: {ratios}; "
             f"{least}{slow['ratio']:.1f} in {slow['duration']:g} s with every joint below "
             f"{slow['speed_limit']:g} rad/s; "
@@ -106,12 +105,11 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{shown['verdict']} ({shown['mode']})",
             "another arm and another lift: inertias are a 560's, scaled, and torque limits are chosen so that "
             f"the static limit is the rated {results['rated']:g} kg. [20] has speed limits; without them ours needs up "
-            f"to {fastest:.0f} rad/s, which is why it lifts more",
-        )
+            f"to {fastest:.0f} rad/s, which is why it lifts more")
     ]  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     static, shown = results["static"], results["shown"]
     limits = zip(results["joints"], results["torque_limits"], strict=True)
     searches = [
@@ -123,7 +121,7 @@ def _page(results: dict[str, Any]) -> str:
         for search in results["searches"]
     ]  # fmt: skip
     ends = ", ".join(f"{name} {value:.1e}" for name, value in shown["end_error"].items())
-    lines = [
+    return [
         "# Weightlifting with a Puma-like arm (reference [20]) beside ours", "",
         'The paper: a weightlifting problem for a Puma 762, "where we tripled the payload above the manufacturers',
         'specifications". A 762\'s inertias are not published, so the arm is a Puma 560 grown to the 762\'s reach',
@@ -152,7 +150,6 @@ def _page(results: dict[str, Any]) -> str:
         "[20] has limits of joint speeds. Without them the swings here are far faster than a real Puma's joints, and",
         "the ratio is one of torques alone; the last row has a limit. Friction is left out.",
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _draw(results: dict[str, Any], path: Path) -> None:
@@ -210,7 +207,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "puma", "weightlifting with a Puma-like arm (reference 20)",
-    _run, _page, _rows, {"puma.png": _draw}, seconds=60,
-)  # fmt: skip
+STUDY = Study("puma", "weightlifting with a Puma-like arm (reference 20)",
+              _run, _page, _rows, {"puma.png": _draw}, seconds=60)  # fmt: skip

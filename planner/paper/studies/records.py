@@ -21,12 +21,9 @@ def descent_record(found: SplineDescent) -> dict[str, Any]:
 
 
 def table(columns: Mapping[str, str], records: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Lines of a Markdown table.
+    """Lines of a Markdown table with a row for each record, whose values fill the formats of the columns by head.
 
-    Args:
-        columns: Head -> format of the cells, such as "{cost:.3f}". A column whose cells all begin with a number is
-            right-aligned.
-        records: One for each row; their values fill the formats.
+    A column, such as {"cost": "{cost:.3f}"}, is right-aligned where all of its cells begin with a number.
     """
     rows = [[form.format(**record) for form in columns.values()] for record in records]
     columned = zip(*rows, strict=True)

@@ -92,9 +92,9 @@ def _run() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     attempts = [a | {"found": "yes" if a["success"] else "no"} for a in (*results["attempts"], *results["from_zero"])]
-    lines = [
+    return [
         "## Indirect shooting (section 2.1)", "",
         "Two-link arm, x and lambda integrated forward with H_u = 0 (Eq. 3, 4), lambda(0) by `scipy.optimize.root`;",
         f"found means that lambda(t_f) is phi_x to 1e-6 of it. At most {MOST_FLOWS} flows.", "",
@@ -112,7 +112,6 @@ def _page(results: dict[str, Any]) -> str:
             "norm of d miss / d lambda(0)": "{jacobian_norm:.3g}", "condition of it": "{jacobian_condition:.2g}",
         }, results["horizons"]), "", _said(results), "",
     ]  # fmt: skip
-    return "\n".join(lines)
 
 
 def _said(results: dict[str, Any]) -> str:
@@ -133,18 +132,14 @@ def _said(results: dict[str, Any]) -> str:
 def _rows(results: dict[str, Any]) -> list[Row]:
     found = [a["guess"] for a in results["attempts"] if a["success"]]
     return [
-        Row(
-            "2.1", "Indirect shooting on the fully actuated arm failed",
+        Row("2.1", "Indirect shooting on the fully actuated arm failed",
             f"fails from {len(results['attempts']) - len(found)} of {len(results['attempts'])} guesses "
             f"({sum(a['seconds'] for a in results['attempts']):.0f} s), works from {', '.join(found) or 'none'}",
-            _said(results),
-        ),
-        Row(
-            "2.1", "The costate equations are highly sensitive to the initial conditions (no number)",
+            _said(results)),
+        Row("2.1", "The costate equations are highly sensitive to the initial conditions (no number)",
             f"norm {results['norm'][-1]:.2g} and condition {results['condition'][-1]:.1e} after 2 s, "
             f"condition up to {max(results['condition']):.0e}",
-            "the flow preserves volume: what it contracts in one direction it stretches in another",
-        ),
+            "the flow preserves volume: what it contracts in one direction it stretches in another"),
     ]  # fmt: skip
 
 
@@ -173,7 +168,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "shooting", "indirect shooting, and why it fails (2.1)",
-    _run, _page, _rows, {"shooting_sensitivity.png": _draw}, seconds=35,
-)  # fmt: skip
+STUDY = Study("shooting", "indirect shooting, and why it fails (2.1)",
+              _run, _page, _rows, {"shooting_sensitivity.png": _draw}, seconds=35)  # fmt: skip

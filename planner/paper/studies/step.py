@@ -27,6 +27,7 @@ from planner.cases.human_step.walker import PELVIS, Walker
 from planner.paper.methods.control_spline import solve_by_splines
 from planner.paper.studies.records import descent_record, plan_record
 from planner.paper.studies.study import timed
+from planner.problem.guess import rolled
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replaying import replay
@@ -166,11 +167,7 @@ def _motion(plan: Plan) -> dict[str, Any]:
 
 def carried(problem: Problem) -> np.ndarray:
     """(N+1, nx) the passive legs carried along by the pelvis' normal motion, the first guess."""
-    engine = borrow(problem)
-    engine.start(problem.x0, problem.first_guess)
-    xs = engine.trajectory()[0].copy()
-    give_back(problem, engine)
-    return xs
+    return rolled(problem.dynamics, problem.x0, problem.first_guess)
 
 
 def _summary(found: Measures) -> dict[str, Any]:

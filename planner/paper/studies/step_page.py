@@ -19,8 +19,7 @@ def _rows(results: dict[str, Any]) -> list[Row]:
     lift = 1e3 * shown["hip_lift"]["right"]
     slq, eq36, alone = (cycle[update] for update in LIMITS)
     return [
-        Row(
-            "2.3", f"Human step: {PAPERS} B-spline parameters for the swing hip",
+        Row("2.3", f"Human step: {PAPERS} B-spline parameters for the swing hip",
             "; ".join(
                 f"{s['parameters']} parameters: J {s['cost']:.4g}, {_ended(s)} after {s['iterations']} "
                 f"iterations, {s['seconds']:.0f} s" for s in (few, many)
@@ -29,10 +28,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{swing['feedback']['iterations']} iterations, {swing['feedback']['seconds']:.2g} s",
             "the gradient is the exact one of the discretised J (Eq. 16-19 times the basis) in place of Eq. 7, "
             "so BFGS does converge; six accelerations of the pelvis are the splines, the paper does not say "
-            "which motions of the hip its were",
-        ),
-        Row(
-            "2.3, Fig. 5",
+            "which motions of the hip its were"),
+        Row("2.3, Fig. 5",
             "The pelvis alone moves a paralysed leg through a step near the recorded gait: hip lifted, pelvis "
             "twisted",
             f"hip lifted by {lift:.0f} mm ({1e3 * lowest['hip_lift']['right']:.0f} mm if the foot need not be "
@@ -43,35 +40,28 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{shown['replay_deg']['open-loop']:.2g} deg",
             "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
             "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
-            "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands",
-        ),
-        Row(
-            "2.3", "Approximately 4 hours to converge (PIII-800)",
+            "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands"),
+        Row("2.3", "Approximately 4 hours to converge (PIII-800)",
             f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs "
             f"{slq['seconds']:.2g} s",
             f"a machine some tens of times as fast makes minutes of hours; the rest are exact derivatives "
             f"and {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
-            f"{few['parameters']} parameters takes {few['seconds']:.0f} s here",
-        ),
-        Row(
-            "2.3", "Stance and swing together were unstable and did not converge",
+            f"{few['parameters']} parameters takes {few['seconds']:.0f} s here"),
+        Row("2.3", "Stance and swing together were unstable and did not converge",
             f"{slq['status'].lower()} in {slq['iterations']} iterations from J {slq['costs'][0]:.0f} to "
             f"{slq['cost']:.2f} (within 5 % after {first_within(slq['costs'], 0.05)}); the paper's update "
             f"(Eq. 36) {eq36['cost']:.2f} after {eq36['iterations']}; without Eq. 30, U + alpha k, it is still "
             f"at {alone['cost']:.0f} after {alone['iterations']}",
             "smooth contact, a wish to have the standing foot on the belt, accelerations of the pelvis as "
             "controls, and rollouts with the gains. Eq. 36 does it, too, more slowly and to a slightly "
-            "higher minimum; what fails is to leave out the states of the LQ problem",
-        ),
-        Row(
-            "2.3",
+            "higher minimum; what fails is to leave out the states of the LQ problem"),
+        Row("2.3",
             '"In just a few minutes" with the new algorithm, stance and swing together',
             f"{slq['seconds']:.2g} s for a cycle, {results['cycles']['seconds']:.2g} s for "
             f"{results['cycles']['cycles']} at once (the default cost: {drawn['cycle']['seconds']:.2g} s for a "
             f"cycle); MuJoCo is {both['replay_deg']['open-loop']:.2g} deg RMS from the plan without feedback, "
             f"{both['replay_deg']['feedback']:.2g} deg with the gains",
-            "it does not differ: the hope was right",
-        ),
+            "it does not differ: the hope was right"),
     ]  # fmt: skip
 
 
@@ -85,7 +75,7 @@ def _rms(motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     return ", ".join(f"{word} {max(motion['rms'][f'{s}_{joint}'] for s in sides):.1f} deg" for word, joint in named)
 
 
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     swing, cycle, drawn, more = results["swing"], results["cycle"], results["default"], results["cycles"]
     slq = results["updates"]["swing"]["feedback"]["cost"]
     within = {f"to {100.0 * share:g} %": f"{{within[{i}]}}" for i, share in enumerate(WITHIN)}
@@ -95,7 +85,7 @@ def _page(results: dict[str, Any]) -> str:
     ]  # fmt: skip
     solves.append(_shares({"phase": f"{more['cycles']} cycles", "update": "feedback", **more}))
     splines = [_shares({"ended": _ended(one), "slq": slq, **one}) for one in results["splines"]]
-    lines = [
+    return [
         "## The human step (section 2.3)", "",
         "A robot moves the pelvis of a person whose legs are passive, over a treadmill. What the model and the cost",
         "are, and what not to conclude from it: `docs/human-step.md`.", "",
@@ -132,7 +122,6 @@ def _page(results: dict[str, Any]) -> str:
         f"cycle {drawn['cycle']['iterations']}, least clearance "
         f"{1e3 * min(drawn['cycle']['clearance'].values()):.0f} mm.",
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _shares(record: dict[str, Any]) -> dict[str, Any]:
@@ -153,7 +142,6 @@ def _line(name: str, motion: dict[str, Any], sides: tuple[str, ...]) -> str:
     ])  # fmt: skip
 
 
-STUDY = Study(
-    "step", "the human step (2.3)", step_results, _page, _rows,
-    {"step_fig5.png": draw_step, "step_cycle.png": draw_step_cycle, "step_methods.png": draw_step_methods}, seconds=50,
-)  # fmt: skip
+STUDY = Study("step", "the human step (2.3)", step_results, _page, _rows, {
+    "step_fig5.png": draw_step, "step_cycle.png": draw_step_cycle, "step_methods.png": draw_step_methods,
+}, seconds=50)  # fmt: skip

@@ -22,25 +22,20 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Study:
-    """One part of the paper beside ours.
+    """One part of the paper beside ours."""
 
-    Attributes:
-        name: In the command and in file names.
-        title: One line about it.
-        run: Computes the results, as JSON values.
-        page: A page of Markdown from the results.
-        rows: Rows of the table from the results.
-        pictures: For each file name a function that draws it, given the results and a path.
-        seconds: Rough duration; the longest studies start first.
-    """
-
-    name: str
-    title: str
-    run: Callable[..., dict[str, Any]]
-    page: Callable[[dict[str, Any]], str]
-    rows: Callable[[dict[str, Any]], list[Row]]
+    name: str  # in the command and in file names
+    title: str  # one line about it
+    run: Callable[..., dict[str, Any]]  # computes the results, as JSON values
+    lines: Callable[[dict[str, Any]], list[str]]  # of a page of Markdown, from the results
+    rows: Callable[[dict[str, Any]], list[Row]]  # of the table, from the results
     pictures: Mapping[str, Callable[[dict[str, Any], Path], None]] = field(default_factory=dict)
-    seconds: float = 10.0
+    """For each file name a function that draws it, given the results and a path."""
+    seconds: float = 10.0  # rough duration; the longest studies start first
+
+    def page(self, results: dict[str, Any]) -> str:
+        """The page of Markdown."""
+        return "\n".join(self.lines(results)).rstrip("\n") + "\n"
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float]:

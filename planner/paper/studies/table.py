@@ -18,13 +18,7 @@ PROBLEMS = 300
 
 
 def table_one(A: np.ndarray, B: np.ndarray, model: Quadratic) -> tuple[np.ndarray, np.ndarray]:
-    """Table 1, line by line: dxs (N+1, ndx) and dus (N, nu) from dx(0) = 0.
-
-    Args:
-        A: (N, ndx, ndx).
-        B: (N, ndx, nu).
-        model: The cost's Hessians and gradients.
-    """
+    """Table 1, line by line, of A (N, ndx, ndx) and B (N, ndx, nu): dxs (N+1, ndx) and dus (N, nu) from dx(0) = 0."""
     N, ndx, nu = B.shape
     P, s = np.empty((N + 1, ndx, ndx)), np.empty((N + 1, ndx))
     M, S, u_o = np.empty((N, ndx, ndx)), np.empty((N, ndx, ndx)), np.empty((N, nu))
@@ -76,21 +70,19 @@ def swept(A: np.ndarray, B: np.ndarray, model: Quadratic) -> lq.Sweep:
     return sweep
 
 
-def _page(results: dict[str, Any]) -> str:
-    return (
-        "# Table 1 as printed (section 3.2)\n\n"
-        f"Controls of {results['problems']} random LQ problems by Table 1, line by line, and by the sweep of\n"
-        f"`planner/solvers/lq.py`: they differ by at most {results['difference']:.1e} of the largest control.\n"
-    )
+def _page(results: dict[str, Any]) -> list[str]:
+    return [
+        "# Table 1 as printed (section 3.2)", "",
+        f"Controls of {results['problems']} random LQ problems by Table 1, line by line, and by the sweep of",
+        f"`planner/solvers/lq.py`: they differ by at most {results['difference']:.1e} of the largest control.",
+    ]  # fmt: skip
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
     return [
-        Row(
-            "3.2, Table 1, Eq. 22-34", "The LQ tracking problem by a Riccati sweep, with M(n) = [I + B R^-1 B' P]^-1",
+        Row("3.2, Table 1, Eq. 22-34", "The LQ tracking problem by a Riccati sweep, with M(n) = [I + B R^-1 B' P]^-1",
             f"the same controls to {results['difference']:.1e} on {results['problems']} random problems",
-            "it does not differ; M(n) is not formed, since a Cholesky factor of R + B'PB does the same",
-        )
+            "it does not differ; M(n) is not formed, since a Cholesky factor of R + B'PB does the same")
     ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,23 +44,14 @@ LAST = 20  # iterations of a solve that failed, whose steps say why
 
 @dataclass(frozen=True)
 class Family:
-    """A case and its random starts.
+    """A case and its random starts."""
 
-    Attributes:
-        build: The problem that is solved from many starts.
-        size: RMS of the random controls, in their unit.
-        limit: Iterations after which a start counts as not converged.
-        open_loop: Starts with the paper's own update, Eq. 43, and their limit.
-        along: The problem along whose solve Eq. 42 is computed; by default that of build.
-        most: Starts with the feedback update, where they take long.
-    """
-
-    build: Callable[[], Problem]
-    size: float
-    limit: int
-    open_loop: tuple[int, int]
-    along: Callable[[], Problem] | None = field(default=None)
-    most: int = STARTS
+    build: Callable[[], Problem]  # the problem that is solved from many starts
+    size: float  # RMS of the random controls, in their unit
+    limit: int  # iterations after which a start counts as not converged
+    open_loop: tuple[int, int]  # starts with the paper's own update, Eq. 43, and their limit
+    along: Callable[[], Problem] | None = None  # the problem along whose solve Eq. 42 is computed; by default build
+    most: int = STARTS  # with the feedback update, where they take long
 
 
 # Arms at 50 stages a second, where 200 solves take seconds. 1 N m is a tenth of what holds the arm out horizontally;
@@ -77,20 +68,14 @@ FAMILIES: dict[str, Family] = {
 def theorem_results(
     families: Mapping[str, Family] = FAMILIES, starts: int = STARTS, problems: int = RANDOM
 ) -> dict[str, Any]:
-    """Both theorems in numbers, as JSON values.
-
-    Args:
-        families: By name.
-        starts: Of each family with the feedback update.
-        problems: Random LQ problems.
-    """
+    """Both theorems in numbers: `starts` of each family with the feedback update, `problems` random LQ problems."""
     found = []
     for name, family in families.items():
         problem = family.build()
         few, limit = family.open_loop
         found.append({
             "case": name, "N": problem.N, "size": family.size,
-            "along": _along(family.along() if family.along is not None else problem),
+            "along": _along(family.along() if family.along else problem),
             "feedback": _from_many(problem, family.size, min(starts, family.most), family.limit, "feedback"),
             "open-loop": _from_many(problem, family.size, min(few, starts), limit, "open-loop"),
         })  # fmt: skip
@@ -100,11 +85,7 @@ def theorem_results(
 def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) -> tuple[float, float, float]:
     """Eq. 42 for one LQ problem: its right side, and the relative errors of grad . dU and of the sweep's slope.
 
-    Args:
-        A: (N, ndx, ndx).
-        B: (N, ndx, nu).
-        model: The cost's Hessians and gradients.
-        step: Result of a sweep. Its regularisation counts as part of R.
+    The step is the sweep's result for A (N, ndx, ndx), B (N, ndx, nu); its regularisation counts as part of R.
     """
     ndx, nu = B.shape[1:]
     sweep = lq.Sweep(step.K, step.k, np.empty((0, ndx, ndx)), np.empty((0, ndx)), step.slope, 0.5 * step.slope)
@@ -215,11 +196,7 @@ def _steps(results: dict[str, Any], update: str) -> str:
     return "; ".join(f"{case} {'none failed' if step is None else f'{step:.2g}'}" for case, step in steps.items())
 
 
-def _ended(entry: dict[str, Any]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
-
-
-def _page(results: dict[str, Any]) -> str:
+def _page(results: dict[str, Any]) -> list[str]:
     along = [{"where": "random", "iterates": results["problems"], **results["random"], "lowered": ""}]
     many = []
     for case in results["cases"]:
@@ -228,11 +205,13 @@ def _page(results: dict[str, Any]) -> str:
         along.append({"where": f"{name}{found['N']}, every iterate", "lowered": lowered, **found})
         for update in ("feedback", "open-loop"):
             entry = case[update]
+            ended = ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
             many.append({
-                "case": f"{name}{case['N']}", "update": update, "size": case["size"], "share": _share(entry),
-                "ended": _ended(entry), "few": _few(entry["iterations"]), "listed": _minima(entry), **entry,
+                "case": f"{case['case']}, N = {case['N']}", "update": update, "size": case["size"],
+                "share": _share(entry), "ended": ended, "few": _few(entry["iterations"]),
+                "listed": _minima(entry), **entry,
             })  # fmt: skip
-    lines = [
+    return [
         "# Theorems 1 and 2 in numbers (section 3.4)", "",
         "![Eq. 42 along solves; iterations and final costs from random starts](theorems.png)", "",
         "## Theorem 1: Eq. 42 as an identity", "",
@@ -263,7 +242,6 @@ def _page(results: dict[str, Any]) -> str:
         "NOT_FINITE are starts whose first rollout leaves the range of numbers; Theorem 2 assumes it does not. The",
         "theorem promises a local minimum and says nothing of which: the table shows how many there are.",
     ]  # fmt: skip
-    return "\n".join(lines) + "\n"
 
 
 def _rows(results: dict[str, Any]) -> list[Row]:
@@ -276,25 +254,19 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         return "; ".join(f"{case['case']} {_share(case[update])}{_iterations(case[update])}" for case in cases_)
 
     return [
-        Row(
-            "3.4, Theorem 1, Eq. 42", "The direction descends: grad J . dU = -(sum of squares) < 0",
+        Row("3.4, Theorem 1, Eq. 42", "The direction descends: grad J . dU = -(sum of squares) < 0",
             f"relative difference at most {worst:.1e} on {results['problems']} random LQ problems and at all "
             f"{iterates_} iterates of {len(cases_)} solves; {falls[0]} of {falls[1]} steps lowered J",
-            "it does not differ",
-        ),
-        Row(
-            "3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
+            "it does not differ"),
+        Row("3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
             f"converged (iterations: least / median / most): {ended('open-loop')}",
             "within a limit of iterations. On the arms the rollout without feedback leaves only tiny steps: it "
-            "descends, far too slowly to be of use",
-        ),
-        Row(
-            "3.4, Theorem 2", "The same, with any of the usual line searches",
+            "descends, far too slowly to be of use"),
+        Row("3.4, Theorem 2", "The same, with any of the usual line searches",
             f"with the feedback update: {ended('feedback')}. Local minima: "
             + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_),
             f"what is missing was still descending at its limit, by short steps: median {_steps(results, 'feedback')}. "
-            "Which local minimum is reached depends on the start, of which the theorem says nothing",
-        ),
+            "Which local minimum is reached depends on the start, of which the theorem says nothing"),
     ]  # fmt: skip
 
 
@@ -326,7 +298,5 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-STUDY = Study(
-    "theorems", "Theorems 1 and 2 in numbers",
-    theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=90,
-)  # fmt: skip
+STUDY = Study("theorems", "Theorems 1 and 2 in numbers",
+              theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=90)  # fmt: skip

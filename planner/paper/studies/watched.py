@@ -49,11 +49,9 @@ class _Watched:
 
 
 def watched(problem: Problem, **options: Any) -> tuple[Plan, list[Step]]:
-    """Solve, and return with the plan the LQ problem of every step that was taken.
+    """Solve with options of solve(), and return with the plan the LQ problem of every step that was taken.
 
-    Args:
-        problem: With compiled dynamics and a cost whose R + B'PB is positive definite throughout.
-        options: Of solve().
+    The problem has compiled dynamics and a cost whose R + B'PB is positive definite throughout.
     """
     if not isinstance(problem.dynamics, CompiledDynamics):
         raise PlannerError("the problem's dynamics are not compiled, expected RigidBodyDynamics or HopperDynamics.")

@@ -51,9 +51,8 @@ class DriveCost(Term):
         self.weight, self.reference = _each("weight", weight, size), _each("reference", reference, size)
         if self.weight.min() < 0.0:
             raise PlannerError(f"weight of a drive's force is {self.weight.min():g}, expected at least 0.")
-        stops = tuple(
-            stop for stop in m.stops if stop.dof not in self.dofs
-        )  # what acts on a driven joint alone does nothing
+        # What acts on a driven joint alone does nothing.
+        stops = tuple(stop for stop in m.stops if stop.dof not in self.dofs)
         with_motors = replace(released(m, dynamics.prescribed), contacts=m.contacts, stops=stops)
         self._accelerations = Accelerations(RigidBodyDynamics(with_motors, dynamics.dt, "euler"))
 

@@ -51,15 +51,11 @@ class EnergyCost(Term):
 
     def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
-            raise PlannerError(
-                f"the machine is {shown(dynamics)}, expected RigidBodyDynamics: energy is the work of actuators."
-            )
-        given = dynamics.prescribed or heavy_joints(dynamics.mechanism)
-        if given:
-            raise PlannerError(
-                f"the acceleration of {', '.join(given)} is prescribed, expected a machine that its "
-                "actuators alone move: energy is their work."
-            )
+            expected = "expected RigidBodyDynamics: energy is the work of actuators"
+            raise PlannerError(f"the machine is {shown(dynamics)}, {expected}.")
+        if given := dynamics.prescribed or heavy_joints(dynamics.mechanism):
+            expected = "expected a machine that its actuators alone move: energy is their work"
+            raise PlannerError(f"the acceleration of {', '.join(given)} is prescribed, {expected}.")
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt
         self.weight = number("the energy's weight", weight, least=0.0)
         self.smoothing = number("the energy's smoothing", smoothing, above=0.0)
@@ -103,11 +99,7 @@ class EnergyCost(Term):
         acts = self.mechanism.actuators
         move = self.space.difference(xs[1:], xs[:-1])
         of_state = xs @ self._by_q.T
-        force = (
-            acts.bias[:, 0]
-            + 0.5 * (of_state[1:] + of_state[:-1])
-            + np.where(acts.dynamics == DIRECT, acts.gain, 0.0) * us
-        )
+        force = acts.bias[:, 0] + 0.5 * (of_state[1:] + of_state[:-1]) + self._gain * us
         return force, move[:, : self.mechanism.nv] @ acts.moment.T, move
 
     def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -40,11 +40,7 @@ from planner.problem.problem import Problem
 
 
 class Accelerations:
-    """qdd(x, u) of a machine and its exact derivatives.
-
-    Raises:
-        PlannerError: It is no RigidBodyDynamics.
-    """
+    """qdd(x, u) of a machine and its exact derivatives."""
 
     def __init__(self, dynamics: Any) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
@@ -67,14 +63,7 @@ class Accelerations:
 
 
 class JerkDynamics:
-    """A machine with the state (x, a): its own, then the accelerations (nv,) of the stage before.
-
-    Args:
-        dynamics: RigidBodyDynamics, with prescribed joints or without.
-
-    Raises:
-        PlannerError: Any other dynamics.
-    """
+    """A machine with the state (x, a): its own, then the accelerations (nv,) of the stage before."""
 
     def __init__(self, dynamics: RigidBodyDynamics) -> None:
         self.accelerations = Accelerations(dynamics)
@@ -151,12 +140,7 @@ class JerkCost(Term):
 
 
 class RememberedJerkCost(Term):
-    """A JerkCost on states that remember the last acceleration: one stage each, Gauss-Newton.
-
-    Args:
-        cost: On the machine's own states.
-        space: Of the extended ones.
-    """
+    """A JerkCost on states, of `space`, that remember the last acceleration: one stage each, Gauss-Newton."""
 
     def __init__(self, cost: JerkCost, space: StateSpace) -> None:
         self.cost, self.space, self.N = cost, space, cost.N
@@ -188,14 +172,7 @@ class RememberedJerkCost(Term):
 
 
 class PartCost(Term):
-    """A cost of the first numbers of an extended state.
-
-    Args:
-        cost: Any, of the machine's own states.
-        nx: Numbers of these.
-        ndx: Numbers of their deviations.
-        space: Of the extended states.
-    """
+    """A cost of the first nx numbers of an extended state (ndx of its deviation), which lies in `space`."""
 
     def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:
         self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
@@ -236,15 +213,7 @@ def remembering(cost: Cost, dynamics: JerkDynamics) -> Cost:
 
 
 def with_acceleration(problem: Problem, **changes: Any) -> Problem:
-    """The same problem with the last acceleration as an added state, 0 at the start.
-
-    Args:
-        problem: Of RigidBodyDynamics.
-        changes: Of its other attributes.
-
-    Raises:
-        PlannerError: Other dynamics.
-    """
+    """The same problem, of RigidBodyDynamics, with the last acceleration as an added state, 0 at the start."""
     if not isinstance(problem.dynamics, RigidBodyDynamics):
         raise PlannerError(f"the dynamics are {shown(problem.dynamics)}, expected RigidBodyDynamics for jerk.")
     dynamics = JerkDynamics(problem.dynamics)

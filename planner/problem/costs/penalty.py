@@ -164,13 +164,8 @@ def nearest(
     """Returns d (..., 3) from the nearest point of b to that of a, and where: a0 + s (a1 - a0), b0 + u (b1 - b0).
 
     The nearest points of the whole lines, then each in turn put back onto its segment: exact, since the squared
-    distance is convex in (s, u) (Ericson, Real-Time Collision Detection, section 5.1.9).
-
-    Args:
-        a0: (..., 3) one end of the first.
-        a1: (..., 3) the other, which may be the same.
-        b0: (..., 3).
-        b1: (..., 3).
+    distance is convex in (s, u) (Ericson, Real-Time Collision Detection, section 5.1.9). The ends (..., 3) of a segment
+    may be the same.
     """
     v, w, r = a1 - a0, b1 - b0, a0 - b0
     vv, ww, vw = (np.sum(x * y, axis=-1) for x, y in ((v, v), (w, w), (v, w)))

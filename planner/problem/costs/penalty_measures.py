@@ -20,36 +20,22 @@ _SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """T terms over P points as arrays, which kernels take too. The tolerances are in the weights.
+    """T terms over P points as arrays, which kernels take too. The tolerances are in the weights."""
 
-    Attributes:
-        link: (P,) that carries a point, -1 for the world.
-        offset: (P, 3) in the link's frame.
-        share: (P,).
-        world: (P, N+1, 3).
-        kind: (T,) HEIGHT, DISTANCE or VELOCITY.
-        ends: (T, 4) points: of a height its own first, of a velocity that relative to which it is then; of a distance
-            start and end of a, start and end of b.
-        normal: (T, 3) of heights and velocities.
-        level: (T,) what is taken from n'p or |d|.
-        side: (T,) +1 for most, -1 for least, 0 for a target.
-        ramp: (T,).
-        bound: (T, N+1), 0 where a term is off.
-        weight: (T, N+1), 0 where a term is off.
-    """
-
-    link: np.ndarray
-    offset: np.ndarray
-    share: np.ndarray
-    world: np.ndarray
-    kind: np.ndarray
+    link: np.ndarray  # (P,) that carries a point, -1 for the world
+    offset: np.ndarray  # (P, 3) in the link's frame
+    share: np.ndarray  # (P,)
+    world: np.ndarray  # (P, N+1, 3)
+    kind: np.ndarray  # (T,) HEIGHT, DISTANCE or VELOCITY
+    # (T, 4) points: of a height its own first, of a velocity that relative to which it is then; of a distance start and
+    # end of a, start and end of b.
     ends: np.ndarray
-    normal: np.ndarray
-    level: np.ndarray
-    side: np.ndarray
-    ramp: np.ndarray
-    bound: np.ndarray
-    weight: np.ndarray
+    normal: np.ndarray  # (T, 3) of heights and velocities
+    level: np.ndarray  # (T,) what is taken from n'p or |d|
+    side: np.ndarray  # (T,) +1 for most, -1 for least, 0 for a target
+    ramp: np.ndarray  # (T,)
+    bound: np.ndarray  # (T, N+1), 0 where a term is off
+    weight: np.ndarray  # (T, N+1), 0 where a term is off
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -129,11 +115,7 @@ def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
 
 
 def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> Measures:
-    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt.
-
-    Raises:
-        PlannerError: As PenaltyCost.
-    """
+    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
     points, T = _Points(mechanism, N), len(terms)
     kind, ends, normal = np.zeros(T, dtype=np.int64), np.zeros((T, 4), dtype=np.int64), np.zeros((T, 3))
     level, side, ramp, bound, weight = np.zeros(T), np.zeros(T), np.zeros(T), np.zeros((T, N + 1)), np.zeros((T, N + 1))

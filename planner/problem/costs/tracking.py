@@ -52,11 +52,7 @@ def check_cost(name: str, value: Any) -> None:
 
 
 def remade(cost: Any, method: str, *arguments: Any) -> Any:
-    """What a cost's `resampled` or `with_effort` returns.
-
-    Raises:
-        PlannerError: The cost has no such method.
-    """
+    """What a cost's `resampled` or `with_effort` returns."""
     if not callable(getattr(cost, method, None)):
         signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
         raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
@@ -252,13 +248,10 @@ class TrackingCost(Term):
         joints, inputs, activations = places(mechanism, getattr(machine, "prescribed", ()))
 
         def weights(prefix: str, p: Any, v: Any, a: Any) -> np.ndarray:
-            return np.concatenate(
-                [
-                    diagonal(f"{prefix}position", p, mechanism.nv, "joint", joints),
-                    diagonal(f"{prefix}velocity", v, mechanism.nv, "joint", joints),
-                    diagonal(f"{prefix}activation", a, mechanism.na, "actuator", activations),
-                ]
-            )
+            of_q = diagonal(f"{prefix}position", p, mechanism.nv, "joint", joints)
+            of_v = diagonal(f"{prefix}velocity", v, mechanism.nv, "joint", joints)
+            of_a = diagonal(f"{prefix}activation", a, mechanism.na, "actuator", activations)
+            return np.concatenate([of_q, of_v, of_a])
 
         R = diagonal("effort", effort, nu, "control", inputs)
         if R.min(initial=np.inf) <= 0.0:
@@ -321,11 +314,7 @@ def tracking_of(cost: Any) -> TrackingCost | None:
 
 
 def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, ...] = ("N+1",)) -> np.ndarray:
-    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised.
-
-    Raises:
-        PlannerError: A wrong shape, a number that is not finite, or a quaternion of length zero.
-    """
+    """States (*leading, nx) that a caller hands in: finite, with quaternions normalised."""
     x = array(name, value, (*leading, space.nx))
     for i, _ in space.quaternions:
         length = np.linalg.norm(x[..., i : i + 4], axis=-1, keepdims=True)

@@ -27,17 +27,9 @@ def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
 
 
 def diagonal(name: str, value: Any, size: int, kind: str, places: Mapping[str, slice]) -> np.ndarray:
-    """(size,) from a number, an array (size,), or a dict of numbers or arrays by name, the others zero.
+    """(size,) from a number, an array (size,), or a dict of these by the names of `places`, the others zero.
 
-    Args:
-        name: Of the weight, for messages.
-        value: What was given.
-        size: Of the diagonal.
-        kind: What the names are of, for messages: "joint".
-        places: Where each name has its entries.
-
-    Raises:
-        PlannerError: A name that does not exist, a wrong size, or a negative weight.
+    Messages call the weight by its `name` and say what its keys are of by `kind`: "joint".
     """
     if not isinstance(value, Mapping):
         given = numbers(name, value)

@@ -1,0 +1,87 @@
+"""The table of a problem.toml: read, with its keys checked and its defaults filled in."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from planner.base.arguments import choice, count, did_you_mean, number, shown
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import read_text
+from planner.cases.horizon import MOST_STAGES
+from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
+from planner.problem.limits import Limits
+from planner.problem.objective import checked_durations, weights_of
+from planner.solvers.multistart import MOST_STARTS
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """The file's table; FileError where it cannot be read."""
+    text = read_text(path, "the problem file")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path} is not TOML: {str(error).removesuffix('.')}.") from None
+    except ValueError:  # Python reads no integers of more than 4300 digits
+        raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
+    except RecursionError:
+        raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
+
+
+def with_defaults(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """The table with its defaults; PlannerError where it has an unknown key or no model."""
+    check_keys(table, KEYS, where)
+    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS)):
+        part = table.get(name, {})
+        if not isinstance(part, dict):
+            raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
+        check_keys(part, keys, f"[{name}] of {where}")
+    if "model" not in table:
+        raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
+    return {**DEFAULTS, **table, "weights": {**DEFAULT_WEIGHTS, **table.get("weights", {})}}
+
+
+def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None:
+    """Refuse a key that is unknown, and suggest the nearest known one."""
+    for key in table:
+        if key not in keys:
+            hint = did_you_mean(key, keys)
+            raise PlannerError(f"{where} has the key {key!r}, expected some of: {', '.join(keys)}.{hint}")
+
+
+def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    """The table with its numbers, names, limits and objective checked, and the number of stages."""
+    dt, N = _stages(table["duration"], table["dt"])
+    table = table | {
+        "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
+        "seed": count("seed", table["seed"], least=0),
+        "tolerance": number("tolerance", table["tolerance"], above=0.0),
+        "guess": choice("guess", table["guess"], ("hold", "zero")),
+    }  # fmt: skip
+    if not isinstance(table["title"], str):
+        raise PlannerError(f"title is {shown(table['title'])}, expected a text.")
+    if table.get("limits"):
+        table["limits"] = Limits.from_dict(table["limits"]).to_dict()
+    if "objective" in table:
+        table["objective"] = weights_of(table["objective"])
+    if "durations" in table:
+        table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
+    return table, N
+
+
+def checked_starts(starts: Any) -> int:
+    """A number of first guesses."""
+    return count("starts", starts, most=MOST_STARTS)
+
+
+def _stages(duration: Any, dt: Any) -> tuple[float, int]:
+    duration, dt = number("duration", duration, above=0.0), number("dt", dt, above=0.0)
+    if not duration / dt < MOST_STAGES + 0.5:
+        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MOST_STAGES} stages.")
+    N = round(duration / dt)
+    if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
+        near = max(N, 1) * dt
+        raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
+    return dt, N
