@@ -158,7 +158,7 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
 
 def file_error(error: BaseException, path: PathLike, verb: str = "write", expected: str = "file") -> FileError:
     """The FileError that says why the file or folder `path` cannot be written or read (`verb`)."""
-    return FileError(f"Cannot {verb} {_shown(path)}: {_reason(error, Path(path), verb, expected)}.")
+    return FileError(f"cannot {verb} {_shown(path)}: {_reason(error, Path(path), verb, expected)}.")
 
 
 def _without_waiting(path: str, flags: int) -> int:
@@ -223,7 +223,7 @@ def _refuse_other_than_file(path: Path) -> None:
         return
     if not stat.S_ISREG(mode):
         found = "folder, expected the name of a" if stat.S_ISDIR(mode) else "device or pipe, expected an ordinary"
-        raise FileError(f"Cannot write {_shown(path)}: it is a {found} file.")
+        raise FileError(f"cannot write {_shown(path)}: it is a {found} file.")
 
 
 def _flush_to_device(path: Path) -> None:

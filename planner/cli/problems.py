@@ -39,11 +39,7 @@ class ProblemOf(NamedTuple):
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
-    """The problem of a case or a file, its number of starts, objective and durations.
-
-    Raises:
-        PlannerError: A value is out of range, or two flags exclude each other.
-    """
+    """The problem of a case or a file, its number of starts, objective and durations."""
     count("max_iterations", arguments.max_iterations)
     objective = None if arguments.objective is None else objective_of(arguments.objective)
     durations = None if arguments.durations is None else durations_of(arguments.durations)

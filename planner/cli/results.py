@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "The drawing of pictures was interrupted."
 PICTURES = ("plots.png", *CASE_PICTURES.values(), "proof.png", "strip.png", "video.mp4")
+Draw = Callable[[Path], object]
 OUTPUTS = ("plan.npz", "proof.json", *PICTURES, REPORT)
 
 
@@ -55,36 +56,30 @@ def draw_results(
     Files named in `keep` are of this plan and stay; other pictures are removed first. An interruption leaves the
     finished pictures and a report of them. `path` (the refinements) and `options` (the flags) are for the report.
     """
-    wanted = _pictures(plan, proof, folder, video, console)
-    for name in PICTURES:
-        if name not in keep:
-            try:
-                (folder / name).unlink(missing_ok=True)
-            except OSError as error:
-                raise file_error(error, folder / name) from error
+    wanted = {name: draw for name, draw in _pictures(plan, proof, video, console).items() if name not in keep}
+    for name in set(PICTURES) - set(keep):
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise file_error(error, folder / name) from error
     note = "" if video else "No video was asked for (--no-video)."
     if proof is None:
         note = "There is nothing to film: the plan was not replayed."
-    drawn = False
     try:
         for name, draw in wanted.items():
-            if name not in keep:
-                draw(folder / name)
-                drawn = True
+            draw(folder / name)
     except RenderingUnavailable as error:
         note = str(error)
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
-        note, drawn = INTERRUPTED, True
-    if drawn or REPORT not in keep:
+        note = INTERRUPTED
+    if wanted or REPORT not in keep:
         write_report(plan, proof, folder, video_note=note, path=path, options=options)
     return note
 
 
-def _pictures(
-    plan: Plan, proof: Proof | None, folder: Path, video: bool, console: Console
-) -> dict[str, Callable[[Path], object]]:
+def _pictures(plan: Plan, proof: Proof | None, video: bool, console: Console) -> dict[str, Draw]:
     """Functions that draw the pictures of a run, by file name, quick ones first."""
-    pictures: dict[str, Callable[[Path], object]] = {"plots.png": lambda file: save(draw_plan(plan, proof), file)}
+    pictures: dict[str, Draw] = {"plots.png": lambda file: save(draw_plan(plan, proof), file)}
     if proof is not None:
         for name, picture in case_pictures(plan, proof.replay).items():
             pictures[name] = lambda file, picture=picture: save(draw_case_picture(picture), file)

@@ -161,7 +161,7 @@ def test_an_impossible_file_fails_before_any_work(tmp_path, path, says):
     with pytest.raises(FileError, match=says) as error, write_atomically(tmp_path / path):
         reached = True
     assert not reached
-    assert sentence(error).startswith("Cannot write '")
+    assert sentence(error).startswith("cannot write '")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "loop"]
     assert (tmp_path / "file").read_text() == "untouched"
 
@@ -201,7 +201,7 @@ def test_reading_says_what_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError) as missing:
         (tmp_path / "plan.npz").read_bytes()
     error = file_error(missing.value, tmp_path / "plan.npz", verb="read")
-    assert str(error) == f"Cannot read '{tmp_path}/plan.npz': there is no such file."
+    assert str(error) == f"cannot read '{tmp_path}/plan.npz': there is no such file."
 
 
 # A set of files
@@ -295,7 +295,7 @@ def test_an_impossible_folder_fails_before_any_work(tmp_path, path, says):
     with pytest.raises(FileError, match=says) as error, staged_folder(tmp_path / path, OUTPUTS):
         reached = True
     assert not reached
-    assert sentence(error).startswith("Cannot write '")
+    assert sentence(error).startswith("cannot write '")
     assert contents(tmp_path) == {"file": "untouched", "taken": None, "taken/plan.npz": None}
 
 

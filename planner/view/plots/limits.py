@@ -1,4 +1,4 @@
-"""The limits of a problem in a plot: bounds as dotted lines, and shading in a curve's own colour where it is at one."""
+"""The limits of a problem in a plot: bounds as dotted lines, and shading in the curve's colour where it is at one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def limited(plan: Plan) -> bool:
 
 
 def draw_control_bounds(axes: Axes, plan: Plan, index: int, colour: str) -> None:
-    """The bounds of one control, and the stages in which it is at one."""
+    """Draw the bounds of one control, and shade the stages in which it is at one."""
     if plan.problem is None or plan.problem.bounds is None:
         return
     lower, upper = (side[:, index] for side in plan.problem.bounds)
@@ -30,11 +30,10 @@ def draw_control_bounds(axes: Axes, plan: Plan, index: int, colour: str) -> None
 
 
 def draw_state_range(axes: Axes, plan: Plan, index: int, colour: str) -> None:
-    """The range of one number of the state, and the knots at which it is at an end of it."""
-    ranges = None if plan.problem is None else plan.problem.ranges
-    limits = None if plan.problem is None else plan.problem.limits
-    if ranges is None or limits is None:
+    """Draw the range of one entry of the state, and shade the knots at which it is at an end of it."""
+    if plan.problem is None or plan.problem.ranges is None or plan.problem.limits is None:
         return
+    ranges, limits = plan.problem.ranges, plan.problem.limits
     always = len(ranges.component) - ranges.at_end
     for h in np.flatnonzero(ranges.component[:always] == plan.space.in_deviation(index)):
         offset = plan.xs[:, index] - ranges.deviations(plan.xs)[:, h]

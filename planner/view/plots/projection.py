@@ -27,15 +27,6 @@ def axes_of(view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def frame_points(mechanism: Mechanism, q: Any, frames: tuple[str | Frame, ...]) -> np.ndarray:
-    """Positions of P frames at joint positions q (K, nq): (K, P, 3) m.
-
-    Args:
-        mechanism: The machine.
-        q: (K, nq) positions, or (K, nx) states, which begin with them.
-        frames: P names of sites or bodies, or frames.
-
-    Raises:
-        PlannerError: A shape that does not fit, or a name that the machine does not have.
-    """
+    """Positions (K, P, 3), m, of P frames, sites or bodies, at joint positions (K, nq) or states (K, nx)."""
     q = array("q", np.asarray(q)[..., : mechanism.nq], ("K", mechanism.nq))
     return np.stack([frame_pose(mechanism, q, frame)[:, :3, 3] for frame in frames], axis=1)

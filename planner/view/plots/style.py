@@ -91,7 +91,7 @@ def save(figure: Figure, path: PathLike) -> None:
     known = figure.canvas.get_supported_filetypes()
     if kind not in known:
         names = ", ".join(sorted(known))
-        raise FileError(f"Cannot write {str(path)!r}: no picture format {kind!r}; expected one of {names}.")
+        raise FileError(f"cannot write {str(path)!r}: no picture format {kind!r}; expected one of {names}.")
     with write_atomically(path) as hidden:
         figure.savefig(hidden, dpi=DPI, format=kind)
 

@@ -52,11 +52,7 @@ def whole_motion(
 
 
 def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the bodies (nbody,) and tendons (ntendon,) of a model that are scenery.
-
-    Raises:
-        PlannerError: The model has no body or tendon of that name.
-    """
+    """Masks of the bodies (nbody,) and tendons (ntendon,) that are scenery; PlannerError for an unknown name."""
     bodies, tendons = np.zeros(model.nbody, bool), np.zeros(model.ntendon, bool)
     named = {model.body(i).name: (bodies, i) for i in range(1, model.nbody)}
     named |= {model.tendon(i).name: (tendons, i) for i in range(model.ntendon)}

@@ -21,11 +21,7 @@ class Encoder:
     """A video being written; a context manager. Memory does not grow with the number of frames."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float, shown: PathLike) -> None:
-        """Start ffmpeg for frames of an even number of pixels. An error names `shown` where `path` is temporary.
-
-        Raises:
-            FileError: There is no ffmpeg to start.
-        """
+        """Start ffmpeg. Width and height are even; an error names the path `shown`, as `path` may be temporary."""
         self._shown = shown
         self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
         command = [
@@ -42,14 +38,10 @@ class Encoder:
             self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
         except OSError as error:
             self._log.close()
-            raise FileError(f"Cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
+            raise FileError(f"cannot write {str(shown)!r}: ffmpeg does not start ({error.strerror}).") from error
 
     def write(self, frame: np.ndarray) -> None:
-        """Append a frame (height, width, 3), uint8.
-
-        Raises:
-            FileError: ffmpeg gave up, e.g. because the disk is full.
-        """
+        """Append a frame (height, width, 3), uint8; FileError where ffmpeg fails, e.g. on a full disk."""
         assert self._ffmpeg.stdin is not None
         try:
             self._ffmpeg.stdin.write(frame.tobytes())
@@ -97,4 +89,4 @@ def _ffmpeg(shown: PathLike) -> str:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
         cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        raise FileError(f"Cannot write {str(shown)!r}: {cure}") from error
+        raise FileError(f"cannot write {str(shown)!r}: {cure}") from error

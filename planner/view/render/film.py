@@ -66,7 +66,7 @@ class Film:
         known = _known(replay)
         if known == 0 or not np.all(np.isfinite(replay.plan_xs)):
             name = "plan_xs" if known else "its first state"
-            raise PlannerError(f"Replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
+            raise PlannerError(f"the replay: {name} holds infinite or undefined numbers; there is nothing to draw.")
         appearance = appearance_of(replay.plan.problem)
         sampled = replay.t[:known]  # beyond, the last pose stays
         xs = _interpolate(t, sampled, replay.xs[:known])

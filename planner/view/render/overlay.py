@@ -44,7 +44,7 @@ class Words:
 
 
 class Overlay:
-    """Writes on the frames of one film. Sizes follow the picture's height, so 320x180 looks like 1920x1080."""
+    """Writes on the frames of one film. Sizes follow the picture's height: 320x180 looks like 1920x1080."""
 
     def __init__(self, appearance: Appearance, width: int, height: int, words: Words) -> None:
         """Lay out the panels, once for all frames of width x height pixels."""

@@ -198,11 +198,7 @@ class Scene:
 
 
 def visible_model(film: Film) -> Any:
-    """The film's model with a sky and light, its own or ours.
-
-    Raises:
-        ModelError: MuJoCo refuses the model's text.
-    """
+    """The film's model with a sky and light, its own or ours; ModelError where MuJoCo refuses its text."""
     mujoco = gl.load_mujoco()
     model = compile_model(film.mjcf, film.assets)
     if not np.any(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
