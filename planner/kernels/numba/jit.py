@@ -108,7 +108,11 @@ def jit(function: Callable[..., Any]) -> Any:
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call, into each of them."""
+    """Compile a function that only kernels call, into each of them.
+
+    Numba passes an option that is left out on from whichever caller comes first: the machine code would depend on the
+    order of compiling. So a part says that it need not be inlined.
+    """
     return _compile_part(function, **_OPTIONS, forceinline=False)
 
 
