@@ -214,7 +214,7 @@ print(plan.cost, hashlib.sha256(b"".join(a.tobytes() for a in (plan.xs, plan.us,
 
 @pytest.mark.slow
 def test_the_order_of_compiling_changes_no_bit_of_a_plan(tmp_path):
-    """One cache is filled by a solve alone, the other by a process that first compiles a kernel with parts in common."""
+    """One cache is filled by a solve alone, the other after a kernel with parts in common."""
     folder = Path(planner.__file__).parents[1]
     run_python(ANOTHER_FIRST, folder, tmp_path / "ahead", PYTHONHASHSEED="1")
     ahead = run_python(HUMAN_STEP, folder, tmp_path / "ahead")[0]
