@@ -65,12 +65,7 @@ def arguments_of(types: Sequence[str]) -> tuple[Any, ...]:
 
 
 def is_warm(kernel: Any, types: Sequence[str] | None = None) -> bool:
-    """Whether machine code of `kernel` is at hand, in this process or in the cache.
-
-    Args:
-        kernel: What `jit` returned.
-        types: Of its arguments, as in a Numba signature; None for any.
-    """
+    """Whether machine code of a kernel for arguments of these types (None: any) is in this process or in the cache."""
     if types is not None and arguments_of(types) in kernel.overloads:
         return True
     if types is None or not hasattr(kernel._cache, "holds"):
