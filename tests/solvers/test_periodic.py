@@ -272,7 +272,7 @@ def test_problems_that_cannot_be_periodic_are_refused():
         (lambda: solve_periodic(problem, step="steps"), "step is 'steps'"),
         (lambda: solve_periodic(problem, passes=0), "passes is 0"),
         (lambda: replace(problem, periodic=Periodic([1.0, 1.0, 1.0])), "shape (3,), expected (2,)"),
-        (lambda: replace(problem, periodic=1.0), "expected a Periodic"),
+        (lambda: replace(problem, periodic=1.0), "expected Periodic or None"),
         (lambda: solve_periodic(replace(problem, cost=cost_of(0.0))), "no final weight"),
     ):
         with pytest.raises(planner.PlannerError) as caught:
