@@ -314,5 +314,5 @@ def test_the_command_line_finds_ends_by_itself(walk):
     assert "--phase" in parser_flags
     assert "--ends" not in parser_flags
     assert command(walk) == "planner run human-step --phase gait --cost study"
-    with pytest.raises(planner.PlannerError, match="expected none: its cycle has a time of its own"):
+    with pytest.raises(planner.PlannerError, match="expected none: the duration of its cycle is fixed"):
         asked_problem(parse(["solve", "human-step", "--phase", "gait", "--objective", "time", "--durations", "1,2"]))
