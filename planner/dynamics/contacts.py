@@ -47,16 +47,7 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
 
 
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
-    """Where and with what force two bodies touch, in the order of a mechanism's body_contacts.
-
-    Args:
-        mechanism: The machine.
-        q: (..., nq).
-        qd: (..., nv).
-
-    Raises:
-        PlannerError: A wrong shape or a number that is not finite.
-    """
+    """Where and with what force two bodies touch, in the order of body_contacts; arguments as of contact_forces."""
     q, qd, single = _states(mechanism, q, qd)
     places = [BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
     return _forces(places, q, single)

@@ -61,8 +61,8 @@ class CompiledDynamics(Protocol):
     Attributes:
         structured: Whether F holds accelerations only (see Workspace).
         has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
-        kernels: What it is compiled of, names of kernels.precompile.
-        second_order_kernels: What second_order_nominal is compiled of.
+        kernels: Names in kernels.precompile of the kernels that it calls.
+        second_order_kernels: Those that second_order_nominal calls.
     """
 
     @property
@@ -105,7 +105,7 @@ class PenalisedDynamics(CompiledDynamics, Protocol):
 
     Attributes:
         mechanism: That the terms must be of.
-        penalised_kernels: What it is compiled of then, in place of `kernels`.
+        penalised_kernels: Those that it calls then, in place of `kernels`.
     """
 
     @property

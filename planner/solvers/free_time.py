@@ -78,7 +78,7 @@ def solve_for(
     What is not effort alone starts from the controls of least effort.
 
     Args:
-        problem: What to solve; see with_objective.
+        problem: The problem to solve; see with_objective.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "time": 2}. Time
             alone needs limits of the controls, and meets the goal exactly.
         durations: The shortest and the longest that time may choose, s; needed with time, and only then.

@@ -43,7 +43,7 @@ def best_of(
     """The plan of least rank among the converged of several starts, else among all.
 
     Args:
-        problem: What to solve.
+        problem: The problem to solve.
         descend: One solve from a first guess.
         max_iterations: Limit of each solve.
         starts: Number of starts.

@@ -59,11 +59,9 @@ class Regularisation:
             self._relative = 0.0
 
     def try_plain(self, accepted: bool, flat: bool) -> bool:
-        """Drop mu once where the model is flat: with exact Hessians, Newton steps reach the end before mu is lowered.
+        """Drop mu once where the model promises next to nothing (`flat`): Newton steps end before mu is lowered.
 
-        Args:
-            accepted: Whether the last iteration took a step.
-            flat: Whether its model promised next to nothing.
+        `accepted` says whether the last iteration took a step. Only with exact Hessians.
         """
         if accepted and not flat:
             self._tried_plain = False

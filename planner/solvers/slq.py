@@ -67,7 +67,7 @@ def solve(
     """Optimize a motion.
 
     Args:
-        problem: What to solve.
+        problem: The problem to solve.
         update: "feedback" (default) or "open-loop" (the paper's Eq. 36).
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact": with the second derivatives of the dynamics, which

@@ -41,14 +41,7 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
 def roll_out(
     problem: Problem, us: np.ndarray, K: np.ndarray | None = None, about: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
-    """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about).
-
-    Args:
-        problem: Whose dynamics, start and cost.
-        us: (N, nu).
-        K: (N, nu, ndx); none by default.
-        about: (N+1, nx) what K refers to.
-    """
+    """The cost, infinite where it is no number, and the controls (N, nu) of u = us + K difference(x, about)."""
     space = space_of(problem.dynamics)
     xs, us = np.empty((len(us) + 1, problem.dynamics.nx)), us.copy()
     xs[0] = problem.x0

@@ -17,6 +17,8 @@ from planner.base.errors import ModelError, PlannerError
 from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
 from planner.dynamics.contacts import generalized_force_derivatives, generalized_forces
+from planner.kernels.tree import joint_curves as kernels
+from planner.model import joint_curves
 from planner.model.mjcf.survey import compile_model
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.curve_callback import curves_acting
@@ -57,6 +59,10 @@ def plan():
 def states(m, K=7):
     rng = np.random.default_rng(3)
     return 0.4 * rng.normal(size=(K, m.space.nx)), rng.normal(size=(K, 1))
+
+
+def test_the_kernels_bound_of_an_exponent_is_the_models():
+    assert kernels.LARGEST == joint_curves.LARGEST
 
 
 def test_a_torque_is_its_formula(arms):

@@ -1,6 +1,7 @@
 """What is compiled for whom, and how machine code is found again: one file a signature, variants by type."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -118,6 +119,35 @@ def test_a_damaged_file_is_compiled_again(kernel, damage):
     assert jit.is_warm(jit.jit(stopped), ("float64", "none"))
 
 
+def test_a_part_is_inlined_or_not_whoever_calls_it_first(monkeypatch, tmp_path):
+    """Numba hands `forceinline` down to what does not say itself: machine code would depend on who came first."""
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    called = jit.part(lambda x: 0.5 * x)
+    inlined = jit.inline(lambda x: called(x) + 1.0)
+    assert jit.jit(lambda x: inlined(x))(3.0) == 2.5
+    for function, expected in ((called, False), (inlined, True)):
+        (compiled,) = function.overloads.values()
+        assert ("alwaysinline" in compiled.library.get_llvm_str()) == expected
+
+
+def test_kernels_import_no_constant_from_outside():
+    """It would be compiled into them, and the cache's folder is named by the sources in planner/kernels alone."""
+    constant = re.compile(r"^from planner\.(?!kernels).*import .*\b[A-Z][A-Z_]+\b", re.MULTILINE)
+    sources = (Path(planner.__file__).parent / "kernels").rglob("*.py")
+    assert [path.name for path in sources if constant.search(path.read_text(encoding="utf-8"))] == []
+
+
+def test_machine_code_for_another_processor_is_another_file(kernel):
+    class Generic:
+        def magic_tuple(self):
+            return "x86_64-unknown-linux-gnu", "generic", ""
+
+    first, _ = kernel
+    types = jit.arguments_of(("float64", "none"))
+    assert first._cache._path(types, Generic()) != first._cache._path(types, first.targetctx.codegen())
+    assert first.targetctx.codegen().magic_tuple()[1:] != Generic().magic_tuple()[1:]
+
+
 RATES = """
 import numpy as np
 from planner.kernels.hopper import step
@@ -128,9 +158,9 @@ step.rates(np.ones(3), np.ones((1, 3)), np.ones((1, 1)), np.ones((1, 3)))
 """
 
 
-def run_python(code, folder, cache):
+def run_python(code, folder, cache, **variables):
     """Output and messages of Python in a process of its own, with the package of a folder."""
-    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache), **variables}
     done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr
@@ -169,3 +199,23 @@ def test_a_numba_with_other_internals(tmp_path):
     assert results[0][0] == results[1][0]
     said = [messages.count("by plain njit") for _, messages in results]
     assert said == [1, 0]
+
+
+ANOTHER_FIRST = """
+from planner.kernels.precompile import compile_these
+compile_these(("tree derivatives", "tree dense external", "tree search external penalised"))
+"""
+HUMAN_STEP = """
+import hashlib, planner
+plan = planner.solve(planner.cases.human_step())
+print(plan.cost, hashlib.sha256(b"".join(a.tobytes() for a in (plan.xs, plan.us, plan.K))).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_the_order_of_compiling_changes_no_bit_of_a_plan(tmp_path):
+    """One cache is filled by a solve alone, the other after a kernel with parts in common."""
+    folder = Path(planner.__file__).parents[1]
+    run_python(ANOTHER_FIRST, folder, tmp_path / "ahead", PYTHONHASHSEED="1")
+    ahead = run_python(HUMAN_STEP, folder, tmp_path / "ahead")[0]
+    assert run_python(HUMAN_STEP, folder, tmp_path / "lazily", PYTHONHASHSEED="2")[0] == ahead

@@ -65,12 +65,10 @@ def _multiply(M, width, mu, nu, x, y):
 
 @inline
 def box_minimum(w, mu, n):
-    """The minimum k of stage n from its H and h, its clamped controls (1 or 0), and whether H is definite.
+    """The minimum k of stage n from its H and h, and which of its controls are clamped (1 or 0).
 
-    All in W.box: k, then clamped, then what is left of the gradient, nu numbers each.
-
-    Returns:
-        (value, definite): 1/2 k'(H + mu I) k + h'k.
+    All in W.box: k, then clamped, then the remaining gradient, nu numbers each. Returns the value
+    1/2 k'(H + mu I) k + h'k, and whether H is definite.
     """
     nu, width, M, h = w[W.nu], w[W.width], floats(w, W.H), floats(w, W.h)
     k = floats(w, W.box)

@@ -43,7 +43,7 @@ class Workspace:
             many those are.
 
     Attributes:
-        table: What kernels take.
+        table: The argument of kernels.
         search: (5, 4) the line search's arrays, by rows.
         given: The row of it that holds the cost and its slope at step length 0, and the length of a stage.
         xs: (N+1, nx).

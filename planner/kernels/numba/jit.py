@@ -65,12 +65,7 @@ def arguments_of(types: Sequence[str]) -> tuple[Any, ...]:
 
 
 def is_warm(kernel: Any, types: Sequence[str] | None = None) -> bool:
-    """Whether machine code of `kernel` is at hand, in this process or in the cache.
-
-    Args:
-        kernel: What `jit` returned.
-        types: Of its arguments, as in a Numba signature; None for any.
-    """
+    """Whether machine code of a kernel for arguments of these types (None: any) is in this process or in the cache."""
     if types is not None and arguments_of(types) in kernel.overloads:
         return True
     if types is None or not hasattr(kernel._cache, "holds"):
@@ -108,7 +103,11 @@ def jit(function: Callable[..., Any]) -> Any:
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call, into each of them."""
+    """Compile a function that only kernels call, into each of them.
+
+    Numba passes an option that is left out on from whichever caller comes first: the machine code would depend on the
+    order of compiling. So a part says that it need not be inlined.
+    """
     return _compile_part(function, **_OPTIONS, forceinline=False)
 
 

@@ -19,12 +19,7 @@ lower_getattr_generic: Any = extending.lower_getattr_generic
 
 
 class Layout:
-    """The entries of a table: sizes first, then the addresses of arrays.
-
-    Args:
-        sizes: Their names, separated by spaces.
-        arrays: Likewise.
-    """
+    """The entries of a table, by names separated by spaces: sizes first, then the addresses of arrays."""
 
     def __init__(self, sizes: str, arrays: str) -> None:
         self.sizes, self.arrays = sizes.split(), arrays.split()

@@ -6,7 +6,8 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import exp
 from planner.kernels.numba.lanes import floats, integers, load, maximum, minimum, spread, store
 from planner.kernels.tree.model import TREE
-from planner.model.joint_curves import LARGEST
+
+LARGEST = 700.0  # as in planner.model.joint_curves; here too, because the cache's key covers the kernels' sources alone
 
 
 @inline

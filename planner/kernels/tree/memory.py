@@ -19,14 +19,7 @@ MEMORY = Layout(
 
 
 class TreeMemory:
-    """Arrays for a model and N stages.
-
-    Args:
-        model: A kernels.model.Model.
-        integrator: EULER, SEMI_IMPLICIT_EULER or RK4.
-        N: Stages whose accelerations are kept; 0 for single calls.
-        linearizing: Whether derivatives will be asked for.
-    """
+    """Arrays for a Model; accelerations of N stages are kept, of none for single calls."""
 
     def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na

@@ -47,7 +47,7 @@ class Model:
             instead.
 
     Attributes:
-        table: What kernels take.
+        table: The argument of kernels.
         external: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
             them once for each type and leaves out, for None, what stands under `if external is not None`.
     """

@@ -61,12 +61,7 @@ SECOND = Layout(
 
 
 class SecondOrderMemory:
-    """Scratch of second_order, beside a TreeMemory.
-
-    Args:
-        model: A kernels.model.Model.
-        integrator: As the TreeMemory's.
-    """
+    """Scratch of second_order for a Model, beside the TreeMemory of the same integrator."""
 
     def __init__(self, model: Any, integrator: int) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
