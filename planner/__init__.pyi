@@ -15,7 +15,7 @@ from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
 from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
-from planner.problem.costs.tracking import Cost as Cost
+from planner.problem.costs.terms import Cost as Cost
 from planner.problem.costs.tracking import TrackingCost as TrackingCost
 from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan

@@ -6,7 +6,8 @@ from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.jerk import JerkCost, driven_by_jerk
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
-from planner.problem.costs.tracking import Cost, Quadratic, SumCost, TrackingCost
+from planner.problem.costs.terms import Cost, Quadratic, SumCost
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.criteria import with_objective
 from planner.problem.objective import Objective
 

@@ -14,16 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from planner.base.arguments import array, shown
 from planner.base.errors import PlannerError
-from planner.kernels.integrators import EULER
-from planner.kernels.numba.jit import announce
+from planner.dynamics.batch import Batch, kernel_model
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import hat
@@ -35,65 +31,6 @@ class Derivatives(NamedTuple):
     q: np.ndarray
     qd: np.ndarray
     input: np.ndarray
-
-
-_models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()
-
-
-def _model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> Model:
-    """The kernels' model, without actuators, made once."""
-    known = _models.setdefault(mechanism, {})
-    key = b"" if prescribed is None else prescribed.tobytes()
-    if key not in known:
-        known[key] = Model(mechanism, prescribed, actuated=False)
-    return known[key]
-
-
-class _Batch:
-    """Arguments as (K, n) arrays, and whether there was only one state."""
-
-    def __init__(self, mechanism: Mechanism, **given: Any) -> None:
-        if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
-        self.mechanism = mechanism
-        sizes = {"q": mechanism.nq}
-        self.single = all(_dimensions(value) <= 1 for value in given.values())
-        arrays: dict[str, np.ndarray] = {}
-        for name, value in given.items():
-            size = sizes.get(name, mechanism.nv)
-            shape = (size,) if _dimensions(value) <= 1 else ("K", size)
-            arrays[name] = np.atleast_2d(array(name, value, shape))
-        K = max(len(value) for value in arrays.values())
-        for name, value in arrays.items():
-            if len(value) not in (1, K):
-                raise PlannerError(f"{name} has {len(value)} rows, expected {K} as the others, or one.")
-            arrays[name] = np.ascontiguousarray(np.broadcast_to(value, (K, value.shape[1])))
-        for address, _ in mechanism.quaternions:
-            norms = np.linalg.norm(arrays["q"][:, address : address + 4], axis=1)
-            if not np.all(norms > 0.0):
-                raise PlannerError(f"q[{address}:{address + 4}] is zero, expected a quaternion.")
-        self.K, self.arrays = K, arrays
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self.arrays[name]
-
-    def out(self, value: np.ndarray) -> np.ndarray:
-        """The result for the caller: without the first axis for a single state."""
-        return value[0] if self.single else value
-
-    def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
-        """Run a kernel on the states, with scratch of its own, which must outlive the call."""
-        announce(kernel)
-        memory = TreeMemory(model, EULER, 0, linearizing)
-        kernel(model.table, memory.table, self["q"], *arrays)
-
-
-def _dimensions(value: Any) -> int:
-    """Of an argument; 1 where it is ragged, which `array` refuses."""
-    try:
-        return np.ndim(value)
-    except ValueError:
-        return 1
 
 
 def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndarray:
@@ -108,11 +45,11 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = _Batch(mechanism, q=q, qd=qd, tau=tau)
-    return b.out(_forward(b, _model(mechanism), b["tau"])[0])
+    b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    return b.out(_forward(b, kernel_model(mechanism), b["tau"])[0])
 
 
-def _forward(b: _Batch, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _forward(b: Batch, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     qdd, tau = np.empty_like(inputs), np.empty_like(inputs)
     b.call(tree_batch.forward, model, b["qd"], inputs, qdd, tau)
     return qdd, tau
@@ -133,9 +70,9 @@ def hybrid_dynamics(
     Returns:
         (qdd, tau), both (..., nv).
     """
-    b = _Batch(mechanism, q=q, qd=qd, inputs=inputs)
+    b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
-    qdd, tau = _forward(b, _model(mechanism, mask), b["inputs"])
+    qdd, tau = _forward(b, kernel_model(mechanism, mask), b["inputs"])
     return b.out(qdd), b.out(tau)
 
 
@@ -157,58 +94,58 @@ def rnea(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> np.ndarray:
         qd: (..., nv).
         qdd: (..., nv).
     """
-    b = _Batch(mechanism, q=q, qd=qd, qdd=qdd)
+    b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
     return b.out(_inverse(b, b["qd"], b["qdd"]))
 
 
-def _inverse(b: _Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+def _inverse(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     tau = np.empty_like(qdd)
-    b.call(tree_batch.inverse, _model(b.mechanism), qd, qdd, tau)
+    b.call(tree_batch.inverse, kernel_model(b.mechanism), qd, qdd, tau)
     return tau
 
 
 def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """Forces at zero acceleration (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
-    b = _Batch(mechanism, q=q, qd=qd)
+    b = Batch(mechanism, q=q, qd=qd)
     return b.out(_inverse(b, b["qd"], np.zeros_like(b["qd"])))
 
 
 def mass_matrix(mechanism: Mechanism, q: Any) -> np.ndarray:
     """M(q) (..., nv, nv), armature included (Eq. 6)."""
-    b = _Batch(mechanism, q=q)
+    b = Batch(mechanism, q=q)
     zero = np.zeros((b.K, mechanism.nv))
     return b.out(_inverse_derivatives(b, zero, zero)[2])
 
 
-def _inverse_derivatives(b: _Batch, qd: np.ndarray, qdd: np.ndarray) -> Derivatives:
+def _inverse_derivatives(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> Derivatives:
     nv = b.mechanism.nv
     M, Dq, Dv = (np.empty((b.K, nv, nv)) for _ in range(3))
-    b.call(tree_batch.derivatives, _model(b.mechanism), qd, qdd, M, Dq, Dv, linearizing=True)
+    b.call(tree_batch.derivatives, kernel_model(b.mechanism), qd, qdd, M, Dq, Dv, linearizing=True)
     return Derivatives(Dq, Dv, M)
 
 
-def _outs(b: _Batch, *values: np.ndarray) -> Derivatives:
+def _outs(b: Batch, *values: np.ndarray) -> Derivatives:
     return Derivatives(*(b.out(value) for value in values))
 
 
 def rnea_derivatives(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> Derivatives:
     """Derivatives of tau by q, qd and qdd (which is M), each (..., nv, nv) (the recursive sensitivities of Fig. 2)."""
-    b = _Batch(mechanism, q=q, qd=qd, qdd=qdd)
+    b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
     return _outs(b, *_inverse_derivatives(b, b["qd"], b["qdd"]))
 
 
 def bias_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the bias by q and qd, each (..., nv, nv)."""
-    b = _Batch(mechanism, q=q, qd=qd)
+    b = Batch(mechanism, q=q, qd=qd)
     result = _inverse_derivatives(b, b["qd"], np.zeros_like(b["qd"]))
     return b.out(result.q), b.out(result.qd)
 
 
 def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     """Derivative of M (..., nv, nv, nv) by q, the last axis."""
-    b = _Batch(mechanism, q=q)
+    b = Batch(mechanism, q=q)
     nv = mechanism.nv
-    many = _Batch(mechanism, q=np.repeat(b["q"], nv + 1, axis=0))
+    many = Batch(mechanism, q=np.repeat(b["q"], nv + 1, axis=0))
     qdd = np.tile(np.concatenate([np.zeros((1, nv)), np.eye(nv)]), (b.K, 1))
     forces = _inverse_derivatives(many, np.zeros_like(qdd), qdd).q.reshape(b.K, nv + 1, nv, nv)
     return b.out(np.swapaxes(forces[:, 1:] - forces[:, :1], 1, 2))  # M is linear in qdd: column k belongs to e_k
@@ -216,8 +153,8 @@ def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
 
 def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> Derivatives:
     """Derivatives of qdd by q, qd and tau (which is the inverse of M), each (..., nv, nv)."""
-    b = _Batch(mechanism, q=q, qd=qd, tau=tau)
-    qdd, _ = _forward(b, _model(mechanism), b["tau"])
+    b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    qdd, _ = _forward(b, kernel_model(mechanism), b["tau"])
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
     return _outs(b, -np.linalg.solve(M, by_q), -np.linalg.solve(M, by_qd), np.linalg.inv(M))
 
@@ -226,9 +163,9 @@ def hybrid_dynamics_derivatives(
     mechanism: Mechanism, q: Any, qd: Any, inputs: Any, prescribed: Collection[str]
 ) -> tuple[Derivatives, Derivatives]:
     """Derivatives of qdd and of tau by q, qd and inputs, each (..., nv, nv); see hybrid_dynamics."""
-    b = _Batch(mechanism, q=q, qd=qd, inputs=inputs)
+    b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
-    qdd, _ = _forward(b, _model(mechanism, mask), b["inputs"])
+    qdd, _ = _forward(b, kernel_model(mechanism, mask), b["inputs"])
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
     free = ~mask
     accelerations = []
@@ -245,9 +182,9 @@ def hybrid_dynamics_derivatives(
     return _outs(b, *accelerations), _outs(b, *forces)
 
 
-def _places(b: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
-    model, nv = _model(b.mechanism), b.mechanism.nv
+    model, nv = kernel_model(b.mechanism), b.mechanism.nv
     records = np.empty((b.K, nv, 18))
     b.call(tree_batch.places, model, records)
     origin = np.tile(model.origin, (b.K, 1, 1))
@@ -272,7 +209,7 @@ def _framed(mechanism: Mechanism, frame: str | Frame) -> Frame:
 
 def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
     """Poses (..., nbody, 4, 4) of MuJoCo's bodies, the world first."""
-    b = _Batch(mechanism, q=q)
+    b = Batch(mechanism, q=q)
     T = _places(b)[0]
     poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
     return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
@@ -280,7 +217,7 @@ def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
 
 def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     """Pose (..., 4, 4) of a site or body in the world."""
-    b, f = _Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
     if f.link < 0:
         return b.out(np.tile(f.T, (b.K, 1, 1)))
     return b.out(_places(b)[0][:, f.link] @ f.T)
@@ -297,7 +234,7 @@ def _moving(mechanism: Mechanism, link: int) -> list[int]:
 
 def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     """Jacobian (..., 6, nv) of a site or body: rows linear, then angular, in the world's axes at the frame's origin."""
-    b, f = _Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
     T, screws, origin = _places(b)
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
@@ -320,7 +257,7 @@ def points_of(
         offsets: (P, 3) m, in the links' frames.
         moving: Whether Jacobians are wanted; else they are empty.
     """
-    b = _Batch(mechanism, q=q)
+    b = Batch(mechanism, q=q)
     T, screws, origin = _places(b)
     T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
     T = T[:, links]
@@ -337,14 +274,14 @@ def points_of(
 
 def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     """Derivative of the bodies' poses by q as twists (..., nbody, 6, nv): linear and angular rows, as jacobian()."""
-    b = _Batch(mechanism, q=q)
+    b = Batch(mechanism, q=q)
     J = [jacobian(mechanism, b["q"], frame) for frame in mechanism.bodies]
     return b.out(np.stack(J, axis=1))
 
 
 def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     """Derivative (..., 6, nv, nv) of jacobian() by q, the last axis."""
-    b, f = _Batch(mechanism, q=q), _framed(mechanism, frame)
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
     D = np.zeros((b.K, 6, mechanism.nv, mechanism.nv))
     if f.link < 0:
         return b.out(D)

@@ -11,7 +11,8 @@ from planner.base.arguments import number
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.jerk import JerkCost, with_acceleration
-from planner.problem.costs.tracking import Quadratic, SumCost, Term, remade, tracking_of
+from planner.problem.costs.terms import Quadratic, SumCost, Term, remade
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.objective import EFFORT_SHARE, Objective, weights_of
 from planner.problem.problem import Problem
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.problem.costs.tracking import remade
+from planner.problem.costs.terms import remade
 from planner.problem.criteria import plain, with_objective
 from planner.problem.problem import Problem
 

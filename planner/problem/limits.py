@@ -20,7 +20,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.mechanism import DIRECT, SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.costs.tracking import Cost
+from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
 from planner.problem.state_ranges import StateRanges
 

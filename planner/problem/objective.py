@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.base.arguments import choice, number, shown
 from planner.base.errors import PlannerError
-from planner.problem.costs.tracking import Cost
+from planner.problem.costs.terms import Cost
 
 OBJECTIVES = ("effort", "energy", "jerk", "time")
 EFFORT_SHARE = 0.01

@@ -16,7 +16,8 @@ from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
-from planner.problem.costs.tracking import Cost, check_cost, states, tracking_of
+from planner.problem.costs.terms import Cost, check_cost
+from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.limits import Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.model.space import StateSpace
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 
 
 class Hinges(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.base.measured import Measured
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 

@@ -27,7 +27,8 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
-from planner.problem.costs.tracking import SumCost, TrackingCost, tracking_of
+from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost, tracking_of
 from planner.problem.criteria import plain, with_objective
 from planner.problem.periodicity import Periodic
 from planner.problem.plan import Plan

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.kernels.lq.bounded import AT_BOUND
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.solvers.box import box_minimum
 
 Bounds = tuple[np.ndarray, np.ndarray]  # of the change of each control, (N, nu) each: at most 0, at least 0

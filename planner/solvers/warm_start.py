@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from planner.model.space import space_of
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq

@@ -14,7 +14,7 @@ from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import euclidean
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.solvers import lq
 
 seeds = st.integers(0, 2**32 - 1)

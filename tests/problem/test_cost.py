@@ -10,7 +10,7 @@ from solves import Plain, swing
 import planner
 from planner import Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.model.space import StateSpace
-from planner.problem.costs.tracking import Quadratic, SumCost
+from planner.problem.costs.terms import Quadratic, SumCost
 
 seeds = st.integers(0, 2**32 - 1)
 FLAT, BODY = StateSpace(4, 4), StateSpace(12, 10, ((1, 1), (6, 5)))

@@ -33,7 +33,8 @@ from planner.cases.human_step.walker import PELVIS
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Distance, Height, Point, Segment, Velocity
-from planner.problem.costs.tracking import SumCost, TrackingCost
+from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost
 
 PERIOD = 0.4  # s, about the time of a swing
 USUAL = 1.2  # s, the cycle that the tolerances are for

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.paper.studies.study import Row, Study, timed
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.solvers import lq
 
 PROBLEMS = 300

@@ -26,7 +26,7 @@ from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study, timed
 from planner.paper.studies.table import random_lq, swept
 from planner.paper.studies.watched import Step, watched
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Status
 from planner.problem.problem import Problem
 from planner.solvers import lq

@@ -23,7 +23,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.problem.costs.jerk import Accelerations
-from planner.problem.costs.tracking import Quadratic, Term
+from planner.problem.costs.terms import Quadratic, Term
 
 
 class DriveCost(Term):

@@ -27,7 +27,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import DIRECT, SCREW, Mechanism
 from planner.model.mjcf.driven import heavy_joints
-from planner.problem.costs.tracking import Quadratic, Term
+from planner.problem.costs.terms import Quadratic, Term
 
 SMOOTHING = 1.0
 """W: the arms of the cases need some to some tens of W. A tenth of it brings the two-link's work from 1.6 to 0.5 %

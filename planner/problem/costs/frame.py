@@ -12,7 +12,8 @@ from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import frame_pose, jacobian
 from planner.model.mechanism import Frame
 from planner.model.space import conjugate, log_jacobian, log_quaternion, product
-from planner.problem.costs.tracking import Quadratic, Term, mechanism_of, per_stage
+from planner.problem.costs.terms import Quadratic, Term, per_stage
+from planner.problem.costs.tracking import mechanism_of
 
 
 class FrameCost(Term):

@@ -35,7 +35,8 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import heavy_joints, twin_of
 from planner.model.space import StateSpace
-from planner.problem.costs.tracking import Cost, Quadratic, SumCost, Term, TrackingCost
+from planner.problem.costs.terms import Cost, Quadratic, SumCost, Term
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 
 

@@ -23,7 +23,8 @@ from planner.dynamics.algorithms import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.model.mechanism import Frame
 from planner.problem.costs.penalty_measures import Measures, measures_of, resampled
-from planner.problem.costs.tracking import Quadratic, Term, mechanism_of
+from planner.problem.costs.terms import Quadratic, Term
+from planner.problem.costs.tracking import mechanism_of
 
 
 class PenaltyCost(Term):

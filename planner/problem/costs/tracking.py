@@ -1,13 +1,8 @@
-"""Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), and their quadratic models.
-
-A factor 1/2 stands on every quadratic term, also on the control's: Eq. 11 as printed has none there, but Eq. 16
-and 18 imply it. Gradients and Hessians of states are with respect to a deviation dx (ndx numbers, see space.py),
-which is the state's own difference where states are plain vectors.
-"""
+"""TrackingCost: the paper's quadratic cost, and states and machines as callers hand them in."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,128 +10,8 @@ from planner.base.arguments import LONGEST_HORIZON, array, count, number, number
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
+from planner.problem.costs.terms import Quadratic, Term, per_stage
 from planner.problem.costs.weights import diagonal, matrices, places
-
-
-class Quadratic(NamedTuple):
-    """Hessians and gradients of the stage costs; the last of Q and q belong to the end."""
-
-    Q: np.ndarray  # (N+1, ndx, ndx)
-    q: np.ndarray  # (N+1, ndx)
-    R: np.ndarray  # (N, nu, nu)
-    r: np.ndarray  # (N, nu)
-    S: np.ndarray | None = None  # (N, nu, ndx) of the mixed term du'S dx; None for none
-
-    @property
-    def finite(self) -> bool:
-        """Whether every number is."""
-        return all(np.isfinite(part).all() for part in self if part is not None)
-
-
-class Cost(Protocol):
-    """The two methods of every cost, a user's own too."""
-
-    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        ...
-
-    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """Gradients and positive semidefinite Hessians (R positive definite) along a trajectory."""
-        ...
-
-
-def check_cost(name: str, value: Any) -> None:
-    """Raise a PlannerError unless a value has the two methods of a cost."""
-    if not (callable(getattr(value, "value", None)) and callable(getattr(value, "quadratize", None))):
-        raise PlannerError(f"{name} is {shown(value)}, expected a cost with value() and quadratize().")
-
-
-def remade(cost: Any, method: str, *arguments: Any) -> Any:
-    """Call `resampled` or `with_effort` of a cost; a PlannerError where it has no such method."""
-    if not callable(getattr(cost, method, None)):
-        signature = {"resampled": "resampled(parts, ratio)", "with_effort": "with_effort(weight)"}[method]
-        raise PlannerError(f"the cost is of the type {type(cost).__name__}, expected a cost with {signature}.")
-    return getattr(cost, method)(*arguments)
-
-
-def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
-    """Rows (N+1, ...) of stages and the end, each stage's row repeated for its parts; one row for all stays."""
-    return rows if len(rows) == 1 else np.concatenate([np.repeat(rows[:-1], parts, axis=0), rows[-1:]])
-
-
-class Term:
-    """A cost that can be added to any other: a + b is SumCost(a, b).
-
-    Two methods more let a problem change its step or its objective: `resampled(parts, ratio)` is the same cost over
-    stages divided into parts, what it weighs on the way multiplied by ratio; `with_effort(weight)` is the same cost
-    with the weights of the controls multiplied.
-    """
-
-    def with_effort(self, weight: float) -> Cost:
-        """The cost itself: it weighs no effort, unless its class says otherwise."""
-        return self  # type: ignore[return-value]
-
-    def __add__(self, other: Cost) -> SumCost:
-        return SumCost(self, other)
-
-    def __radd__(self, other: Cost) -> SumCost:
-        return SumCost(other, self)
-
-
-class SumCost(Term):
-    """The sum of any costs. Only the sum needs a positive definite R.
-
-    Args:
-        costs: TrackingCost, FrameCost or a user's own.
-
-    Raises:
-        PlannerError: Something that is no cost, or costs made for different sizes or states.
-    """
-
-    def __init__(self, *costs: Any) -> None:
-        self.costs: tuple[Cost, ...] = ()
-        for cost in costs:
-            check_cost("a term of a cost", cost)
-            self.costs += cost.costs if isinstance(cost, SumCost) else (cost,)
-        if not self.costs:
-            raise PlannerError("the sum has no costs, expected at least one.")
-        self.N, self.nx, self.ndx, self.nu, self.space = (
-            self._common(name) for name in ("N", "nx", "ndx", "nu", "space")
-        )
-
-    def _common(self, name: str) -> Any:
-        """The one value of an attribute among the costs that have it; None when none has."""
-        said = [value for cost in self.costs if (value := getattr(cost, name, None)) is not None]
-        for value in said:
-            if value != said[0]:
-                raise PlannerError(f"the costs of a sum are made for {name} = {said[0]} and {value}: expected one.")
-        return said[0] if said else None
-
-    def resampled(self, parts: int, ratio: float) -> SumCost:
-        """The sum of the costs over stages divided into parts; see Term."""
-        return SumCost(*(remade(cost, "resampled", parts, ratio) for cost in self.costs))
-
-    def with_effort(self, weight: float) -> SumCost:
-        """The sum with the weights of the controls multiplied."""
-        return SumCost(*(remade(cost, "with_effort", weight) for cost in self.costs))
-
-    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        return float(sum(cost.value(xs, us) for cost in self.costs))
-
-    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """The sums of the costs' models."""
-        models = [cost.quadratize(xs, us) for cost in self.costs]
-        for i, model in enumerate(models[1:], 1):  # a wrong shape could broadcast into a wrong gradient
-            for name, first, part in zip(Quadratic._fields[:4], models[0][:4], model[:4], strict=True):
-                if np.shape(part) != np.shape(first):
-                    raise PlannerError(
-                        f"cost {i} of a sum gives {name} of shape {np.shape(part)}, cost 0 of {np.shape(first)}: "
-                        f"expected the same."
-                    )
-        Q, q, R, r = (np.sum(parts, axis=0) for parts in zip(*(model[:4] for model in models), strict=True))
-        mixed = [model.S for model in models if model.S is not None]
-        return Quadratic(Q, q, R, r, np.sum(mixed, axis=0) if mixed else None)
 
 
 class TrackingCost(Term):

@@ -10,7 +10,8 @@ from weakref import WeakKeyDictionary
 from planner.dynamics import CompiledDynamics, PenalisedDynamics
 from planner.kernels.lq import search
 from planner.problem.costs.penalty import PenaltyCost
-from planner.problem.costs.tracking import SumCost, TrackingCost
+from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.in_numpy import NumpyEngine

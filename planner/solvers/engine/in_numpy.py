@@ -13,7 +13,7 @@ from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STE
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
-from planner.problem.costs.tracking import Quadratic
+from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq

@@ -1,0 +1,74 @@
+"""Arguments of the public algorithms, one state or many, and the kernels' model of a mechanism."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from planner.base.arguments import array, shown
+from planner.base.errors import PlannerError
+from planner.kernels.integrators import EULER
+from planner.kernels.numba.jit import announce
+from planner.kernels.tree.memory import TreeMemory
+from planner.kernels.tree.model import Model
+from planner.model.mechanism import Mechanism
+
+_models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()
+
+
+def kernel_model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> Model:
+    """The kernels' model, without actuators, made once."""
+    known = _models.setdefault(mechanism, {})
+    key = b"" if prescribed is None else prescribed.tobytes()
+    if key not in known:
+        known[key] = Model(mechanism, prescribed, actuated=False)
+    return known[key]
+
+
+class Batch:
+    """Arguments as (K, n) arrays, and whether there was only one state."""
+
+    def __init__(self, mechanism: Mechanism, **given: Any) -> None:
+        if not isinstance(mechanism, Mechanism):
+            raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
+        self.mechanism = mechanism
+        sizes = {"q": mechanism.nq}
+        self.single = all(_dimensions(value) <= 1 for value in given.values())
+        arrays: dict[str, np.ndarray] = {}
+        for name, value in given.items():
+            size = sizes.get(name, mechanism.nv)
+            shape = (size,) if _dimensions(value) <= 1 else ("K", size)
+            arrays[name] = np.atleast_2d(array(name, value, shape))
+        K = max(len(value) for value in arrays.values())
+        for name, value in arrays.items():
+            if len(value) not in (1, K):
+                raise PlannerError(f"{name} has {len(value)} rows, expected {K} as the others, or one.")
+            arrays[name] = np.ascontiguousarray(np.broadcast_to(value, (K, value.shape[1])))
+        for address, _ in mechanism.quaternions:
+            norms = np.linalg.norm(arrays["q"][:, address : address + 4], axis=1)
+            if not np.all(norms > 0.0):
+                raise PlannerError(f"q[{address}:{address + 4}] is zero, expected a quaternion.")
+        self.K, self.arrays = K, arrays
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.arrays[name]
+
+    def out(self, value: np.ndarray) -> np.ndarray:
+        """The result for the caller: without the first axis for a single state."""
+        return value[0] if self.single else value
+
+    def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
+        """Run a kernel on the states, with scratch of its own, which must outlive the call."""
+        announce(kernel)
+        memory = TreeMemory(model, EULER, 0, linearizing)
+        kernel(model.table, memory.table, self["q"], *arrays)
+
+
+def _dimensions(value: Any) -> int:
+    """Of an argument; 1 where it is ragged, which `array` refuses."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 1
