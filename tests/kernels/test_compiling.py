@@ -138,13 +138,13 @@ def test_kernels_import_no_constant_from_outside():
 
 
 def test_machine_code_for_another_processor_is_another_file(kernel):
-    class Generic:
+    class Another:
         def magic_tuple(self):
-            return "x86_64-unknown-linux-gnu", "generic", ""
+            return "x86_64-unknown-linux-gnu", "another-processor", ""
 
     first, _ = kernel
     types = jit.arguments_of(("float64", "none"))
-    assert first._cache._path(types, Generic()) != first._cache._path(types, first.targetctx.codegen())
+    assert first._cache._path(types, Another()) != first._cache._path(types, first.targetctx.codegen())
     assert first.targetctx.codegen().magic_tuple()[1:] != Generic().magic_tuple()[1:]
 
 
