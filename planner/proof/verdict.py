@@ -37,10 +37,10 @@ from planner.proof.model_parity import parity_in
 from planner.proof.order import Order, order
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, Trials, perturbed
-from planner.proof.refined import goal, tracking
 from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
+from planner.proof.tracking import goal, tracking
 
 ROLLOUTS = 512
 
@@ -114,19 +114,19 @@ class Proof:
     __repr__ = __str__
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
-        """Every figure as step, name, value, bound and "ok" or "FAIL"."""
+        """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
         rows = []
         for section in self.sections.values():
-            for figure in section.measured:
-                bound = "" if figure.bound is None else f"{figure.bound:g}"
-                mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
-                value = f"{figure.value:.5g} {figure.unit}".rstrip()
-                rows.append((section.title, figure.name.replace("_", " "), value, bound, mark))
+            for one in section.measured:
+                bound = "" if one.bound is None else f"{one.bound:g}"
+                mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
+                value = f"{one.value:.5g} {one.unit}".rstrip()
+                rows.append((section.title, one.name.replace("_", " "), value, bound, mark))
         return rows
 
     def table(self) -> str:
         """All measured beside their bounds, one line each, then the verdict."""
-        rows = [("step", "figure", "value", "bound", ""), *self.rows()]
+        rows = [("step", "measured", "value", "bound", ""), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         more = [] if self.monte_carlo is None else self.monte_carlo.lines()
@@ -255,7 +255,7 @@ def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section],
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"
-    measured = [figure for section in steps for figure in section.measured if figure.bound]
-    worst = max(measured, key=lambda figure: figure.value / (figure.bound or 1.0))
+    measured = [one for section in steps for one in section.measured if one.bound]
+    worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if mode == "feedback" else "open loop"
     return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

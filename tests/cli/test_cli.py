@@ -264,7 +264,7 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
         (("run", "crane.xml"), ("crane.xml", "two-link", "PROBLEM.toml")),
         (("fly",), ("fly", "run")),
         (("run", "hopper", "extra"), ("'extra'",)),
-        (("prove", "nowhere.npz"), ("nowhere.npz", "is not a file")),
+        (("prove", "nowhere.npz"), ("nowhere.npz", "does not exist")),
         (("render", "nowhere.npz", "--out", "x.gif"), ("x.gif", ".mp4")),
         (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
         (("paper", "gripper"), ("gripper", "hopper")),
