@@ -359,6 +359,7 @@ def test_list_shows_every_case_with_its_parameters(tmp_path):
     assert done.returncode == 0
     assert "hopper" in done.stdout
     assert "--flow-weight" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100
     cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
     assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0
     assert [case["case"] for case in cases] == list(planner.cases.CASES)
