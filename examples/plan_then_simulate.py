@@ -18,8 +18,8 @@ def main() -> int:
     proof = planner.prove(plan, rollouts=16)
     print(proof)
     for name, section in proof.sections.items():
-        for figure in section.measured:
-            print(f"  {name}: {figure}")
+        for measured in section.measured:
+            print(f"  {name}: {measured}")
 
     plan.save("hopper.npz")
     if "--no-video" not in sys.argv:

@@ -1,7 +1,7 @@
 """A fidelity regression test of your own: `pytest test_fidelity.py` proves every stored plan again.
 
-Store a plan with its figures once, here by solving; `planner run CASE --out DIR` writes the same files. From then on
-a new release of MuJoCo or of the planner that moves a figure for the worse fails the test by name.
+Store a plan with its measured values once, here by solving; `planner run CASE --out DIR` writes the same files. From
+then on a new release of MuJoCo or of the planner that moves a value for the worse fails the test by name.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ import planner
 
 @pytest.fixture
 def plans(tmp_path: Path) -> Path:
-    """A folder of plans with their figures; yours would lie beside the test and be in version control."""
+    """A folder of plans with their measured values; yours would lie beside the test and be in version control."""
     planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "two-link.npz")
     planner.check(tmp_path, update=True)
     return tmp_path

@@ -134,6 +134,13 @@ def test_stubs_write_each_public_name_on_a_line_of_its_own():
         assert sorted(alias.name for alias in names) == importlib.import_module(package).__all__
 
 
+def test_an_unknown_public_name_gets_the_nearest_one():
+    import planner
+
+    with pytest.raises(AttributeError, match=r"has no attribute 'solv'\. Did you mean 'solve'\?"):
+        planner.solv  # noqa: B018
+
+
 def test_public_names_are_about_thirty_and_nothing_else_is_there():
     import planner
 

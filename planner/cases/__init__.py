@@ -1,10 +1,4 @@
-"""The machines of the paper. A case is a function of plain numbers that returns a Problem.
-
-The folders high_dive and human_step share their names with the functions that their case.py defines. The imports below
-run before any other part of those folders is reached, and bind the names to the functions; Python binds a submodule to
-its parent's name only once, so `planner.cases.human_step` is always the function. Import parts of a folder with `from
-planner.cases.human_step.gait import Gait`.
-"""
+"""Machines of the paper and of its references; a case is a function of plain numbers that returns a Problem."""
 
 from __future__ import annotations
 
@@ -21,6 +15,11 @@ from planner.cases.human_step.case import human_step
 from planner.cases.puma import puma
 from planner.cases.two_link import two_link
 from planner.problem.problem import Problem
+
+# The folders high_dive and human_step share their names with the functions that their case.py defines. The imports
+# above run before any other part of those folders is reached, and bind the names to the functions; Python binds a
+# submodule to its parent's name only once, so `planner.cases.human_step` is always the function. Import parts of a
+# folder with `from planner.cases.human_step.gait import Gait`.
 
 CASES: dict[str, Callable[..., Problem]] = {
     "two-link": two_link, "acrobot": acrobot, "hopper": hopper, "puma": puma, "high-dive": high_dive,

@@ -19,7 +19,7 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
         if one.problem:
             console.say(f"{one.plan} is not compared: {one.problem}")
     rows = [
-        (str(one.plan), f"{change.step} {change.figure}".replace("_", " ").strip(),
+        (str(one.plan), f"{change.step} {change.name}".replace("_", " ").strip(),
          shown(change.stored), shown(change.now), shown(change.bound), change.word)
         for one in done for change in one.changes
     ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -67,9 +68,16 @@ class Console:
         self.document({"command": command, **content, "exit_code": code})
         return code
 
-    def table(self, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """Print a table with aligned columns."""
+    def table(self, heads: Sequence[str], rows: Iterable[Sequence[str]], columns: int | None = None) -> None:
+        """Print a table with aligned columns; the last one is wrapped where the lines are to have so many `columns`."""
         cells = [list(map(str, row)) for row in rows]
+        if columns is not None:
+            before = sum(2 + max(map(len, column)) for column in list(zip(heads, *cells, strict=True))[:-1])
+            cells = [
+                [*(row[:-1] if i == 0 else [""] * (len(row) - 1)), part]
+                for row in cells
+                for i, part in enumerate(textwrap.wrap(row[-1], max(20, columns - before)) or [""])
+            ]
         widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
         for row in (list(heads), ["-" * width for width in widths], *cells):
             self.say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import textwrap
 from typing import get_type_hints
 
 from planner import cases
 from planner.cases import problem_keys
 from planner.cli.console import Console
 from planner.cli.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
+
+COLUMNS = 100  # width of what is printed
 
 
 def list_cases(arguments: argparse.Namespace, console: Console) -> int:
@@ -19,17 +22,17 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
     for name, case in cases.CASES.items():
         texts, hints = documented_arguments(case), get_type_hints(case)
         shown = [p for p in inspect.signature(case).parameters.values() if has_flag(hints[p.name])]
-        console.say(f"{name}: {summary(case)}")
+        console.say(textwrap.fill(f"{name}: {summary(case)}", COLUMNS))
         rows = []
         for parameter in shown:
             default = "" if parameter.default is None else str(parameter.default)
             rows.append((f"  --{parameter.name.replace('_', '-')}", default, texts.get(parameter.name, "")))
-        console.table(("  flag", "default", ""), rows)
+        console.table(("  flag", "default", ""), rows, COLUMNS)
         parameters = {parameter.name: parameter.default for parameter in shown}
         document.append({"case": name, "summary": summary(case), "parameters": parameters})
     keys = {**problem_keys.KEYS, **{f"weights.{name}": text for name, text in problem_keys.WEIGHTS.items()}}
     defaults = {**problem_keys.DEFAULTS, **{f"weights.{n}": v for n, v in problem_keys.DEFAULT_WEIGHTS.items()}}
     console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
     lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
-    console.table(("  key", "default", ""), lines)
+    console.table(("  key", "default", ""), lines, COLUMNS)
     return console.finish("list", 0, cases=document, problem_file={"keys": keys, "defaults": defaults})

@@ -198,8 +198,12 @@ def build() -> argparse.ArgumentParser:
     no_refine = {"--no-refine": _switch("Do not solve a failed plan again at a finer step.")}
     folder = {"--out": _takes("DIR", "Folder of the results. Default: renders/CASE.")}
     command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
-    with_case("run", "Plan, prove, plot and film a case.", no_refine, _PROOF, _NO_VIDEO, folder)
-    with_case("solve", "Plan a case and save the plan.", {"--out": _takes("FILE", "The plan's file.", "plan.npz")})
+    with_case("run", "Plan, prove, plot and film a case or a problem file.", no_refine, _PROOF, _NO_VIDEO, folder)
+    with_case(
+        "solve",
+        "Plan a case or a problem file and save the plan.",
+        {"--out": _takes("FILE", "The plan's file.", "plan.npz")},
+    )
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
         {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),

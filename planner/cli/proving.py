@@ -42,7 +42,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         proof = prove(
             plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
             seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
-            progress=console.progress("perturbed simulations"),
+            progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
         if unfinished is not None:
             unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")

@@ -18,7 +18,7 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     with staged_folder(arguments.out, OUTPUTS) as staged:
         proof = None
         if is_finite(plan):
-            progress = console.progress("perturbed simulations")
+            progress = console.progress("perturbed simulations, margin included")
             proof = prove(plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold, progress=progress)
         plan.save(staged / "plan.npz")
         write_proof(plan, proof, staged)

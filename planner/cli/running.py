@@ -89,7 +89,7 @@ def _run(
     if proof is not None and arguments.rollouts:
         proof = with_rollouts(
             proof, arguments.rollouts, budget=BUDGET, partial=folder.path / ROLLOUTS,
-            progress=console.progress("perturbed simulations"),
+            progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
         results.write_proof(plan, proof, folder.path, path)
     if proof is not None:

@@ -73,7 +73,8 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays and meta of a plan file whose history has so many columns, checked against each other."""
     if not os.path.isfile(path):  # but a folder, a pipe or a device, say
-        raise FileError(f"{printable(path)} is not a file, expected a plan.npz.")
+        problem = "is not a file" if os.path.exists(path) else "does not exist"
+        raise FileError(f"{printable(path)} {problem}, expected a plan.npz.")
     named = printable(path)
     foreign = FileError(f"{named} is not a plan: expected an .npz with {', '.join(ARRAYS)} and meta.")
     try:

@@ -26,7 +26,7 @@ class Motion:
     """A motion of points."""
 
     label: str  # For the legend
-    points: np.ndarray  # (K, P, 3) m, at equal times; see projection.frame_points
+    points: np.ndarray  # (K, P, 3) m, at equal times; see view.plots.projection
     dashed: bool = False  # Drawn thin and dashed: what others are held to
 
 
@@ -72,7 +72,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class StickFigures:
-    """A picture of poses, see plots.draw_stick_figures()."""
+    """A picture of poses, see view.plots.stick_figures."""
 
     caption: str  # Under it, on a page
     motions: Sequence[Motion]  # Over the same time
@@ -84,7 +84,7 @@ class StickFigures:
 
 @dataclass(frozen=True, eq=False)
 class Charts:
-    """Panels, see plots.draw_charts()."""
+    """Panels, see view.plots.charts."""
 
     caption: str  # Under them, on a page
     t: np.ndarray  # (K,) of all curves without times of their own
@@ -96,7 +96,7 @@ class Charts:
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Paths in space from the side, from the front and from above, see plots.draw_paths()."""
+    """Paths in space from the side, from the front and from above, see view.plots.paths."""
 
     caption: str  # Under them, on a page
     traces: Sequence[Trace]  # The paths

@@ -44,10 +44,10 @@ class ContactHistory:
 class ContactRecorder:
     """Records the contacts of a simulation, step by step."""
 
-    def __init__(self, model: Any, steps: int, touches: bool | None = None) -> None:
-        """For M steps of MuJoCo's model; `touches` is False where nobody asks for contacts."""
+    def __init__(self, model: Any, steps: int, records: bool | None = None) -> None:
+        """For M steps of MuJoCo's model; `records` is False where nobody asks for contacts."""
         self._mujoco, self._model = load_mujoco(), model
-        self.touches = may_touch(model) if touches is None else touches  # whether there is anything to record
+        self.records = may_touch(model) if records is None else records  # whether there is anything to record
         self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
         # Of each pair of geoms, by sample: the force's impulse (3,), the normal force, and its moment (3,).
         self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
@@ -57,14 +57,14 @@ class ContactRecorder:
 
     def look(self, i: int, data: Any) -> None:
         """Record the contacts of step i, by a forward pass at the state that `data` has."""
-        if self.touches:
+        if self.records:
             self._mujoco.mj_forward(self._model, data)
             self._record(i, data)
 
     def step(self, i: int, data: Any) -> None:
         """Record the contacts of step i and take it: mj_step in its parts, so that one forward pass serves both."""
         mujoco, model = self._mujoco, self._model
-        if not self.touches:
+        if not self.records:
             mujoco.mj_step(model, data)
             return
         mujoco.mj_checkPos(model, data)

@@ -21,9 +21,9 @@ from planner.base.measured import Measured, Section
 from planner.model.space import StateSpace, space_of
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
-from planner.proof.refined import costs_with_goals
 from planner.proof.replaying import Replay
 from planner.proof.simulation import MOST_STEPS, simulate
+from planner.proof.tracking import costs_with_goals
 
 BOUND = 0.01  # largest deviation over the last second, in rad, m, rad/s, m/s: what proofs ask of an end
 EQUILIBRIUM = 1e-3  # how far from the goal the nearest equilibrium may be, the same units: a tenth of the bound

@@ -24,7 +24,7 @@ from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.partial import Partial, fingerprint
 from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
 from planner.proof.rollouts import MODES, OutOfTime, Rollouts
-from planner.proof.statistics import Rate
+from planner.proof.success_rate import Rate
 
 TOLERANCE = 0.1  # of the end state, largest component: rad, m, rad/s, m/s
 ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin

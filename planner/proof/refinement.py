@@ -198,7 +198,7 @@ def _other_cause(proof: Proof) -> str:
     for section in (proof.plan, proof.parity, proof.same_step):
         if not section.passed:
             return f"{section.title} fails: {section.failures[0]}."
-    missed = [figure for figure in proof.goal.failures if figure.name.startswith("planned")]
+    missed = [one for one in proof.goal.failures if one.name.startswith("planned")]
     if missed:
         return f"the plan itself misses its goal: {missed[0]}."
     for mode, section in (("open-loop", proof.refined_open_loop), ("feedback", proof.refined_feedback)):

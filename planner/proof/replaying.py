@@ -70,6 +70,10 @@ class Replay:
     reached: tuple[str, ...] = ()
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
 
+    def __repr__(self) -> str:
+        mode = "feedback" if self.feedback else "open loop"
+        return f"Replay({mode}, {len(self.ctrl)} steps of {self.timestep:.4g} s)"
+
     @property
     def twin(self) -> Twin:
         """The text of the model, and the maps between its state and the plan's."""

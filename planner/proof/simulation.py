@@ -38,10 +38,10 @@ def simulate(
     `control` gives the control (nu,) at a step and its state, which is written into ctrl. Every `every` steps the
     simulation is ended if it has run away: its states are NaN from there. `start` is the time of w0 for sentences, s.
     """
-    recorder = recorder or ContactRecorder(model, 0, touches=False)
+    recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
     w[0] = w0
-    if control is None and not recorder.touches and _at_once(model, w, ctrl):
+    if control is None and not recorder.records and _at_once(model, w, ctrl):
         return w, ()
     set_state(model, data, w0)
     nq, nv = model.nq, model.nv

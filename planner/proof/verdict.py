@@ -1,14 +1,6 @@
 """prove(): an independent engine judges a plan step by step, every number beside its bound.
 
-    0. plan         the file's numbers agree with each other: start, states, cost, gradient, gains, times
-    1. parity       the plan's dynamics and MuJoCo's, at random states where the two models are the same
-    2. same step    MuJoCo with the plan's own integrator and step: proves the transcription, nothing else
-    3. refined      MuJoCo at a refined step, open loop and with the plan's gains
-       growth       how errors grow along the plan, and the replay error that this predicts
-       order        what halving MuJoCo's step changes, and the cost at a step of zero
-    4. goal         whether the replay gets where the cost wanted it
-       hold         whether the machine stays there, where it is asked to
-    5. perturbed    how often it still arrives with other masses, friction, starts, noise and delay
+The steps are in prove(), a line each: those that every plan must pass, then those about its motion in MuJoCo.
 
 PASS needs 0, 1 and 2 (where they apply), and steps 3 and 4 in the same mode. Open loop is tried first, and needs the
 order too: a cost that a smaller step changes was never the plan's.
@@ -37,10 +29,10 @@ from planner.proof.model_parity import parity_in
 from planner.proof.order import Order, order
 from planner.proof.perturbation import Perturbation
 from planner.proof.perturbed import Perturbed, Trials, perturbed
-from planner.proof.refined import goal, tracking
 from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
+from planner.proof.tracking import goal, tracking
 
 ROLLOUTS = 512
 
@@ -53,16 +45,8 @@ class Proof:
         verdict: "PASS" or "FAIL".
         mode: "open-loop" or "feedback", the mode that passed; None when neither did.
         reason: The verdict in a sentence.
-        plan: Step 0.
-        parity: Step 1.
-        same_step: Step 2.
-        refined_open_loop: Step 3 without gains.
-        refined_feedback: Step 3 with gains.
-        growth: Of errors along the plan, beside step 3.
-        order: Of the replay in MuJoCo's step, beside step 3.
-        goal: Step 4, in the mode that passed, else open loop.
-        hold: Whether it stays at the goal, where that was asked.
-        perturbed: Step 5.
+        sections: The steps by name, in order (docs/proof.md). Each is an attribute too: `proof.parity`,
+            `proof.refined_open_loop`. `goal` is of the mode that passed, else open loop.
         replay: The replay in the mode that passed, else open loop.
         replays: Mode -> replay.
         errors: The growth of errors behind `growth`.
@@ -75,16 +59,7 @@ class Proof:
     verdict: str
     mode: str | None
     reason: str
-    plan: Section
-    parity: Section
-    same_step: Section
-    refined_open_loop: Section
-    refined_feedback: Section
-    growth: Section
-    order: Section
-    goal: Section
-    hold: Section
-    perturbed: Section
+    sections: dict[str, Section]
     replay: Replay
     replays: dict[str, Replay]
     errors: Growth
@@ -98,14 +73,15 @@ class Proof:
         """Whether the verdict is PASS."""
         return self.verdict == "PASS"
 
-    @property
-    def sections(self) -> dict[str, Section]:
-        """The steps in order."""
-        names = (
-            "plan", "parity", "same_step", "refined_open_loop", "refined_feedback", "growth", "order", "goal", "hold",
-            "perturbed",
-        )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
+    def __getattr__(self, name: str) -> Section:
+        """A step by its name."""
+        try:
+            return self.__dict__["sections"][name]
+        except KeyError:
+            raise AttributeError(f"a Proof has no attribute {name!r}") from None
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.sections]
 
     def __str__(self) -> str:
         mode = f" ({self.mode})" if self.mode else ""
@@ -114,19 +90,19 @@ class Proof:
     __repr__ = __str__
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
-        """Every figure as step, name, value, bound and "ok" or "FAIL"."""
+        """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
         rows = []
         for section in self.sections.values():
-            for figure in section.measured:
-                bound = "" if figure.bound is None else f"{figure.bound:g}"
-                mark = "" if figure.bound is None else ("ok" if figure.passed else "FAIL")
-                value = f"{figure.value:.5g} {figure.unit}".rstrip()
-                rows.append((section.title, figure.name.replace("_", " "), value, bound, mark))
+            for one in section.measured:
+                bound = "" if one.bound is None else f"{one.bound:g}"
+                mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
+                value = f"{one.value:.5g} {one.unit}".rstrip()
+                rows.append((section.title, one.name.replace("_", " "), value, bound, mark))
         return rows
 
     def table(self) -> str:
         """All measured beside their bounds, one line each, then the verdict."""
-        rows = [("step", "figure", "value", "bound", ""), *self.rows()]
+        rows = [("step", "measured", "value", "bound", ""), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         more = [] if self.monte_carlo is None else self.monte_carlo.lines()
@@ -185,27 +161,43 @@ def prove(
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     compiled = another_model(problem, twin, mjcf)
     runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback") for mode in MODES}
-    first = (consistency(plan, problem), parity_in(compiled, problem, seed), same_step(plan, problem, compiled))
+    required = {
+        # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
+        "plan": consistency(plan, problem),
+        # Step 1: the plan's dynamics and MuJoCo's, at random states where the two models are the same.
+        "parity": parity_in(compiled, problem, seed),
+        # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
+        "same_step": same_step(plan, problem, compiled),
+    }
     errors = growth(plan, problem, runs)
     convergence = order(problem, runs["open-loop"])
     steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
-    sound = all(section.passed for section in first)
+    sound = all(section.passed for section in required.values())
     mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
     seen = mode or "open-loop"
+    sections = {
+        **required,
+        # Step 3: MuJoCo at a refined step, open loop and with the plan's gains; beside it how errors grow along the
+        # plan, the replay error that this predicts, what halving MuJoCo's step changes, and the cost at a step of zero.
+        "refined_open_loop": steps["open-loop"][0],
+        "refined_feedback": steps["feedback"][0],
+        "growth": errors.section,
+        "order": convergence.section,
+        # Step 4: whether the replay gets where the cost wanted it, and whether the machine stays where it is asked to.
+        "goal": steps[seen][1],
+        "hold": Section("hold", not_applicable="it was not asked for"),
+        # Step 5: how often it still arrives with other masses, friction, starts, noise and delay.
+        "perturbed": Section("perturbed", not_applicable="no rollouts were asked for"),
+    }
     asked = {
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "perturbation": None,
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
     proof = Proof(
         verdict="FAIL" if mode is None else "PASS", mode=mode,
-        reason=_reason(mode, (*first, *judged[seen]), steps[seen], runs[seen]),
-        plan=first[0], parity=first[1], same_step=first[2],
-        refined_open_loop=steps["open-loop"][0], refined_feedback=steps["feedback"][0],
-        growth=errors.section, order=convergence.section, goal=steps[seen][1],
-        hold=Section("hold", not_applicable="it was not asked for"),
-        perturbed=Section("perturbed", not_applicable="no rollouts were asked for"),
-        replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
+        reason=_reason(mode, (*required.values(), *judged[seen]), steps[seen], runs[seen]),
+        sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
     )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
@@ -224,13 +216,13 @@ def with_rollouts(
     run, trials = proof.replay, Trials(rollouts, seed, perturbation)
     found = perturbed(run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress)
     asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(found.perturbation)}
-    return replace(proof, perturbed=found.section, monte_carlo=found, asked=asked)
+    return replace(proof, sections=proof.sections | {"perturbed": found.section}, monte_carlo=found, asked=asked)
 
 
 def _held(proof: Proof, held: Held) -> Proof:
     """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
     section = hold_section(held)
-    proof = replace(proof, hold=section, held=held)
+    proof = replace(proof, sections=proof.sections | {"hold": section}, held=held)
     if section.passed or not proof.passed:
         return proof
     plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
@@ -255,7 +247,7 @@ def _reason(mode: str | None, judged: tuple[Section, ...], steps: list[Section],
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"
-    measured = [figure for section in steps for figure in section.measured if figure.bound]
-    worst = max(measured, key=lambda figure: figure.value / (figure.bound or 1.0))
+    measured = [one for section in steps for one in section.measured if one.bound]
+    worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
     how = "with the plan's gains" if mode == "feedback" else "open loop"
     return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."

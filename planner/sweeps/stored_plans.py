@@ -37,7 +37,7 @@ class Change(NamedTuple):
 
     Attributes:
         step: Step of the proof, e.g. "refined_feedback"; "verdict" for the verdict itself.
-        figure: Name of the number.
+        name: Of the number.
         stored: Value in the file, or None.
         now: Value in the new proof, or None.
         bound: Largest value that passes, or None.
@@ -45,7 +45,7 @@ class Change(NamedTuple):
     """
 
     step: str
-    figure: str
+    name: str
     stored: float | str | None
     now: float | str | None
     bound: float | None
@@ -53,7 +53,7 @@ class Change(NamedTuple):
 
     def __str__(self) -> str:
         before, now = ("nothing" if one is None else one if isinstance(one, str) else f"{one:.5g}" for one in self[2:4])
-        return f"{self.step} {self.figure} {self.word} from {before} to {now}"
+        return f"{self.step} {self.name} {self.word} from {before} to {now}"
 
     @property
     def word(self) -> str:

@@ -264,7 +264,7 @@ def test_prove_with_an_edited_a_broken_and_a_missing_model(finished, tmp_path):
         (("run", "crane.xml"), ("crane.xml", "two-link", "PROBLEM.toml")),
         (("fly",), ("fly", "run")),
         (("run", "hopper", "extra"), ("'extra'",)),
-        (("prove", "nowhere.npz"), ("nowhere.npz", "is not a file")),
+        (("prove", "nowhere.npz"), ("nowhere.npz", "does not exist")),
         (("render", "nowhere.npz", "--out", "x.gif"), ("x.gif", ".mp4")),
         (("render", "nowhere.npz", "--size", "big"), ("'big' is not a size",)),
         (("paper", "gripper"), ("gripper", "hopper")),
@@ -359,6 +359,7 @@ def test_list_shows_every_case_with_its_parameters(tmp_path):
     assert done.returncode == 0
     assert "hopper" in done.stdout
     assert "--flow-weight" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100
     cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
     assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0
     assert [case["case"] for case in cases] == list(planner.cases.CASES)

@@ -281,7 +281,7 @@ def test_damaged_files_say_what_is_wrong(saved, changes, words):
 
 
 def test_missing_file_and_wrong_suffix(plan, tmp_path):
-    with pytest.raises(FileError, match="is not a file"):
+    with pytest.raises(FileError, match="does not exist"):
         planner.load_plan(tmp_path / "nowhere.npz")
     with pytest.raises(FileError, match=r"ending in \.npz"):
         plan.save(tmp_path / "plan.txt")

@@ -127,8 +127,10 @@ def test_arguments_that_are_no_path_are_refused(stored, tmp_path, path):
 
 def test_a_plan_is_an_ordinary_file(tmp_path):
     os.mkfifo(tmp_path / "plan.npz")
-    for path in (tmp_path / "plan.npz", "/dev/zero", tmp_path, tmp_path / ("n" * 300), "null\0byte", "two\nlines"):
-        with pytest.raises(FileError, match=r"is not a file, expected a plan\.npz\.") as error:
+    missing = tmp_path / ("n" * 300), "null\0byte", "two\nlines"
+    for path in (tmp_path / "plan.npz", "/dev/zero", tmp_path, *missing):
+        words = "does not exist" if path in missing else "is not a file"
+        with pytest.raises(FileError, match=rf"{words}, expected a plan\.npz\.") as error:
             load_plan(path)
         assert "\n" not in str(error.value)
 

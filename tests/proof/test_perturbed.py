@@ -20,7 +20,7 @@ from planner.proof.perturbation import Nominal, Perturbation, draw, draw_masses
 from planner.proof.perturbed import Trials, perturbed
 from planner.proof.replaying import replay
 from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
-from planner.proof.statistics import Rate
+from planner.proof.success_rate import Rate
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)

@@ -99,18 +99,20 @@ def section(title, name="an_error", value=1.0):
 @pytest.mark.parametrize(
     ("changes", "fragment"),
     [
-        ({"plan": section("plan")}, "where plan fails: an error 1 rad"),
-        ({"parity": section("parity")}, "where parity fails"),
-        ({"same_step": section("same step")}, "where same step fails"),
-        ({"goal": section("goal", "planned_goal_error")}, "misses its goal: planned goal error 1 rad"),
-        ({"refined_feedback": section("refined", value=0.0), "reason": "Far."}, "repeats the plan (feedback): Far."),
+        ({"sections": {"plan": section("plan")}}, "where plan fails: an error 1 rad"),
+        ({"sections": {"parity": section("parity")}}, "where parity fails"),
+        ({"sections": {"same_step": section("same step")}}, "where same step fails"),
+        ({"sections": {"goal": section("goal", "planned_goal_error")}}, "misses its goal: planned goal error 1 rad"),
+        ({"sections": {"refined_feedback": section("refined", value=0.0)}, "reason": "Far."},
+         "repeats the plan (feedback): Far."),
         ({"errors": SimpleNamespace(ratio=lambda mode: 50.0)}, "50 times worse than the step makes it (open-loop)"),
     ],
     ids=["plan", "parity", "same step", "goal", "tracked", "growth"],
 )  # fmt: skip
 def test_other_failures_are_left_alone(failed, changes, fragment):
     plan, proof = failed
-    proof = replace(proof, **changes)
+    sections = proof.sections | changes.get("sections", {})
+    proof = replace(proof, **changes | {"sections": sections})
     refined = refine(plan, proof)
     assert refined.plan is plan
     assert refined.proof is proof
@@ -120,7 +122,8 @@ def test_other_failures_are_left_alone(failed, changes, fragment):
 
 def test_a_goal_that_only_the_replay_misses_is_refined(failed):
     plan, proof = failed
-    assert refine(plan, replace(proof, goal=section("goal", "replayed_goal_error"))).passed
+    sections = proof.sections | {"goal": section("goal", "replayed_goal_error")}
+    assert refine(plan, replace(proof, sections=sections)).passed
 
 
 def test_a_range_that_the_plan_reaches():

@@ -50,7 +50,7 @@ def test_a_figure_that_was_better_is_a_regression(folder, capsys):
     change(folder, better)
     (moved,) = [one for done in check(folder) for one in done.changes]
     assert moved.regressed
-    assert (moved.step, moved.figure, moved.stored) == ("refined_open_loop", "end_state_error", 1e-12)
+    assert (moved.step, moved.name, moved.stored) == ("refined_open_loop", "end_state_error", 1e-12)
     assert main(["check", str(folder), "--quiet"]) == 1
     assert "refined open loop end state error" in capsys.readouterr().out
     assert main(["check", str(folder), "--quiet", "--update"]) == 0

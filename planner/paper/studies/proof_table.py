@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from planner import cases
 from planner.base.errors import PlannerError
+from planner.base.measured import Measured
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited
@@ -21,7 +22,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof import Proof, prove
-from planner.proof.statistics import Rate
+from planner.proof.success_rate import Rate
 from planner.solvers.slq import solve
 
 BUDGET = 20.0  # s of each perturbed step, so that the whole table takes less than five minutes
@@ -127,14 +128,14 @@ def _cells(proof: Proof) -> list[str]:
         *(_value(float(np.abs(proof.replays[m].error[-1]).max())) for m in ("open-loop", "feedback")),
         f"{proof.errors.rate('open-loop'):.1f}, {proof.errors.rate('feedback'):.1f}",
         "none seen" if order is None else f"{order:.1f} of {proof.convergence.nominal:g}",
-        _worst([figure for figure in proof.goal.measured if figure.name.startswith(("replayed", "final"))]),
+        _worst([one for one in proof.goal.measured if one.name.startswith(("replayed", "final"))]),
         *rates,
         "" if carlo is None else _margin(carlo.margin.get("feedback", np.nan)),
     ]
 
 
-def _worst(figures: Any) -> str:
-    values = [figure.value for figure in figures]
+def _worst(measured: Iterable[Measured]) -> str:
+    values = [one.value for one in measured]
     return _value(max(values)) if values else "not applicable"
 
 

@@ -3,8 +3,8 @@
 The parts know neither plan nor proof: stick figures over a motion, paths in space, charts with bands of normal values.
 """
 
+from planner.view.plots.case_pictures import CASE_PICTURES, case_pictures, draw_case_picture
 from planner.view.plots.charts import draw_charts
-from planner.view.plots.of_case import CASE_PICTURES, case_pictures, draw_case_picture
 from planner.view.plots.paths import draw_paths
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof

@@ -119,14 +119,14 @@ def _positions(replay: Replay, xs: np.ndarray) -> np.ndarray:
     return replay.twin.sim_of(xs)[:, : replay.qpos.shape[1]]
 
 
-def _arrows(touches: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _arrows(contacts: ContactHistory, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces and points (F, C, 3) of the contacts at each t."""
-    forces, points = np.zeros((len(t), len(touches.names), 3)), np.full((len(t), len(touches.names), 3), np.nan)
-    for c in range(len(touches.names)):
-        exposure = max(_EXPOSURE, float(touches.t[1] - touches.t[0]))  # the samples of a long replay are longer
-        points[:, c] = _last_known(t, touches.t, touches.points[:, c], exposure)
+    forces, points = np.zeros((len(t), len(contacts.names), 3)), np.full((len(t), len(contacts.names), 3), np.nan)
+    for c in range(len(contacts.names)):
+        exposure = max(_EXPOSURE, float(contacts.t[1] - contacts.t[0]))  # the samples of a long replay are longer
+        points[:, c] = _last_known(t, contacts.t, contacts.points[:, c], exposure)
         for axis in range(3):
-            forces[:, c, axis] = _exposed(t, touches.t, touches.forces[:, c, axis], exposure)
+            forces[:, c, axis] = _exposed(t, contacts.t, contacts.forces[:, c, axis], exposure)
     return forces, points
 
 

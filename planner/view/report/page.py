@@ -19,7 +19,7 @@ from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
 from planner.view.report.reproduce import command, problem_text, typed
 from planner.view.report.style import STYLE
-from planner.view.report.tables import figures_table, number, table
+from planner.view.report.tables import measured_table, number, table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
@@ -60,7 +60,7 @@ def write_report(
         _film(plan, folder, video_note),  # people look before they read
         _pictures(plan, proof, folder),
         _refinement(path),
-        "" if proof is None else "\n".join(["<h2>Proof</h2>", *map(figures_table, proof.sections.values())]),
+        "" if proof is None else "\n".join(["<h2>Proof</h2>", *map(measured_table, proof.sections.values())]),
         _solver(plan),
         _parameters(plan),
         _again(plan, proof, path, options or {}),

@@ -13,14 +13,14 @@ from planner.base.measured import Measured, Section
 NBSP = "\N{NO-BREAK SPACE}"
 
 
-def figures_table(section: Section) -> str:
+def measured_table(section: Section) -> str:
     """A step of a proof: every measured number beside its bound."""
     title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
     if section.not_applicable:
         return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
     if not section.measured:
         return f'{title}\n<p class="soft">Nothing was measured.</p>'
-    rows = "\n".join(_row(figure) for figure in section.measured)
+    rows = "\n".join(_row(one) for one in section.measured)
     head = "<tr><th>Measured</th><th>Value</th><th>Bound</th><th>Verdict</th></tr>"
     return f'{title}\n<div class="scroll"><table>\n{head}\n{rows}\n</table></div>'
 
@@ -28,18 +28,18 @@ def figures_table(section: Section) -> str:
 def _mark(section: Section) -> str:
     if section.not_applicable:
         return '<span class="word none">not applicable</span>'
-    if all(figure.bound is None for figure in section.measured):
+    if all(one.bound is None for one in section.measured):
         return ""
     return _pass_or_fail(section.passed)
 
 
-def _row(figure: Measured) -> str:
-    word = '<span class="word none">shown</span>' if figure.bound is None else _pass_or_fail(figure.passed)
-    bound = "" if figure.bound is None else f"≤{NBSP}{_quantity(figure.bound, figure.unit)}"
-    note = f"<small>{escape(figure.note)}</small>" if figure.note else ""
+def _row(one: Measured) -> str:
+    word = '<span class="word none">shown</span>' if one.bound is None else _pass_or_fail(one.passed)
+    bound = "" if one.bound is None else f"≤{NBSP}{_quantity(one.bound, one.unit)}"
+    note = f"<small>{escape(one.note)}</small>" if one.note else ""
     return (
-        f"<tr><td>{escape(_name(figure))}{note}</td>"
-        f'<td class="number">{_quantity(figure.value, figure.unit)}</td>'
+        f"<tr><td>{escape(_name(one))}{note}</td>"
+        f'<td class="number">{_quantity(one.value, one.unit)}</td>'
         f'<td class="number">{bound}</td><td class="verdict-word">{word}</td></tr>'
     )
 
@@ -78,9 +78,9 @@ def _quantity(value: float, unit: str) -> str:
     return escape(f"{number(value)}{NBSP}{unit}".rstrip())
 
 
-def _name(figure: Measured) -> str:
+def _name(one: Measured) -> str:
     """The key of a measured number in words."""
-    return _capital(re.sub(r"\brms\b", "RMS", figure.name.replace("_", " ")))
+    return _capital(re.sub(r"\brms\b", "RMS", one.name.replace("_", " ")))
 
 
 def _capital(text: str) -> str:
