@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import array
-from planner.dynamics import algorithms as rigid_body
+from planner.dynamics import kinematics
 from planner.dynamics.contact_places import BodyPlace
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.joint_curves import curve_torque_derivatives, curve_torques
@@ -129,11 +129,11 @@ class _Place:
         T[:3, 3] = contact.centre
         self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
         n, law = contact.plane.normal, contact.law
-        centre = rigid_body.frame_pose(mechanism, q, self.frame)[:, :3, 3]
+        centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
         self.e = contact.radius + law.lift + contact.plane.offset - centre @ n
         self.arm = (0.5 * self.e - contact.radius - 0.5 * law.lift)[:, None] * n  # from the centre
         self.p = centre + self.arm
-        J = rigid_body.jacobian(mechanism, q, self.frame)
+        J = kinematics.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]
         self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
         if contact.plane.slide >= 0:  # relative to what moves too
@@ -143,7 +143,7 @@ class _Place:
 
     def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
-        D, n = rigid_body.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
+        D, n = kinematics.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
         de = -np.einsum("a,kaj->kj", n, self.at_centre)
         darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
         dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pressed import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from trees import CHAINS, actuated, driven, machines, random_state, relative_error
 
+from planner import dynamics as rigid_body
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics, poe
-from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contacts import contact_force, contact_forces, generalized_force_derivatives, generalized_forces
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
 from planner.model.mechanism import SCREW, Frame, Mechanism

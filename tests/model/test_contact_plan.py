@@ -9,8 +9,8 @@ from others import PLACES, path
 from trees import mujoco
 
 import planner
+from planner import dynamics as rigid_body
 from planner.base.errors import ModelError, PlannerError
-from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contacts import contact_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Frame, Mechanism

@@ -19,8 +19,8 @@ import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON, count, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import jacobian_derivatives, points_of
 from planner.dynamics.contacts import ramp
+from planner.dynamics.kinematics import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.model.mechanism import Frame
 from planner.problem.costs.penalty_measures import Measures, measures_of, resampled
