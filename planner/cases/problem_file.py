@@ -137,7 +137,9 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
         choice("contacts", contacts, ("on", "off", "ground"))
     if contacts not in ("on", "off"):
         # a stored model has the law already
-        contacts = "on" if assets is not None else _touch(contacts, read(model, ignore=tuple(ignore), contacts="off"))
+        contacts = (
+            "on" if assets is not None else _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
+        )
     mechanism = read(model, ignore=tuple(ignore), contacts=contacts, assets=assets)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
@@ -145,7 +147,7 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     return mechanism
 
 
-def _touch(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
+def _contact_law(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
     """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
     law = {} if isinstance(law, str) else law
     if "stiffness" in law:

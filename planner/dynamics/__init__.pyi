@@ -2,13 +2,8 @@ from planner.dynamics.algorithms import bias as bias
 from planner.dynamics.algorithms import bias_derivatives as bias_derivatives
 from planner.dynamics.algorithms import forward_dynamics as forward_dynamics
 from planner.dynamics.algorithms import forward_dynamics_derivatives as forward_dynamics_derivatives
-from planner.dynamics.algorithms import forward_kinematics as forward_kinematics
-from planner.dynamics.algorithms import forward_kinematics_derivatives as forward_kinematics_derivatives
-from planner.dynamics.algorithms import frame_pose as frame_pose
 from planner.dynamics.algorithms import hybrid_dynamics as hybrid_dynamics
 from planner.dynamics.algorithms import hybrid_dynamics_derivatives as hybrid_dynamics_derivatives
-from planner.dynamics.algorithms import jacobian as jacobian
-from planner.dynamics.algorithms import jacobian_derivatives as jacobian_derivatives
 from planner.dynamics.algorithms import mass_matrix as mass_matrix
 from planner.dynamics.algorithms import mass_matrix_derivatives as mass_matrix_derivatives
 from planner.dynamics.algorithms import rnea as rnea
@@ -18,6 +13,11 @@ from planner.dynamics.contacts import body_contact_forces as body_contact_forces
 from planner.dynamics.contacts import contact_forces as contact_forces
 from planner.dynamics.function import FunctionDynamics as FunctionDynamics
 from planner.dynamics.hopper import HopperDynamics as HopperDynamics
+from planner.dynamics.kinematics import forward_kinematics as forward_kinematics
+from planner.dynamics.kinematics import forward_kinematics_derivatives as forward_kinematics_derivatives
+from planner.dynamics.kinematics import frame_pose as frame_pose
+from planner.dynamics.kinematics import jacobian as jacobian
+from planner.dynamics.kinematics import jacobian_derivatives as jacobian_derivatives
 from planner.dynamics.momentum import angular_momentum as angular_momentum
 from planner.dynamics.momentum import center_of_mass as center_of_mass
 from planner.dynamics.protocol import INTEGRATORS as INTEGRATORS

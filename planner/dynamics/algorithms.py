@@ -21,8 +21,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics.batch import Batch, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.model import Model
-from planner.model.mechanism import Frame, Mechanism
-from planner.model.space import hat
+from planner.model.mechanism import Mechanism
 
 
 class Derivatives(NamedTuple):
@@ -34,13 +33,16 @@ class Derivatives(NamedTuple):
 
 
 def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndarray:
-    """Accelerations qdd (..., nv) from applied forces (Fig. 2, forward dynamics).
+    """Forward dynamics: accelerations from applied forces (Fig. 2).
 
     Args:
         mechanism: The machine.
-        q: (..., nq).
-        qd: (..., nv).
-        tau: (..., nv) N m or N.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        tau: (..., nv) applied forces, N and N m.
+
+    Returns:
+        qdd (..., nv), m/s^2 and rad/s^2.
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
@@ -58,17 +60,20 @@ def _forward(b: Batch, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np
 def hybrid_dynamics(
     mechanism: Mechanism, q: Any, qd: Any, inputs: Any, prescribed: Collection[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Some joints are given their force, the others their acceleration (the paper's Cases 2 and 3).
+    """Hybrid dynamics: some joints are given their force, the others their acceleration (the paper's Cases 2 and 3).
 
     Args:
         mechanism: The machine.
-        q: (..., nq).
-        qd: (..., nv).
-        inputs: (..., nv) forces or, for prescribed joints, accelerations.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        inputs: (..., nv) forces, N and N m, or, for prescribed joints, accelerations, m/s^2 and rad/s^2.
         prescribed: Names of the joints whose accelerations are given.
 
     Returns:
         (qdd, tau), both (..., nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite; no such joint.
     """
     b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
@@ -86,13 +91,19 @@ def _prescribed(mechanism: Mechanism, names: Collection[str]) -> np.ndarray:
 
 
 def rnea(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> np.ndarray:
-    """Applied forces tau (..., nv) from accelerations (Fig. 2, inverse dynamics).
+    """Inverse dynamics by the recursive Newton-Euler algorithm (Fig. 2).
 
     Args:
         mechanism: The machine.
-        q: (..., nq).
-        qd: (..., nv).
-        qdd: (..., nv).
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        qdd: (..., nv) accelerations, m/s^2 and rad/s^2.
+
+    Returns:
+        The applied forces tau (..., nv), N and N m.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
     """
     b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
     return b.out(_inverse(b, b["qd"], b["qdd"]))
@@ -105,13 +116,36 @@ def _inverse(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
 
 
 def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """Forces at zero acceleration (..., nv): Coriolis, gravity, damping and springs (h of Eq. 6)."""
+    """Forces at zero acceleration: Coriolis, gravity, damping and springs (h of Eq. 6).
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+
+    Returns:
+        h (..., nv), N and N m.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q, qd=qd)
     return b.out(_inverse(b, b["qd"], np.zeros_like(b["qd"])))
 
 
 def mass_matrix(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """M(q) (..., nv, nv), armature included (Eq. 6)."""
+    """The mass matrix M(q), armature included (Eq. 6).
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+
+    Returns:
+        M (..., nv, nv), kg, kg m and kg m^2.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q)
     zero = np.zeros((b.K, mechanism.nv))
     return b.out(_inverse_derivatives(b, zero, zero)[2])
@@ -129,20 +163,56 @@ def _outs(b: Batch, *values: np.ndarray) -> Derivatives:
 
 
 def rnea_derivatives(mechanism: Mechanism, q: Any, qd: Any, qdd: Any) -> Derivatives:
-    """Derivatives of tau by q, qd and qdd (which is M), each (..., nv, nv) (the recursive sensitivities of Fig. 2)."""
+    """Derivatives of rnea by the recursive sensitivities of Fig. 2.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        qdd: (..., nv) accelerations, m/s^2 and rad/s^2.
+
+    Returns:
+        Derivatives of tau by q, qd and, as `input`, qdd (which is M), each (..., nv, nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q, qd=qd, qdd=qdd)
     return _outs(b, *_inverse_derivatives(b, b["qd"], b["qdd"]))
 
 
 def bias_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the bias by q and qd, each (..., nv, nv)."""
+    """Derivatives of bias.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+
+    Returns:
+        Those by q and by qd, each (..., nv, nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q, qd=qd)
     result = _inverse_derivatives(b, b["qd"], np.zeros_like(b["qd"]))
     return b.out(result.q), b.out(result.qd)
 
 
 def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """Derivative of M (..., nv, nv, nv) by q, the last axis."""
+    """Derivative of mass_matrix.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+
+    Returns:
+        That by q, (..., nv, nv, nv): q is the last axis.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q)
     nv = mechanism.nv
     many = Batch(mechanism, q=np.repeat(b["q"], nv + 1, axis=0))
@@ -152,7 +222,20 @@ def mass_matrix_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
 
 
 def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> Derivatives:
-    """Derivatives of qdd by q, qd and tau (which is the inverse of M), each (..., nv, nv)."""
+    """Derivatives of forward_dynamics.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        tau: (..., nv) applied forces, N and N m.
+
+    Returns:
+        Derivatives of qdd by q, qd and, as `input`, tau (which is the inverse of M), each (..., nv, nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
     qdd, _ = _forward(b, kernel_model(mechanism), b["tau"])
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
@@ -162,7 +245,21 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
 def hybrid_dynamics_derivatives(
     mechanism: Mechanism, q: Any, qd: Any, inputs: Any, prescribed: Collection[str]
 ) -> tuple[Derivatives, Derivatives]:
-    """Derivatives of qdd and of tau by q, qd and inputs, each (..., nv, nv); see hybrid_dynamics."""
+    """Derivatives of hybrid_dynamics, whose arguments these are.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        qd: (..., nv) velocities, m/s and rad/s.
+        inputs: (..., nv).
+        prescribed: Names of joints.
+
+    Returns:
+        Derivatives of qdd and of tau by q, qd and inputs, each (..., nv, nv).
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite; no such joint.
+    """
     b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
     qdd, _ = _forward(b, kernel_model(mechanism, mask), b["inputs"])
@@ -180,122 +277,3 @@ def hybrid_dynamics_derivatives(
         d[:, free] = 0.0  # given, not computed
     forces[2][:, free] = np.diag(free.astype(float))[free]
     return _outs(b, *accelerations), _outs(b, *forces)
-
-
-def _places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
-    model, nv = kernel_model(b.mechanism), b.mechanism.nv
-    records = np.empty((b.K, nv, 18))
-    b.call(tree_batch.places, model, records)
-    origin = np.tile(model.origin, (b.K, 1, 1))
-    for i in np.flatnonzero(model.floating_address >= 0):
-        a = model.floating_address[i]
-        origin[:, i] = b["q"][:, a : a + 3]
-    T = np.zeros((b.K, nv, 4, 4))
-    T[..., :3, :3] = records[..., :9].reshape(b.K, nv, 3, 3)
-    T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + origin, 1.0
-    T = T @ np.linalg.inv(model.own_frames)
-    for i in np.flatnonzero(model.floating):  # the slides of a free joint, which the kernels leave at the origin
-        first = model.floating_address[i]
-        T[:, i, :3, 3] = 0.0
-        count = int(b.mechanism.q_address[i]) - int(first) + 1
-        T[:, i, :count, 3] = b["q"][:, first : first + count]
-    return T, records[..., 12:], origin
-
-
-def _framed(mechanism: Mechanism, frame: str | Frame) -> Frame:
-    return frame if isinstance(frame, Frame) else mechanism.frame(frame)
-
-
-def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """Poses (..., nbody, 4, 4) of MuJoCo's bodies, the world first."""
-    b = Batch(mechanism, q=q)
-    T = _places(b)[0]
-    poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
-    return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
-
-
-def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
-    """Pose (..., 4, 4) of a site or body in the world."""
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
-    if f.link < 0:
-        return b.out(np.tile(f.T, (b.K, 1, 1)))
-    return b.out(_places(b)[0][:, f.link] @ f.T)
-
-
-def _moving(mechanism: Mechanism, link: int) -> list[int]:
-    """The links that move a link, itself included, from the root on."""
-    chain = []
-    while link >= 0:
-        chain.append(link)
-        link = int(mechanism.parent[link])
-    return chain[::-1]
-
-
-def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
-    """Jacobian (..., 6, nv) of a site or body: rows linear, then angular, in the world's axes at the frame's origin."""
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
-    T, screws, origin = _places(b)
-    J = np.zeros((b.K, 6, mechanism.nv))
-    if f.link >= 0:
-        p = (T[:, f.link] @ f.T)[:, :3, 3] - origin[:, f.link]
-        for i in _moving(mechanism, f.link):
-            J[:, 3:, i] = screws[:, i, :3]
-            J[:, :3, i] = screws[:, i, 3:] + np.cross(screws[:, i, :3], p)
-    return b.out(J)
-
-
-def points_of(
-    mechanism: Mechanism, q: Any, links: np.ndarray, offsets: np.ndarray, *, moving: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places (..., P, 3) of points of links in the world and, where asked, their Jacobians (..., P, 3, nv).
-
-    Args:
-        mechanism: The machine.
-        q: (..., nq).
-        links: (P,) which carry the points; -1 for the world.
-        offsets: (P, 3) m, in the links' frames.
-        moving: Whether Jacobians are wanted; else they are empty.
-    """
-    b = Batch(mechanism, q=q)
-    T, screws, origin = _places(b)
-    T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
-    T = T[:, links]
-    places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]
-    if not moving:
-        return b.out(places), np.empty(0)
-    J = np.zeros((b.K, len(links), mechanism.nv, 3))
-    for p, link in enumerate(links):
-        chain = _moving(mechanism, int(link))
-        arm = places[:, p] - origin[:, link]
-        J[:, p, chain] = screws[:, chain, 3:] + np.cross(screws[:, chain, :3], arm[:, None])
-    return b.out(places), b.out(np.swapaxes(J, 2, 3))
-
-
-def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """Derivative of the bodies' poses by q as twists (..., nbody, 6, nv): linear and angular rows, as jacobian()."""
-    b = Batch(mechanism, q=q)
-    J = [jacobian(mechanism, b["q"], frame) for frame in mechanism.bodies]
-    return b.out(np.stack(J, axis=1))
-
-
-def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
-    """Derivative (..., 6, nv, nv) of jacobian() by q, the last axis."""
-    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
-    D = np.zeros((b.K, 6, mechanism.nv, mechanism.nv))
-    if f.link < 0:
-        return b.out(D)
-    J = jacobian(mechanism, b["q"], f)
-    chain = _moving(mechanism, f.link)
-    block = np.array(mechanism.base)  # axes of one ball turn together
-    for k in chain:
-        turn = hat(J[:, 3:, k])
-        for j in chain:
-            # Moving dof k carries the axes at or beyond it, and the frame's origin with all of them.
-            carried = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
-            if carried:
-                D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])
-                D[:, :3, j, k] = np.einsum("nab,nb->na", turn, J[:, :3, j])
-            else:
-                D[:, :3, j, k] = np.cross(J[:, 3:, j], J[:, :3, k])
-    return b.out(D)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.dynamics import algorithms as rigid_body
+from planner.dynamics import kinematics
 from planner.model.contact.between_bodies import BodyContact, Capsule
 from planner.model.mechanism import Frame, Mechanism
 
@@ -70,7 +70,7 @@ class BodyPlace:
     def __init__(self, mechanism: Mechanism, contact: BodyContact, q: np.ndarray, qd: np.ndarray) -> None:
         self.mechanism, self.contact = mechanism, contact
         self._frames = tuple(_frame(part) for part in (contact.first, contact.second))
-        poses = [rigid_body.frame_pose(mechanism, q, frame) for frame in self._frames]
+        poses = [kinematics.frame_pose(mechanism, q, frame) for frame in self._frames]
         m, self._axes = [T[:, :3, 3] for T in poses], [T[:, :3, 2] for T in poses]
         parts = (contact.first, contact.second)
         self._axes = [np.zeros_like(a) if part.length == 0.0 else a for a, part in zip(self._axes, parts, strict=True)]
@@ -79,12 +79,12 @@ class BodyPlace:
         self._s = [self._closest.s[:, k, None] * self._axes[k] for k in range(2)]  # from the middles
         self._distance = np.hypot(np.linalg.norm(self._closest.D, axis=1), _NO_DIRECTION)
         self.n = self._closest.D / self._distance[:, None]
-        self.e = parts[0].radius + parts[1].radius + contact.touch.lift - self._distance
+        self.e = parts[0].radius + parts[1].radius + contact.law.lift - self._distance
         self._shift = 0.5 * (parts[0].radius - parts[1].radius)
         x = [m[k] + self._s[k] for k in range(2)]
         self.p = 0.5 * (x[0] + x[1]) - self._shift * self.n
         self._arms = [self.p - m[k] for k in range(2)]
-        jacobians = [rigid_body.jacobian(mechanism, q, frame) for frame in self._frames]
+        jacobians = [kinematics.jacobian(mechanism, q, frame) for frame in self._frames]
         self._at_middle, self._angular = [J[:, :3] for J in jacobians], [J[:, 3:] for J in jacobians]
         self.J = self._at(self._arms, 0) - self._at(self._arms, 1)
         self.v = np.einsum("kaj,kj->ka", self.J, qd)
@@ -112,7 +112,7 @@ class BodyPlace:
 
     def _change(self, q: np.ndarray, k: int, darm: np.ndarray) -> np.ndarray:
         """(K, 3, nv, nv) derivative of part k's Jacobian at p, whose distance from its middle changes by darm."""
-        D = rigid_body.jacobian_derivatives(self.mechanism, q, self._frames[k])
+        D = kinematics.jacobian_derivatives(self.mechanism, q, self._frames[k])
         carried = D[:, :3] + np.cross(D[:, 3:], self._arms[k][:, :, None, None], axis=1)
         return carried + np.cross(self._angular[k][:, :, :, None], darm[:, :, None, :], axis=1)
 

@@ -1,4 +1,6 @@
-"""Forces of contacts, stops and curves on a mechanism, in NumPy: for pictures and proofs; the twin of the kernels.
+"""Forces of contacts, stops and curves on a mechanism, in NumPy.
+
+For resting poses, pictures and proofs; the readable twin of the kernels.
 
 The law and its pieces are model.contact.laws's. A contact acts at p, halfway between the surfaces, which moves over the
 link as it sinks in; its generalized force is J'f with J the (3, nv) Jacobian of the point of the link that is at p.
@@ -15,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import array
-from planner.dynamics import algorithms as rigid_body
+from planner.dynamics import kinematics
 from planner.dynamics.contact_places import BodyPlace
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.joint_curves import curve_torque_derivatives, curve_torques
@@ -57,7 +59,7 @@ def _forces(places: Sequence[_Place | BodyPlace], q: np.ndarray, single: bool) -
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
-        points[:, k], depths[:, k] = place.p, place.e - place.contact.touch.lift
+        points[:, k], depths[:, k] = place.p, place.e - place.contact.law.lift
         forces[:, k] = _force(place)[0]
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
@@ -120,18 +122,18 @@ def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[_Place 
 
 
 class _Place:
-    """Where a contact is at K states: what BodyPlace says of two bodies, of a sphere and a plane."""
+    """Where a contact is at K states: as BodyPlace, for a sphere and a plane."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
         T = np.eye(4)
         T[:3, 3] = contact.centre
         self.mechanism, self.contact, self.frame = mechanism, contact, Frame(contact.link, T)
-        n, touch = contact.plane.normal, contact.touch
-        centre = rigid_body.frame_pose(mechanism, q, self.frame)[:, :3, 3]
-        self.e = contact.radius + touch.lift + contact.plane.offset - centre @ n
-        self.arm = (0.5 * self.e - contact.radius - 0.5 * touch.lift)[:, None] * n  # from the centre
+        n, law = contact.plane.normal, contact.law
+        centre = kinematics.frame_pose(mechanism, q, self.frame)[:, :3, 3]
+        self.e = contact.radius + law.lift + contact.plane.offset - centre @ n
+        self.arm = (0.5 * self.e - contact.radius - 0.5 * law.lift)[:, None] * n  # from the centre
         self.p = centre + self.arm
-        J = rigid_body.jacobian(mechanism, q, self.frame)
+        J = kinematics.jacobian(mechanism, q, self.frame)
         self.at_centre, self.angular = J[:, :3], J[:, 3:]
         self.J = self.at_centre + np.cross(self.angular, self.arm[:, :, None], axis=1)
         if contact.plane.slide >= 0:  # relative to what moves too
@@ -141,7 +143,7 @@ class _Place:
 
     def derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """By q: of e (K, nv), of n (K, 3, nv) and of J (K, 3, nv, nv)."""
-        D, n = rigid_body.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
+        D, n = kinematics.jacobian_derivatives(self.mechanism, q, self.frame), self.contact.plane.normal
         de = -np.einsum("a,kaj->kj", n, self.at_centre)
         darm = 0.5 * n[:, None] * de[:, None, :]  # (K, 3, nv)
         dJ = D[:, :3] + np.cross(D[:, 3:], self.arm[:, :, None, None], axis=1)
@@ -187,41 +189,41 @@ def _one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray
 
 def _force(place: _Place | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
-    return touch_force(place.contact.touch, place.n, place.e, place.v)
+    return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
-def touch_force(
-    touch: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
+def contact_force(
+    law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the velocity (K, 3, 3).
 
     Args:
-        touch: The law's numbers.
+        law: The law's numbers.
         n: (3,) or (K, 3) normal.
         e: (K,) penetration into the law's surface, m.
         v: (K, 3) velocity relative to the surface, m/s.
     """
     n = np.broadcast_to(n, v.shape)
-    mu, across = touch.friction, np.eye(3) - n[:, :, None] * n[:, None]
+    mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
     d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # of sliding
-    s, ds = smoothstep(e, touch.ramp)
-    c, dc = touch.slip_damping * s, touch.slip_damping * ds
+    s, ds = smoothstep(e, law.ramp)
+    c, dc = law.slip_damping * s, law.slip_damping * ds
     slip = c * speed
-    g, g_e, g_n = _raw(touch, e, opening)
+    g, g_e, g_n = _raw(law, e, opening)
     # gradients of scalars by (e, v): the slip force, the normal force, friction
     e_axis = np.array([1.0, 0.0, 0.0, 0.0])
     dslip = (dc * speed)[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], c[:, None] * d])
     dg = g_e[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], g_n[:, None] * n])
     slips = slip > mu * g
-    share = 1.0 / (1.0 + mu**2 / touch.impratio)
-    h = np.where(slips, share * (g + mu * slip / touch.impratio), g)
-    dh = np.where(slips[:, None], share * (dg + mu / touch.impratio * dslip), dg)
-    normal, slope = ramp(h, float(touch.force_ramp or 0.0))
+    share = 1.0 / (1.0 + mu**2 / law.impratio)
+    h = np.where(slips, share * (g + mu * slip / law.impratio), g)
+    dh = np.where(slips[:, None], share * (dg + mu / law.impratio * dslip), dg)
+    normal, slope = ramp(h, float(law.force_ramp or 0.0))
     dnormal = slope[:, None] * dh
     limit, dlimit = mu * normal, mu * dnormal
-    bend = touch.bend
+    bend = law.bend
     t = ramp(slip - (1.0 - bend) * limit, 2.0 * bend * limit)[1]
     by_limit = t * (1.0 - bend + bend * t)
     friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without its cancellation

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.arguments import array, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import frame_pose, jacobian
+from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import Frame, Mechanism
 
 

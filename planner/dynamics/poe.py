@@ -66,7 +66,7 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation vector (3,), rad, of a quaternion (4,) of any length; space.log_quaternion for complex numbers."""
+    """The rotation vector (3,), rad, of a quaternion (4,) of any length: log_quaternion of model.space, for complex."""
     quaternion = quaternion / np.sqrt(np.sum(quaternion**2)) * (-1.0 if quaternion[0].real < 0.0 else 1.0)
     square = np.sum(quaternion[1:] ** 2)
     if abs(square) < 1e-8:  # asin(s) / s in a series, since sqrt has no derivative at 0

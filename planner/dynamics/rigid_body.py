@@ -15,9 +15,9 @@ from planner.kernels.integrators import SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
-from planner.kernels.tree import iteration as tree_solve
 from planner.kernels.tree import linearize as tree_linearize
 from planner.kernels.tree import penalties
+from planner.kernels.tree import search as tree_search
 from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
 from planner.kernels.tree.memory import TreeMemory
@@ -201,7 +201,7 @@ class RigidBodyDynamics:
         w.given[0], w.given[1], w.given[2] = cost, slope, self.dt
         penalties = None if w.penalties is None else w.penalties.table
         model, external = self._model.table, self._model.external
-        return tree_solve.search_step(w.table, model, memory.table, w.search, rule, feedback, external, penalties)
+        return tree_search.search_step(w.table, model, memory.table, w.search, rule, feedback, external, penalties)
 
     def penalties(self, measures: Any) -> PenaltyTable:
         """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.Measures."""

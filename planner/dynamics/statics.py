@@ -35,7 +35,7 @@ LAW_SHARE = 1e-3  # how much less it matters that a force is the law's than that
 
 
 def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
-    """The state at rest nearest to a pose in which the ground carries the machine, its driven joints where they are.
+    """The rest state near a pose: the ground carries the machine and its driven joints do not move.
 
     What no actuator drives (the place of a free trunk, a passive joint) goes downhill from the height at which the
     lowest contact touches; along the ground nothing moves it.
@@ -99,7 +99,7 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
     still, nu = np.zeros(mechanism.nv), reach.shape[1]
     law = contact_forces(mechanism, q, still)
     J = contact_jacobians(mechanism, q)
-    near = np.flatnonzero(law.depths > [-_weight(mechanism) / c.touch.stiffness for c in mechanism.contacts])
+    near = np.flatnonzero(law.depths > [-_weight(mechanism) / c.law.stiffness for c in mechanism.contacts])
     tau = tau - generalized_forces(mechanism, q, still) + np.einsum("kaj,ka->j", J, law.forces)  # less stops
     edges = [_edges(mechanism.contacts[k]) for k in near]
     columns = [reach, *(J[k].T @ edge for k, edge in zip(near, edges, strict=True))]
@@ -119,10 +119,10 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
 def _edges(contact: Any) -> np.ndarray:
     """(3, 1 or 4) the forces whose sums with positive factors a contact can give at rest."""
     n = contact.plane.normal
-    if contact.touch.friction == 0.0:
+    if contact.law.friction == 0.0:
         return n[:, None]
     across = np.linalg.svd(n[None])[2][1:]
-    return np.array([n + side * contact.touch.friction * t for t in across for side in (-1.0, 1.0)]).T
+    return np.array([n + side * contact.law.friction * t for t in across for side in (-1.0, 1.0)]).T
 
 
 def _undriven(mechanism: Mechanism) -> np.ndarray:
@@ -150,7 +150,7 @@ def _touching(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> np.ndarr
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
     depths = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
     lowest = int(np.argmax(depths))
-    way = depths[lowest] - _weight(mechanism) / mechanism.contacts[lowest].touch.stiffness
+    way = depths[lowest] - _weight(mechanism) / mechanism.contacts[lowest].law.stiffness
     return mechanism.space.integrate(x, _extended(way * up, free, mechanism.space.ndx))
 
 

@@ -20,9 +20,9 @@ from planner.kernels.hopper import step as hopper
 from planner.kernels.lq import bounded, quadratic, riccati, second_order
 from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
 from planner.kernels.tree import batch as tree_batch
-from planner.kernels.tree import iteration as tree_solve
 from planner.kernels.tree import linearize as tree_linearize
 from planner.kernels.tree import penalties
+from planner.kernels.tree import search as tree_search
 from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
 
@@ -54,9 +54,10 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, _BLOCKS)),
 }
 
-# Kernels with a variant for machines that touch something, and one without the code of it (see Model.external).
-_TOUCHING: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "tree search": (tree_solve.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
+# Kernels with a variant for machines with forces from outside the joints (contacts, stops, exponential torques), and
+# one without the code of these (see Model.external).
+_EXTERNAL_VARIANTS: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "tree search": (tree_search.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (
         tree_linearize.linearize_structured,
         (_TABLE, _TABLE, "float64", _ROWS, _ROWS, _BLOCKS, _BLOCKS),
@@ -65,7 +66,7 @@ _TOUCHING: dict[str, tuple[Any, tuple[str, ...]]] = {
     "tree steps": (tree_step.steps, (_TABLE, _TABLE, "float64[::1]", _ROWS, _ROWS, _ROWS, "boolean")),
     "tree rates": (tree_step.rates, (_TABLE, _TABLE, _ROWS, _ROWS, _ROWS)),
 }
-for _name, (_kernel, _types) in _TOUCHING.items():
+for _name, (_kernel, _types) in _EXTERNAL_VARIANTS.items():
     KERNELS[_name] = (_kernel, (*_types, "none"))
     KERNELS[f"{_name} external"] = (_kernel, (*_types, "boolean"))
 for _name in ("tree search", "tree search external"):  # the last argument is the table of penalties

@@ -6,7 +6,7 @@ weight w, what the cost gains is (Rockafellar; Nocedal & Wright, section 17.4)
     1/2 w (max(0, e - (upper - multiplier / w))^2 + max(0, (lower + multiplier / w) - e)^2),
 
 a hinge at bounds that the multipliers have shifted; where lower = upper it is a parabola. The kernels compute the
-same (see kernels.quadratic).
+same (see kernels.lq.quadratic).
 """
 
 from __future__ import annotations

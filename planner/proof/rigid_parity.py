@@ -27,7 +27,7 @@ from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.joint_curves import curve_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.read import mechanism_of
+from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.space import unit
 from planner.proof.differences import actuator_of, differences, joint_of
@@ -60,7 +60,7 @@ def rigid_parity(
     """
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)
-    named = differences(mechanism, mechanism_of(model))
+    named = differences(mechanism, mechanism_of_model(model))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
     us = spread * rng.normal(size=(states, mechanism.nu))

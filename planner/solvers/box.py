@@ -1,4 +1,4 @@
-"""The minimum of a quadratic over a box, in NumPy: the twin of kernels.box.
+"""The minimum of a quadratic over a box, in NumPy: the twin of kernels.lq.box.
 
 minimize 1/2 k'H k + h'k   over   lower <= k <= upper,   where lower <= 0 <= upper
 """

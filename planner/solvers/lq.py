@@ -6,7 +6,7 @@ Around a trajectory (3.2, 3.3):
     subject to  dx(n+1) = A(n) dx(n) + B(n) du(n),  dx(0) = 0                               (Eq. 35, 38)
 
 with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
-only differences of states know whether these are plain vectors (see space.py). The paper has no S: it stands beside
+only differences of states know whether these are plain vectors (see model.space). The paper has no S: it stands beside
 B'PA wherever that does, and the gradient (Eq. 18) never sees it.
 """
 
@@ -66,7 +66,7 @@ def riccati(
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
-    With bounds each stage's k is the minimum over its box; clamped controls have no gains (see kernels.bounded).
+    With bounds each stage's k is the minimum over its box; clamped controls have no gains (see kernels.lq.bounded).
 
     Args:
         A: (N, ndx, ndx).

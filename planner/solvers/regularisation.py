@@ -76,8 +76,8 @@ class Regularisation:
 
 
 def plain_sweep(engine: Engine) -> Outcome:
-    """Linearise and sweep by Gauss and Newton, without a search, as little regularised as it goes."""
-    engine.use_second_order(False)  # whose gains need no minimum to be those of a stable loop
+    """Linearise and sweep by Gauss-Newton, without a search, with the least regularisation that makes it definite."""
+    engine.use_second_order(False)  # Gauss-Newton's gains are stabilising also away from a minimum
     regularisation, fresh = Regularisation(engine, False), True
     while True:
         done = engine.sweep(regularisation.mu, fresh)

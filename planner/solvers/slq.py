@@ -10,8 +10,8 @@
 Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = us + alpha k + K (x - xs): the same
 direction to first order, and it stays near the trajectory where the dynamics are unstable.
 
-With limits (see limits) the controls stay within their bounds all along, and for ranges of the states this is done
-several times over (see augmented).
+With limits (see problem.limits) the controls stay within their bounds all along, and for ranges of the states
+this is done several times over (see solvers.augmented).
 
 It ends in a local minimum, the one its first guess leads to; with several starts solve() looks for a better one.
 """
@@ -41,7 +41,7 @@ from planner.solvers.regularisation import Regularisation, plain_sweep
 
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
-LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.search
+LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of kernels.lq.search
 
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
@@ -75,11 +75,12 @@ def solve(
             cost is small against the curvature; each takes longer, and many sweeps of it are indefinite.
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
-        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's
-            own, where it has none 1e-10.
-        gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J): at the
-            kinks of contact the model goes on to promise what no step along it brings. Beside any decrease_tolerance;
-            iterations with regularisation do not count. By default the problem's own, where it has none 0: never.
+        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's,
+            or 1e-10 if it has none.
+        gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J). At kinks of
+            contact the LQ model keeps promising a decrease that no step achieves; this ends the solve there. Beside
+            any decrease_tolerance; iterations with regularisation do not count. By default the problem's, or 0 (never)
+            if it has none.
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
@@ -87,8 +88,8 @@ def solve(
         seed: Of the random changes.
         spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
             make of it where these are larger.
-        rank: What of a Plan decides among starts, less is better: its cost by default; proof.proven_cost is what it
-            costs in MuJoCo. A number that is not finite comes last.
+        rank: A function of a Plan; the start with the least value wins. By default its cost; proof.proven_cost is its
+            cost in MuJoCo. A number that is not finite comes last.
 
     Returns:
         A Plan; of several starts the one of least rank among the converged, else of all, which lists the others in

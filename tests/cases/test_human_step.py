@@ -122,7 +122,7 @@ def test_contact_and_stops_have_the_same_law_for_everybody(walker):
     m = walker.mechanism
     assert len(m.contacts) == 4
     for contact in m.contacts:
-        touch = contact.touch
+        touch = contact.law
         for name in ("stiffness", "damping", "ramp", "force_ramp", "slip_damping", "friction"):
             assert getattr(touch, name) == pytest.approx(getattr(TOUCH, name), rel=1e-9)
         assert contact.radius + touch.lift + contact.plane.offset == pytest.approx(0.0, abs=1e-12)  # begins at z = 0

@@ -144,7 +144,7 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
     problem = load(written(tmp_path, contacts)).problem
     dynamics = problem.dynamics
     assert isinstance(dynamics, planner.RigidBodyDynamics)
-    touch = dynamics.mechanism.contacts[0].touch
+    touch = dynamics.mechanism.contacts[0].law
     for name in ("stiffness", "damping", "ramp", "slip_damping", "friction"):
         assert getattr(touch, name) == pytest.approx(getattr(law, name), rel=1e-9)
     rates = dynamics.rates(problem.x0[None], problem.first_guess[:1])

@@ -14,8 +14,8 @@ from trees import (
     stepped,
 )
 
+from planner import dynamics as rb
 from planner.base.errors import PlannerError
-from planner.dynamics import algorithms as rb
 from planner.dynamics import poe
 from planner.model.mechanism import Mechanism
 

@@ -10,7 +10,7 @@ from planner.kernels.numba.jit import FASTMATH
 from planner.kernels.numba.lane_math import sincos, sqrt
 from planner.kernels.numba.lanes import WIDTH, at, lane_array, lanes, load, spread, store
 
-# As kernels.jit compiles, but not into its cache: these kernels are the test's own.
+# As kernels.numba.jit compiles, but not into its cache: these kernels are the test's own.
 jit = njit(fastmath=set(FASTMATH), error_model="numpy")
 
 STEP = 1e-100  # of a complex step, whose square is zero: derivatives without a subtraction, to the last bits

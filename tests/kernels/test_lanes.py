@@ -26,7 +26,7 @@ from planner.kernels.numba.lanes import (
     store4,
 )
 
-# As kernels.jit compiles, but not into its cache: these kernels are the test's own.
+# As kernels.numba.jit compiles, but not into its cache: these kernels are the test's own.
 jit = njit(fastmath=set(FASTMATH), error_model="numpy")
 
 # No contraction can touch these: each result below is one rounded operation.

@@ -212,7 +212,7 @@ def test_a_problem_does_not_outlive_its_user(line_search):
 
 
 def test_iterations_allocate_nothing():
-    """Nor make handles of the arrays that enter: kernels count no references (see kernels.jit)."""
+    """Nor make handles of the arrays that enter: kernels count no references (see kernels.numba.jit)."""
     _nrt_python.memsys_enable_stats()
     try:
         for N in (12, 120):

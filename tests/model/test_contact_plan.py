@@ -9,8 +9,8 @@ from others import PLACES, path
 from trees import mujoco
 
 import planner
+from planner import dynamics as rigid_body
 from planner.base.errors import ModelError, PlannerError
-from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contacts import contact_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Frame, Mechanism
@@ -32,7 +32,7 @@ def test_a_law_for_the_contacts_of_others(name, spheres, bodies):
     assert len(m.contacts) == spheres
     assert len(m.body_contacts) == bodies
     for contact in (*m.contacts, *m.body_contacts):
-        touch = contact.touch
+        touch = contact.law
         read = [touch.stiffness, touch.damping, touch.ramp, touch.force_ramp, touch.slip_damping, touch.friction]
         expected = [
             getattr(GROUND, key) for key in ("stiffness", "damping", "ramp", "force_ramp", "slip_damping", "friction")
@@ -49,8 +49,8 @@ def test_a_law_for_the_contacts_of_others(name, spheres, bodies):
 def test_a_law_replaces_that_of_the_file():
     m = Mechanism.from_mjcf(leg(impratio=10.0, ramp=1e-3), contacts=GROUND)
     assert len(m.contacts) == 1
-    assert m.contacts[0].touch.stiffness == pytest.approx(GROUND.stiffness)
-    assert m.contacts[0].touch.ramp == GROUND.ramp
+    assert m.contacts[0].law.stiffness == pytest.approx(GROUND.stiffness)
+    assert m.contacts[0].law.ramp == GROUND.ramp
     unnamed = LEG.format(impratio=1.0, tilt="0 0 0", ramps="", stop="", pair="").replace('name="foot"', "")
     unnamed = re.sub(r"<contact>.*</contact>", "", unnamed).replace('name="shank"', "")
     m = Mechanism.from_mjcf(unnamed, contacts=GROUND)

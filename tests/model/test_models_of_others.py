@@ -18,9 +18,9 @@ from trees import (
     site_jacobian,
 )
 
+from planner import dynamics as rb
 from planner.base.errors import ModelError, PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics import algorithms as rb
 from planner.model.mechanism import DIRECT, Mechanism
 
 pytestmark = pytest.mark.skipif(

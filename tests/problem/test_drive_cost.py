@@ -149,7 +149,7 @@ def test_contacts_and_stops_keep_their_law():
     jerked = driven_by_jerk(m, PELVIS)
     for one, other in zip(m.contacts, jerked.contacts, strict=True):
         for name in ("stiffness", "damping", "slip_damping", "friction", "ramp"):
-            assert getattr(other.touch, name) == pytest.approx(getattr(one.touch, name), rel=1e-9)
+            assert getattr(other.law, name) == pytest.approx(getattr(one.law, name), rel=1e-9)
     assert [stop.law.stiffness for stop in jerked.stops] == pytest.approx([stop.law.stiffness for stop in m.stops])
     led = RigidBodyDynamics(m, 0.005, prescribed=PELVIS)
     a = np.arange(6.0)[None]

@@ -72,7 +72,7 @@ def test_mujocos_forces_are_the_laws(name):
 
 
 def test_attributes_are_read_back():
-    touch = Mechanism.from_mjcf(meeting("capsules", impratio=1000.0, ramp=2e-3)).body_contacts[0].touch
+    touch = Mechanism.from_mjcf(meeting("capsules", impratio=1000.0, ramp=2e-3)).body_contacts[0].law
     read = [touch.stiffness, touch.damping, touch.slip_damping, touch.friction, touch.ramp]
     np.testing.assert_allclose(read, [STIFFNESS, DAMPING, SLIP, FRICTION, 2e-3], rtol=1e-12)
     with pytest.raises(ModelError, match="solref is a time constant"):
@@ -100,8 +100,8 @@ def test_a_law_for_pairs_of_bodies_and_of_the_world():
     assert m.contacts == m.ignored == ()
     for contact in m.body_contacts:
         assert (contact.first.link < 0) == (contact.name.split("'")[1] in ("post", "knob"))
-        assert contact.touch.stiffness == pytest.approx(GIVEN.stiffness)
-        assert contact.touch.ramp == GIVEN.ramp
+        assert contact.law.stiffness == pytest.approx(GIVEN.stiffness)
+        assert contact.law.ramp == GIVEN.ramp
     post = next(contact.first for contact in m.body_contacts if "post" in contact.name)
     np.testing.assert_allclose([post.middle, np.abs(post.half)], [[0, 0, 0.5], [0, 0, 0.5]], atol=1e-12)
     again = Mechanism.from_mjcf(m.mjcf)  # as a stored plan is read

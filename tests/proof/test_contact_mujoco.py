@@ -104,16 +104,16 @@ def test_attributes_are_read_back():
     """What contact_attributes wrote, with the surface of the plane and the smoothing of the file."""
     m = Mechanism.from_mjcf(leg(impratio=1000.0, ramp=2e-3))
     (contact,) = m.contacts
-    touch = contact.touch
+    touch = contact.law
     read = [touch.stiffness, touch.damping, touch.slip_damping, touch.friction, touch.ramp, contact.radius]
     np.testing.assert_allclose(read, [STIFFNESS, DAMPING, SLIP, FRICTION, 2e-3, RADIUS], rtol=1e-12)
     assert touch.force_ramp == pytest.approx(0.2 * STIFFNESS * 2e-3)
     assert touch.bend == 0.5
-    assert Mechanism.from_mjcf(leg(impratio=1000.0, ramp="0.002 1 0.25")).contacts[0].touch.bend == 0.25
+    assert Mechanism.from_mjcf(leg(impratio=1000.0, ramp="0.002 1 0.25")).contacts[0].law.bend == 0.25
     assert touch.impratio == np.inf
     assert m.body_names[[body.link for body in m.bodies].index(contact.link)] == "shank"
     assert "foot" in contact.name
-    exact = Mechanism.from_mjcf(leg(impratio=10.0)).contacts[0].touch
+    exact = Mechanism.from_mjcf(leg(impratio=10.0)).contacts[0].law
     assert exact.bend == 0.0
     assert exact.impratio == 10.0
     assert exact.ramp == exact.force_ramp == 0.0
@@ -132,7 +132,7 @@ def test_geoms_that_meet_without_a_pair_and_capsules_on_boxes():
         solimp="{solimp}"/></body></worldbody></mujoco>"""
     m, model = Mechanism.from_mjcf(text), mujoco.MjModel.from_xml_string(text)
     assert [contact.name for contact in m.contacts] == ["geom 'log' end 1", "geom 'log' end 2"]
-    touch = m.contacts[0].touch
+    touch = m.contacts[0].law
     assert (touch.stiffness, touch.damping, touch.friction) == pytest.approx((1e4, 50.0, 0.5), rel=1e-9)
     assert touch.slip_damping == pytest.approx(10.0 * 50.0, rel=1e-9)  # impratio times the normal damping
     x = m.home

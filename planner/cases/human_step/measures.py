@@ -16,8 +16,9 @@ from planner.base.measured import Measured, Section
 from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.algorithms import frame_pose, jacobian, rnea
+from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import contact_forces, generalized_forces
+from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import Frame
 from planner.problem.periodicity import Periodic
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.cases.human_step.gait import COLUMNS, SINK, SWAY, Gait, Motion, Reference, reference
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
-from planner.dynamics.algorithms import frame_pose
+from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Mechanism
 
 SWING = (0.62, 1.0)  # of the cycle, from toe-off to heel strike

@@ -16,7 +16,7 @@ from planner.cases.human_step.measures import height, normal_height, robot_wrenc
 from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.walker import LEG, PELVIS
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.algorithms import frame_pose
+from planner.dynamics.kinematics import frame_pose
 from planner.problem.pictures import Band, CasePicture, Chart, Charts, Curve, Motion, Paths, Stick, StickFigures, Trace
 
 if TYPE_CHECKING:

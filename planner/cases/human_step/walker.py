@@ -29,7 +29,8 @@ from planner.cases import anthropometry as winter
 from planner.cases.anthropometry import Segment
 from planner.cases.human_step.gait import COLUMNS, LEG
 from planner.cases.human_step.riener_edrich import CURVED, curves
-from planner.dynamics.algorithms import jacobian, mass_matrix
+from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.kinematics import jacobian
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes

@@ -28,7 +28,7 @@ def turned(w, x, y, z, r):
 
 @inline
 def _log_between(w0, x0, y0, z0, w, x, y, z):
-    """Rotation vector from one quaternion to another, of floats."""
+    """Rotation vector from one quaternion to another, of floats; model.space.log_quaternion of their quotient."""
     a = w0 * w + x0 * x + y0 * y + z0 * z
     b = w0 * x - x0 * w - y0 * z + z0 * y
     c = w0 * y + x0 * z - y0 * w - z0 * x
@@ -122,7 +122,7 @@ def inverse_right_jacobian(r, at_r, J, at_J):
 
 @inline
 def inverse_right_jacobian_floats(r, J):
-    """The same for one rotation vector of floats."""
+    """As inverse_right_jacobian, for one rotation vector of floats."""
     entries = _inverse_right_jacobian(load(r, 0), load(r, 1), load(r, 2))
     for i in range(9):
         store(J, i, entries[i])

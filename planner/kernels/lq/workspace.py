@@ -61,7 +61,7 @@ class Workspace:
         hinge_weight: (N+1, hinges) zero until a solve sets them.
         T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
-        penalties: A kernels.penalty_table.PenaltyTable, or None.
+        penalties: A kernels.tree.penalty_table.PenaltyTable, or None.
     """
 
     def __init__(

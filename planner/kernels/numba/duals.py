@@ -25,8 +25,8 @@ from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, signature
 from numba.extending import models, register_model
 
+from planner.kernels.numba.jit import FASTMATH
 from planner.kernels.numba.lanes import (
-    FLAGS,
     OPERANDS,
     V4,
     VECTOR,
@@ -120,35 +120,35 @@ def _constant_dual(context: Any, builder: Any, fromty: Any, toty: Any, value: An
 
 
 def _sum(builder: Any, a: Any, da: Any, b: Any, db: Any) -> tuple[Any, Any]:
-    value = builder.fadd(a, b, flags=FLAGS)
+    value = builder.fadd(a, b, flags=FASTMATH)
     if da is None or db is None:
         return value, db if da is None else da
-    return value, builder.fadd(da, db, flags=FLAGS)
+    return value, builder.fadd(da, db, flags=FASTMATH)
 
 
 def _difference(builder: Any, a: Any, da: Any, b: Any, db: Any) -> tuple[Any, Any]:
-    value = builder.fsub(a, b, flags=FLAGS)
+    value = builder.fsub(a, b, flags=FASTMATH)
     if db is None:
         return value, da
-    return value, builder.fsub(_zero() if da is None else da, db, flags=FLAGS)
+    return value, builder.fsub(_zero() if da is None else da, db, flags=FASTMATH)
 
 
 def _product(builder: Any, a: Any, da: Any, b: Any, db: Any) -> tuple[Any, Any]:
-    value = builder.fmul(a, b, flags=FLAGS)
-    first = None if da is None else builder.fmul(da, b, flags=FLAGS)
-    second = None if db is None else builder.fmul(a, db, flags=FLAGS)
+    value = builder.fmul(a, b, flags=FASTMATH)
+    first = None if da is None else builder.fmul(da, b, flags=FASTMATH)
+    second = None if db is None else builder.fmul(a, db, flags=FASTMATH)
     if first is None or second is None:
         return value, second if first is None else first
-    return value, builder.fadd(first, second, flags=FLAGS)
+    return value, builder.fadd(first, second, flags=FASTMATH)
 
 
 def _quotient(builder: Any, a: Any, da: Any, b: Any, db: Any) -> tuple[Any, Any]:
-    value = builder.fdiv(a, b, flags=FLAGS)
+    value = builder.fdiv(a, b, flags=FASTMATH)
     if db is None:
-        return value, builder.fdiv(da, b, flags=FLAGS)
-    change = builder.fmul(value, db, flags=FLAGS)  # d(a/b) = (da - (a/b) db) / b
-    change = builder.fsub(_zero() if da is None else da, change, flags=FLAGS)
-    return value, builder.fdiv(change, b, flags=FLAGS)
+        return value, builder.fdiv(da, b, flags=FASTMATH)
+    change = builder.fmul(value, db, flags=FASTMATH)  # d(a/b) = (da - (a/b) db) / b
+    change = builder.fsub(_zero() if da is None else da, change, flags=FASTMATH)
+    return value, builder.fdiv(change, b, flags=FASTMATH)
 
 
 def _define_operator(function: Any, rule: Any) -> None:

@@ -30,7 +30,7 @@ njit: Any = numba.njit
 
 _log = logging.getLogger("planner")
 _TEMPORARY = "slq-planner-"
-FASTMATH = frozenset({"contract", "nsz", "arcp"})
+FASTMATH = ("contract", "nsz", "arcp")
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": set(FASTMATH), "error_model": "numpy"}
 
 

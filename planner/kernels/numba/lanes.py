@@ -36,13 +36,14 @@ from numba.core.typing import templates
 from numba.core.typing.templates import AbstractTemplate, signature
 from numba.extending import models, register_model
 
+from planner.kernels.numba.jit import FASTMATH
+
 # Untyped: Numba passes the typing context itself.
 intrinsic: Any = extending.intrinsic
 infer_global: Any = templates.infer_global
 
 WIDTH = 4
 _LINE = 8  # doubles of a cache line
-FLAGS = ("contract", "nsz", "arcp")
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _INT32 = ir.IntType(32)
 
@@ -151,7 +152,7 @@ def _define_operator(function: Any, instruction: str) -> None:
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         a, b = (as_lanes(context, builder, x, t) for x, t in zip(args, sig.args, strict=True))
-        return getattr(builder, instruction)(a, b, flags=FLAGS)
+        return getattr(builder, instruction)(a, b, flags=FASTMATH)
 
     for left in OPERANDS:
         for right in OPERANDS:

@@ -10,7 +10,7 @@ where c = dt/2, dt/2, dt and, but for rotations, T = 1, W = c_i, V = 0. So
     A_i = (Du | Dq T | Dv + Dq (W + V) | Dact) + c_{i-1} Dq W A_{i-2} + c_i Dv A_{i-1},
 
 two products of an (nv, nv) with an (nv, width) matrix. A rotation that follows the vector theta has T = exp(-theta)
-and J = Jr(theta), W = c J, with Munthe-Kaas' commutators (see tree_step) W = J (c + k [v1]) and V = -k J [v2].
+and J = Jr(theta), W = c J, with Munthe-Kaas' commutators (see kernels.tree.step) W = J (c + k [v1]) and V = -k J [v2].
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIS
 from planner.kernels.tree.sensitivity import Y
 
 # Offsets in a contact's and a stop's numbers, as `model` lays them out
-CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, TOUCH = 0, 3, 6, 7, 8, 11, 14
+CENTRE, NORMAL, LEVEL, ARM, SURFACE, SLIDE, LAW = 0, 3, 6, 7, 8, 11, 14
 STIFFNESS, DAMPING, RAMP, PER_RAMP, FORCE, PER_FORCE, SLIP, FRICTION, RAISE, SHARE, BEND = range(11)
-SIDE, END, LAW = 0, 1, 2
+SIDE, END, STOP_LAW = 0, 1, 2
 _TINY = 1e-40  # added to squares before their root, so that none is zero
 
 
@@ -80,7 +80,7 @@ def _touched(m, k, q, ws):
 
 
 @inline
-def touch_force(value, o, e, v, n):
+def contact_force(value, o, e, v, n):
     """The force of the law at o, by penetration, relative velocity and normal."""
     opening = dot(v, n)
     vt = axpy(v, spread(0.0) - opening, n)
@@ -102,7 +102,7 @@ def add_contact_wrenches(m, q, ws):
         e, _, p, _, _, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
-        f = touch_force(value, k * CONTACT_SIZE + TOUCH, e, v, n)
+        f = contact_force(value, k * CONTACT_SIZE + LAW, e, v, n)
         b = link * RECORD + BIAS
         store3(ws, b, sub(load3(ws, b), cross(p, f)))
         store3(ws, b + 3, sub(load3(ws, b + 3), f))
@@ -154,7 +154,7 @@ def subtract_contact_derivatives(m, q, Dq, Dv, ld, ws):
         e, c, p, w, V, v, n, link, slide = _touched(m, k, q, ws)
         if not any_less(0.0, e):
             continue
-        o = k * CONTACT_SIZE + TOUCH
+        o = k * CONTACT_SIZE + LAW
         f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = differentiated(value, o, e, v, n)
         d = load3(value, k * CONTACT_SIZE + SLIDE)
         if slide >= 0:  # a rate of the slide is one of the link, backwards
@@ -207,8 +207,8 @@ def _stopped(m, k, q, v):
     value, o = floats(m, TREE.stop_value), k * STOP_SIZE
     side = load(value, o + SIDE)
     e = side * (load(q, load(integers(m, TREE.q_address), i)) - load(value, o + END))
-    g, g_e, g_n, _, _ = _normal(value, o + LAW, e, -side * load(v, i))
-    force, slope = _ramped(value, o + LAW, g)
+    g, g_e, g_n, _, _ = _normal(value, o + STOP_LAW, e, -side * load(v, i))
+    force, slope = _ramped(value, o + STOP_LAW, g)
     return i, side, force, slope * g_e, slope * g_n
 
 

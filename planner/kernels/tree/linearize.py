@@ -1,6 +1,6 @@
 """Exact A and B of a stage of a tree (Eq. 35), four knots at a time: the chain rule through the integrator's stages.
 
-Columns are ordered z = (u | dq | dv | dact), as in tree_derivatives.
+Columns are ordered z = (u | dq | dv | dact), as in kernels.tree.derivatives.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class Model:
                 i = mechanism.parent[i]
         for pair in pairs:
             common = common_carrier(mechanism.parent, pair)
-            chains = [_chain(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
+            chains = [chain_of(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
@@ -95,11 +95,11 @@ class Model:
         self.floating_address = arrays["floating_address"]  # (nv,) where qpos holds a floating tree's place, or -1
 
 
-def _chain(parent: np.ndarray, link: int, end: int) -> list[int]:
+def chain_of(parent: np.ndarray, link: int, end: int = -1) -> list[int]:
     """A link and what carries it, up to the end, which is left out."""
     chain = []
     while link != end:
-        chain.append(link)
+        chain.append(int(link))
         link = int(parent[link])
     return chain
 
@@ -253,12 +253,12 @@ def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dic
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), CONTACT_SIZE))
     for row, contact in zip(value, contacts, strict=True):
-        plane, touch, i = contact.plane, contact.touch, contact.link
+        plane, law, i = contact.plane, contact.law, contact.link
         row[:3] = (np.linalg.inv(tree["frames"][i]) @ np.append(contact.centre, 1.0))[:3]
         row[3:6], row[8:11] = plane.normal, plane.velocity
-        row[6] = contact.radius + touch.lift + plane.offset - plane.normal @ tree["origin"][i]
-        row[7] = contact.radius + 0.5 * touch.lift
-        row[11:14], row[14:] = slide_direction(mechanism, plane), _touch(touch)
+        row[6] = contact.radius + law.lift + plane.offset - plane.normal @ tree["origin"][i]
+        row[7] = contact.radius + 0.5 * law.lift
+        row[11:14], row[14:] = slide_direction(mechanism, plane), _contact_law_numbers(law)
     slide = np.array([contact.plane.slide for contact in contacts], dtype=np.int64)
     address = tree["floating_address"][link]
     return {"contact_link": link, "contact_address": address, "contact_slide": slide, "contact_value": value}
@@ -266,7 +266,7 @@ def _contacts(contacts: Any, mechanism: Any, tree: dict[str, np.ndarray]) -> dic
 
 def _stops(stops: Any) -> dict[str, np.ndarray]:
     """Per stop: its side, where it begins, and the six numbers of its force."""
-    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law(stop.law)] for stop in stops]
+    rows = [[stop.side, stop.end - stop.side * stop.law.lift, *_law_numbers(stop.law)] for stop in stops]
     return {
         "stop_dof": np.array([stop.dof for stop in stops], dtype=np.int64),
         "stop_value": np.array(rows, dtype=float).reshape(-1, STOP_SIZE),
@@ -294,8 +294,8 @@ def _pairs(pairs: Any, parent: np.ndarray, tree: dict[str, np.ndarray]) -> dict[
             link[3:] = -1
         radii = [part.radius for part in parts]
         row[14:17] = origins[0] - origins[1]
-        row[17:21] = sum(radii) + pair.touch.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
-        row[21:] = _touch(pair.touch)
+        row[17:21] = sum(radii) + pair.law.lift, 0.5 * (radii[0] - radii[1]), b, b * (2.0 + b) if b > 0.0 else 1.0
+        row[21:] = _contact_law_numbers(pair.law)
     return {"pair_links": links, "pair_value": value}
 
 
@@ -311,13 +311,14 @@ def _curves(curves: Any) -> dict[str, np.ndarray]:
     }
 
 
-def _touch(touch: Any) -> list[float]:
-    raised = touch.friction / touch.impratio  # MuJoCo's projection, see planner.model.contact.laws
-    share = 1.0 / (1.0 + touch.friction * raised)
-    return [*_law(touch), touch.slip_damping, touch.friction, raised, share, touch.bend]
+def _contact_law_numbers(law: Any) -> list[float]:
+    """Those of _law_numbers, and five of friction."""
+    raised = law.friction / law.impratio  # MuJoCo's projection, see planner.model.contact.laws
+    share = 1.0 / (1.0 + law.friction * raised)
+    return [*_law_numbers(law), law.slip_damping, law.friction, raised, share, law.bend]
 
 
-def _law(law: Any) -> list[float]:
+def _law_numbers(law: Any) -> list[float]:
     """Stiffness, damping and the two ramps with their inverses, so large for none that all is beyond its end."""
     ramps = (law.ramp, law.force_ramp)
     return [law.stiffness, law.damping, *(x for a in ramps for x in (a, 1.0 / a if a > 0.0 else 1e300))]

@@ -10,7 +10,7 @@ it is the first) and the other one at rest,
     dv     = +-(Y_i(p) + w_i x V_own(p) - w_own x J_i) + (w_1 - w_2) x dp
     df     = w x f + f_e de + f_v (dv - w x v),   w = n x dn    (the law is the same in all directions)
 
-and J_j'f changes as in kernels.contact.
+and J_j'f changes as in kernels.tree.contact.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, rotate
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
-from planner.kernels.tree.contact import by_velocity, differentiated, touch_force
+from planner.kernels.tree.contact import by_velocity, contact_force, differentiated
 from planner.kernels.tree.model import PAIR_LINKS_SIZE, PAIR_SIZE, TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 
 # Offsets in a pair's numbers, as `model` lays them out: of each part, then of both; and in its links
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7
-BETWEEN, REACH, SHIFT, BLUNT, PARALLEL, TOUCH = 14, 17, 18, 19, 20, 21
+BETWEEN, REACH, SHIFT, BLUNT, PARALLEL, LAW = 14, 17, 18, 19, 20, 21
 COMMON, ADDRESS = 2, 3
 _TINY = 1e-24  # m^2, so that centres in one place have no direction rather than a wrong one
 
@@ -102,7 +102,7 @@ def add_pair_wrenches(m, q, ws):
         link1, link2, e, _, n, _, _, _, _, _, p1, p2, _, _, V1, V2, _ = _met(m, k, q, ws)
         if not any_less(0.0, e):
             continue
-        f = touch_force(value, k * PAIR_SIZE + TOUCH, e, sub(V1, V2), n)
+        f = contact_force(value, k * PAIR_SIZE + LAW, e, sub(V1, V2), n)
         if link1 >= 0:
             b = link1 * RECORD + BIAS
             store3(ws, b, sub(load3(ws, b), cross(p1, f)))
@@ -141,7 +141,7 @@ def subtract_pair_derivatives(m, q, Dq, Dv, ld, ws):
         shift, per = load(value, o + SHIFT), 1.0 / distance
         k_own, k_other, between = _inverse(value, o, freedom, a, a_other)
         v, spin, w, w_other, sign = sub(V, V_other), sub(w1, w2), w1, w2, spread(1.0)
-        f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = differentiated(value, o + TOUCH, e, v, n)
+        f, f_e, vt, fn_n, fn_t, a_n, a_t, viscosity = differentiated(value, o + LAW, e, v, n)
         for _ in range(2):
             i = own
             while i != common:

@@ -8,7 +8,7 @@ each of its points (1 - s, s, u - 1 and -u for the ends of two lines; 1 for a he
 a wrench on the point's link, for the links that move it: (w_i, v_i) is the screw of i, p the point, both about the
 tree's origin. The velocity V of a point, along d, has by q_i and v_i the derivatives
 
-    d'(Y_i(p) + w_i x V),   d'(v_i + w_i x p),   Y_i = V_base x S_i    (see kernels.contact, where p is the link's)
+    d'(Y_i(p) + w_i x V),   d'(v_i + w_i x p),   Y_i = V_base x S_i    (see kernels.tree.contact, where p is the link's)
 """
 
 from __future__ import annotations

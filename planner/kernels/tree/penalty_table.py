@@ -1,7 +1,7 @@
 """The terms of PenaltyCosts as kernels read them: one int64 table of sizes and addresses, and the arrays behind it.
 
 What varies over the stages has them along its last axis, so that four knots are one load. Points are given in the
-kernels' frames of their links and about the origins of their trees (see kernels.model).
+kernels' frames of their links and about the origins of their trees (see kernels.tree.model).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
+from planner.kernels.tree.model import chain_of
 
 HEIGHT, DISTANCE, VELOCITY = 0, 1, 2  # kinds of terms
 PARALLEL = 1e-12
@@ -44,7 +45,7 @@ class PenaltyTable:
         own = np.einsum("pij,pj->pi", frames[:, :3, :3], m.offset) + frames[:, :3, 3]
         at_rest = np.where(carried[:, None], model.origin[link], m.offset)
         world = m.world + (m.share[:, None] * at_rest)[:, None]
-        chains = [_chain(parent, i) for i in link]
+        chains = [chain_of(parent, i) for i in link]
         dofs = [sorted(set().union(*(chains[p] for p in set(ends.tolist())))) for ends in m.ends]
         dofs = [one + [model.nv + i for i in one] if quick else one for one, quick in zip(dofs, fast, strict=True)]
         arrays = {
@@ -70,15 +71,6 @@ class PenaltyTable:
             "fast": fast.any(),
         }  # fmt: skip
         self.table = PENALTY.table(sizes, self._arrays)
-
-
-def _chain(parent: np.ndarray, link: int) -> list[int]:
-    """The links that move a link, and itself."""
-    chain = []
-    while link >= 0:
-        chain.append(int(link))
-        link = parent[link]
-    return chain
 
 
 def _along_stages(values: np.ndarray, stride: int) -> np.ndarray:

@@ -69,13 +69,13 @@ class BodyContact:
     Attributes:
         first: On which the force acts.
         second: On which its opposite acts.
-        touch: The force.
+        law: The force.
         name: For pictures and messages.
     """
 
     first: Capsule
     second: Capsule
-    touch: ContactLaw
+    law: ContactLaw
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ class BodyContact:
         first, second = self.first.length, self.second.length
         if first == 0.0 or second == 0.0:
             return 0.0
-        return max((self.touch.ramp / (first + second)) ** 2, LEAST_BLUNT)
+        return max((self.law.ramp / (first + second)) ** 2, LEAST_BLUNT)
 
 
 def check_body_contact(contact: BodyContact, carriers: Any, where: str) -> None:

@@ -181,7 +181,7 @@ class Contact:
         centre: (3,) m, in the link's frame.
         radius: m, 0 for a point.
         plane: The plane that it touches.
-        touch: The force.
+        law: The force.
         name: For pictures and messages.
     """
 
@@ -189,7 +189,7 @@ class Contact:
     centre: np.ndarray
     radius: float
     plane: Plane
-    touch: ContactLaw
+    law: ContactLaw
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -24,7 +24,7 @@ from planner.model.mjcf.text import written
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
-def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> list[str]:
+def give_law(root: ElementTree.Element, survey: Survey, law: ContactLaw) -> list[str]:
     """Edit the XML so that its contacts have a law; returns the contacts that are left out, in one phrase or none.
 
     The survey is of what the root compiles to. Of an infinite impratio becomes IMPRATIO.
@@ -32,7 +32,7 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
     if not survey.pairs:
         return []
     model = survey.model
-    impratio = touch.impratio if np.isfinite(touch.impratio) else IMPRATIO
+    impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
     body_names, geom_names = _names(root, model)
     section, left_out = _in_place_of_pairs(root), []
     for pair in survey.pairs:
@@ -42,15 +42,15 @@ def give_law(root: ElementTree.Element, survey: Survey, touch: ContactLaw) -> li
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
-        law = contact_attributes(touch.stiffness, touch.damping, touch.slip_damping, touch.friction, weight, impratio)
+        attributes = contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, weight, impratio)
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
-        ElementTree.SubElement(section, "pair", {**geoms, **law, "margin": "0", "gap": "0"})
+        ElementTree.SubElement(section, "pair", {**geoms, **attributes, "margin": "0", "gap": "0"})
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):
         for element in custom.findall(f"numeric[@name='{CONTACT_RAMP}']"):
             custom.remove(element)
-    data = f"{touch.ramp!r} {touch.force_ramp!r} {touch.bend!r}"
+    data = f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
     ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
     return [phrase_of(model, left_out)] if left_out else []
 

@@ -56,14 +56,14 @@ def contact_attributes(
     Raises:
         PlannerError: A number that cannot be.
     """
-    touch = ContactLaw.exact(stiffness, damping, slip_damping, friction, impratio)
+    law = ContactLaw.exact(stiffness, damping, slip_damping, friction, impratio)
     per = number("invweight", invweight, above=0.0) * (1.0 - SOFT)
-    mu = touch.friction
-    if mu == 0.0 or touch.slip_damping == 0.0:
-        return {"condim": "1", **_direct(touch, per, "")}
-    slip = touch.slip_damping / touch.impratio
+    mu = law.friction
+    if mu == 0.0 or law.slip_damping == 0.0:
+        return {"condim": "1", **_direct(law, per, "")}
+    slip = law.slip_damping / law.impratio
     rubs = {"condim": "3", "friction": _text(mu, mu, 0.005, 0.0001, 0.0001)}
-    return {**rubs, **_direct(touch, per, ""), "solreffriction": _text(-touch.stiffness * per, -slip * per)}
+    return {**rubs, **_direct(law, per, ""), "solreffriction": _text(-law.stiffness * per, -slip * per)}
 
 
 def stop_attributes(stiffness: float, damping: float, invweight: float) -> dict[str, str]:
@@ -158,23 +158,23 @@ def read_contacts(survey: Survey) -> tuple[tuple[Contact, ...], tuple[BodyContac
     for pair in survey.pairs:
         if _reason(survey, pair):
             continue
-        touch = _touch(model, pair)
+        law = _law_of(model, pair)
         match = plane_and_spheres(survey, pair.geoms)
         if match is None:
             name = " and ".join(named(model, "geom", geom) for geom in pair.geoms)
             first, second = (capsule_of(survey, geom) for geom in pair.geoms)
-            of_bodies.append(BodyContact(first, second, touch, name))
+            of_bodies.append(BodyContact(first, second, law, name))
             continue
         plane, spheres = match
         for k, sphere in enumerate(spheres):
             name = part_name(named(model, "geom", sphere.geom), spheres, k)
             centre = (survey.geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
             link = int(links[model.geom_bodyid[sphere.geom]])
-            with_planes.append(Contact(link, centre, sphere.radius, plane, touch, name))
+            with_planes.append(Contact(link, centre, sphere.radius, plane, law, name))
     return tuple(with_planes), tuple(of_bodies)
 
 
-def _touch(model: Any, pair: Pair) -> ContactLaw:
+def _law_of(model: Any, pair: Pair) -> ContactLaw:
     weight = float(np.sum(model.body_invweight0[model.geom_bodyid[list(pair.geoms)], 0])) * (1.0 - pair.solimp[0])
     K, B = -pair.solref / weight
     impratio = float(model.opt.impratio)

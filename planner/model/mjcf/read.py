@@ -80,7 +80,7 @@ def _refuse(found: list[Refusal], name: str) -> None:
     raise ModelError(f"{name} has what changes its motion and is not modelled: {what}{advice}.")
 
 
-def mechanism_of(model: Any) -> Mechanism:
+def mechanism_of_model(model: Any) -> Mechanism:
     """Convert an MjModel to a Mechanism and ignore unsupported elements; `mjcf` stays empty."""
     return _mechanism(Survey(model), "", {}, (), "the model")
 

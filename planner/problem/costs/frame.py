@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.base.arguments import array, numbers, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import frame_pose, jacobian
+from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import Frame
 from planner.model.space import conjugate, log_jacobian, log_quaternion, product
 from planner.problem.costs.terms import Quadratic, Term, per_stage

@@ -19,7 +19,8 @@ import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON, count, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import jacobian_derivatives, points_of
+from planner.dynamics.contacts import ramp
+from planner.dynamics.kinematics import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.model.mechanism import Frame
 from planner.problem.costs.penalty_measures import Measures, measures_of, resampled
@@ -154,8 +155,7 @@ def _ramped(m: Measures, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (T, N+1) times the tolerance, and their derivatives by the values (T, N+1)."""
     side, a = m.side[:, None], m.ramp[:, None]
     e = np.where(side == 0.0, 1.0, side) * (values - m.bound)
-    slope = np.clip(e / a, 0.0, 1.0)
-    residual = slope * (e - 0.5 * a * slope)
+    residual, slope = ramp(e, a)
     return np.where(side == 0.0, e, residual), np.where(side == 0.0, 1.0, side * slope)
 
 

@@ -1,7 +1,7 @@
 """Costs: J = phi(x(N)) + sum of L(x(n), u(n), n) (Eq. 9), and their quadratic models.
 
 A factor 1/2 stands on every quadratic term, also on the control's: Eq. 11 as printed has none there, but Eq. 16
-and 18 imply it. Gradients and Hessians of states are with respect to a deviation dx (ndx numbers, see space.py),
+and 18 imply it. Gradients and Hessians of states are with respect to a deviation dx (ndx numbers, see model.space),
 which is the state's own difference where states are plain vectors.
 """
 

@@ -22,10 +22,10 @@ from planner.problem.costs.penalty_measures import joined
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.protocol import Outcome, promised
+from planner.solvers.engine.protocol import Engine, Outcome, promised
 
 
-class CompiledEngine:
+class CompiledEngine(Engine):
     """Dynamics and costs that are compiled: a tracking cost and, where dynamics take them, penalties."""
 
     def __init__(
@@ -115,10 +115,6 @@ class CompiledEngine:
         if step == 0.0:
             return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
         return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
-
-    def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
-        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
-from planner.solvers.engine.protocol import Outcome, promised
+from planner.solvers.engine.protocol import Engine, Outcome, promised
 
 
-class NumpyEngine:
+class NumpyEngine(Engine):
     """Any Dynamics and any Cost."""
 
     def __init__(self, problem: Problem) -> None:
@@ -159,10 +158,6 @@ class NumpyEngine:
                 return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
-
-    def sweep(self, mu: float, fresh: bool) -> Outcome:
-        """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
-        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

@@ -1,11 +1,13 @@
-"""Engine: the memory and the arithmetic of one solve. solve() drives it and decides."""
+"""The protocol of engines, and the result of one iteration. solve() drives an engine and decides."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from planner.kernels.lq import search
 from planner.problem.state_ranges import Hinges
 
 
@@ -53,7 +55,7 @@ class Engine(Protocol):
 
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
-        ...
+        return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

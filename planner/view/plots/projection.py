@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import array
-from planner.dynamics.algorithms import frame_pose
+from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.appearance import View
 from planner.view.render.camera import directions

@@ -1,0 +1,189 @@
+"""Kinematics of a Mechanism as functions: one state or a batch in, NumPy out, compiled inside.
+
+Conventions are those of planner.dynamics.algorithms.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.dynamics.batch import Batch, kernel_model
+from planner.kernels.tree import batch as tree_batch
+from planner.kernels.tree.model import chain_of
+from planner.model.mechanism import Frame, Mechanism
+from planner.model.space import hat
+
+
+def _places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
+    model, nv = kernel_model(b.mechanism), b.mechanism.nv
+    records = np.empty((b.K, nv, 18))
+    b.call(tree_batch.places, model, records)
+    origin = np.tile(model.origin, (b.K, 1, 1))
+    for i in np.flatnonzero(model.floating_address >= 0):
+        a = model.floating_address[i]
+        origin[:, i] = b["q"][:, a : a + 3]
+    T = np.zeros((b.K, nv, 4, 4))
+    T[..., :3, :3] = records[..., :9].reshape(b.K, nv, 3, 3)
+    T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + origin, 1.0
+    T = T @ np.linalg.inv(model.own_frames)
+    for i in np.flatnonzero(model.floating):  # the slides of a free joint, which the kernels leave at the origin
+        first = model.floating_address[i]
+        T[:, i, :3, 3] = 0.0
+        count = int(b.mechanism.q_address[i]) - int(first) + 1
+        T[:, i, :count, 3] = b["q"][:, first : first + count]
+    return T, records[..., 12:], origin
+
+
+def _framed(mechanism: Mechanism, frame: str | Frame) -> Frame:
+    return frame if isinstance(frame, Frame) else mechanism.frame(frame)
+
+
+def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Poses of MuJoCo's bodies (product of exponentials).
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+
+    Returns:
+        (..., nbody, 4, 4) in the world, the world first.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+    b = Batch(mechanism, q=q)
+    T = _places(b)[0]
+    poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
+    return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
+
+
+def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
+    """Pose of a site or body.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        frame: A Frame, or the name of a site or body.
+
+    Returns:
+        (..., 4, 4) in the world.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite; no such frame.
+    """
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    if f.link < 0:
+        return b.out(np.tile(f.T, (b.K, 1, 1)))
+    return b.out(_places(b)[0][:, f.link] @ f.T)
+
+
+def _moving(mechanism: Mechanism, link: int) -> list[int]:
+    """The links that move a link, itself included, from the root on."""
+    return chain_of(mechanism.parent, link)[::-1]
+
+
+def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
+    """Jacobian of a site or body: its velocity per velocity of each degree of freedom.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        frame: A Frame, or the name of a site or body.
+
+    Returns:
+        (..., 6, nv): rows linear, then angular, in the world's axes at the frame's origin.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite; no such frame.
+    """
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    T, screws, origin = _places(b)
+    J = np.zeros((b.K, 6, mechanism.nv))
+    if f.link >= 0:
+        p = (T[:, f.link] @ f.T)[:, :3, 3] - origin[:, f.link]
+        for i in _moving(mechanism, f.link):
+            J[:, 3:, i] = screws[:, i, :3]
+            J[:, :3, i] = screws[:, i, 3:] + np.cross(screws[:, i, :3], p)
+    return b.out(J)
+
+
+def points_of(
+    mechanism: Mechanism, q: Any, links: np.ndarray, offsets: np.ndarray, *, moving: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (..., P, 3) of points of links in the world and, where asked, their Jacobians (..., P, 3, nv).
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq).
+        links: (P,) which carry the points; -1 for the world.
+        offsets: (P, 3) m, in the links' frames.
+        moving: Whether Jacobians are wanted; else they are empty.
+    """
+    b = Batch(mechanism, q=q)
+    T, screws, origin = _places(b)
+    T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
+    T = T[:, links]
+    places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]
+    if not moving:
+        return b.out(places), np.empty(0)
+    J = np.zeros((b.K, len(links), mechanism.nv, 3))
+    for p, link in enumerate(links):
+        chain = _moving(mechanism, int(link))
+        arm = places[:, p] - origin[:, link]
+        J[:, p, chain] = screws[:, chain, 3:] + np.cross(screws[:, chain, :3], arm[:, None])
+    return b.out(places), b.out(np.swapaxes(J, 2, 3))
+
+
+def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
+    """Derivative of forward_kinematics by q, as twists.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+
+    Returns:
+        (..., nbody, 6, nv): linear and angular rows, as jacobian().
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+    b = Batch(mechanism, q=q)
+    J = [jacobian(mechanism, b["q"], frame) for frame in mechanism.bodies]
+    return b.out(np.stack(J, axis=1))
+
+
+def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
+    """Derivative of jacobian.
+
+    Args:
+        mechanism: The machine.
+        q: (..., nq) configurations, m and rad.
+        frame: A Frame, or the name of a site or body.
+
+    Returns:
+        That by q, (..., 6, nv, nv): q is the last axis.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite; no such frame.
+    """
+    b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
+    D = np.zeros((b.K, 6, mechanism.nv, mechanism.nv))
+    if f.link < 0:
+        return b.out(D)
+    J = jacobian(mechanism, b["q"], f)
+    chain = _moving(mechanism, f.link)
+    block = np.array(mechanism.base)  # axes of one ball turn together
+    for k in chain:
+        turn = hat(J[:, 3:, k])
+        for j in chain:
+            # Moving dof k carries the axes at or beyond it, and the frame's origin with all of them.
+            carried = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
+            if carried:
+                D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])
+                D[:, :3, j, k] = np.einsum("nab,nb->na", turn, J[:, :3, j])
+            else:
+                D[:, :3, j, k] = np.cross(J[:, 3:, j], J[:, :3, k])
+    return b.out(D)
