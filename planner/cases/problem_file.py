@@ -117,6 +117,8 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
 
+    Its starts, seed and durations are for `planner run`; give them to solve or solve_for yourself.
+
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """

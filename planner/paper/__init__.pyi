@@ -11,7 +11,7 @@ from planner.paper.methods.splines import SplineMotion as SplineMotion
 from planner.paper.methods.splines import SplineSpace as SplineSpace
 from planner.paper.methods.splines import minimize_effort as minimize_effort
 from planner.paper.methods.underactuated import DrivenMotion as DrivenMotion
-from planner.paper.methods.underactuated import Weights as Weights
+from planner.paper.methods.underactuated import DrivenWeights as DrivenWeights
 from planner.paper.methods.underactuated import minimize_effort_underactuated as minimize_effort_underactuated
 from planner.paper.payload import largest_payload as largest_payload
 from planner.paper.payload import static_limit as static_limit
