@@ -15,7 +15,7 @@ import numpy as np
 from planner.base.jsonable import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias, frame_pose
-from planner.paper.payload import LargestPayload, largest_payload, static_limit
+from planner.paper.methods.payload import LargestPayload, largest_payload, static_limit
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan

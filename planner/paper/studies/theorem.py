@@ -24,7 +24,7 @@ from planner import cases
 from planner.cases.hopper import PAPER
 from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study, timed
-from planner.paper.studies.table import random_lq, swept
+from planner.paper.studies.table_1 import random_lq, swept
 from planner.paper.studies.watched import Sweep, watched
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Status
