@@ -1,4 +1,4 @@
-"""Costs: what a motion is to achieve and to be sparing of. Public names; planner.problem.costs has the code."""
+"""Cost terms: tracking, effort, energy, jerk, penalties, targets of frames. Add them with +."""
 
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.energy import EnergyCost

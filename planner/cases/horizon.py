@@ -6,9 +6,9 @@ from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
+from planner.problem.discretisation import MOST_STAGES
 
 LARGEST = 1e6  # of sizes, weights and seconds
-MOST_STAGES = 100_000
 
 
 def stages(duration: Any, horizon: Any, per_second: float = 100.0, least: int = 1) -> tuple[float, int]:

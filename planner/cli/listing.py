@@ -9,7 +9,7 @@ import textwrap
 from typing import get_type_hints
 
 from planner import cases
-from planner.cases import problem_keys
+from planner.cases.problem_file import keys as problem_keys
 from planner.cli.console import Console
 from planner.cli.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
 

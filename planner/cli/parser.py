@@ -12,7 +12,8 @@ from typing import Any, NoReturn, get_args, get_type_hints
 
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
-from planner.cases import CASES, problem_keys
+from planner.cases import CASES
+from planner.cases.problem_file import keys as problem_keys
 from planner.dynamics import INTEGRATORS
 from planner.paper.studies.catalogue import STUDIES
 from planner.problem.objective import OBJECTIVES

@@ -58,6 +58,9 @@ class FunctionDynamics:
         self._f, self._jacobian = f, jacobian
         self.batched = self._try_out()
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(nx {self.nx}, nu {self.nu}, {self.integrator}, dt {self.dt:g})"
+
     def _try_out(self) -> bool:
         # A batch of three different states: a function of one state cannot return the same for it by chance.
         rng = np.random.default_rng(0)

@@ -46,6 +46,9 @@ class HopperDynamics:
         self._code = INTEGRATORS.index(self.integrator)
         self._parameters = np.array([self.stiffness, self.smoothing, self.gravity])
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.integrator}, dt {self.dt:g})"
+
     def with_step(self, dt: float, integrator: str) -> HopperDynamics:
         """The same hopper with another stage, s, and integrator."""
         return HopperDynamics(dt, integrator, stiffness=self.stiffness, smoothing=self.smoothing, gravity=self.gravity)

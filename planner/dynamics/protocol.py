@@ -114,7 +114,7 @@ class PenalisedDynamics(CompiledDynamics, Protocol):
     def penalised_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
 
     def penalties(self, measures: Any) -> Any:
-        """The kernels' table of a planner.problem.costs.penalty_measures.Measures, for Workspace.use_penalties."""
+        """The kernels' table of a planner.problem.costs.penalty_measures.PenaltyArrays, for Workspace.use_penalties."""
         ...
 
     def penalise_nominal(self, w: Workspace, memory: Any) -> None:

@@ -69,6 +69,11 @@ class RigidBodyDynamics:
         self.penalised_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "penalties")
         self.second_order_kernels = ("tree second order", "costates")
 
+    def __repr__(self) -> str:
+        n = len(self.mechanism.joint_names)
+        joints = "1 joint" if n == 1 else f"{n} joints"
+        return f"{type(self).__name__}({joints}, {self.integrator}, dt {self.dt:g})"
+
     def with_step(self, dt: float, integrator: str) -> RigidBodyDynamics:
         """The same machine with another stage, s, and integrator.
 
@@ -204,7 +209,7 @@ class RigidBodyDynamics:
         return tree_search.search_step(w.table, model, memory.table, w.search, rule, feedback, external, penalties)
 
     def penalties(self, measures: Any) -> PenaltyTable:
-        """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.Measures."""
+        """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.PenaltyArrays."""
         return PenaltyTable(self._model, measures)
 
     def penalise_nominal(self, w: Workspace, memory: TreeMemory) -> None:

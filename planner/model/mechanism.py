@@ -212,7 +212,7 @@ class Mechanism:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion
                 and are not modelled: all of them in one message.
         """
-        from planner.model.mjcf.read import read  # the one module that needs MuJoCo's compiler
+        from planner.model.mjcf.read import read  # read imports Mechanism: the one exception to the order of folders
 
         return read(model, ignore=ignore, contacts=contacts)
 
@@ -286,6 +286,12 @@ class Mechanism:
         return self.joint_links[self.joint_names.index(choice("joint", name, [n for n in self.joint_names if n]))]
 
     def __str__(self) -> str:
-        return f"Mechanism({self.nv} degrees of freedom, {self.nu} actuators, {len(self.bodies) - 1} bodies)"
+        names = [name or "unnamed" for name in self.joint_names]
+        joints = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
+        bodies = len(self.bodies) - 1
+        return (
+            f"Mechanism({self.nv} degree{'s' * (self.nv != 1)} of freedom, {self.nu} actuator{'s' * (self.nu != 1)}, "
+            f"{bodies} bod{'y' if bodies == 1 else 'ies'}, joints: {joints})"
+        )
 
     __repr__ = __str__

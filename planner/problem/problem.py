@@ -152,6 +152,12 @@ class Problem(Built):
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
 
+    def __repr__(self) -> str:
+        title = "" if self.appearance is None else self.appearance.title
+        name = title or (self.recipe.name if self.recipe else type(self.dynamics).__name__)
+        stages = "1 stage" if self.N == 1 else f"{self.N} stages"
+        return f"Problem({name}: {stages} of {self.dynamics.dt:g} s, nx {self.dynamics.nx}, nu {self.dynamics.nu})"
+
     @property
     def N(self) -> int:
         """Number of stages."""
@@ -162,10 +168,6 @@ class Problem(Built):
     def duration(self) -> float:
         """N dt, s."""
         return self.N * self.dynamics.dt
-
-    def clipped(self, us: np.ndarray) -> np.ndarray:
-        """Controls (..., N, nu) put back within their bounds."""
-        return us if self.bounds is None else np.clip(us, *self.bounds)
 
     @property
     def first_guess(self) -> np.ndarray:

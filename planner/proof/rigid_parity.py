@@ -67,13 +67,13 @@ def rigid_parity(
     ours = _ours(mechanism, dynamics, xs, us)
     theirs = _theirs(mechanism, model, xs, us)
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
-    mass = _largest(theirs.mass)
-    force = np.max([_largest(theirs.bias), _largest(theirs.actuator), mass * speed2], axis=0)
+    mass = _largest_of_each(theirs.mass)
+    force = np.max([_largest_of_each(theirs.bias), _largest_of_each(theirs.actuator), mass * speed2], axis=0)
     acceleration = np.maximum(rounded(theirs.mass, theirs.bias, theirs.acceleration), speed2)
     own = np.sqrt(np.einsum("kii->ki", theirs.mass))
     scales = {"mass": own[:, :, None] * own[:, None, :], "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
-        scales["activation"] = np.maximum(_largest(theirs.activation), 1.0)
+        scales["activation"] = np.maximum(_largest_of_each(theirs.activation), 1.0)
     names = {"mass": "mass_matrix_error", "bias": "bias_force_error", "actuator": "actuator_force_error"}
     measured = []
     for term, scale in scales.items():
@@ -219,10 +219,10 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
 def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
     """(K,) errors of accelerations from rounding of the terms of the equation of motion, per unit of rounding."""
     terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
-    return _largest(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
+    return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
 
 
-def _largest(values: np.ndarray) -> np.ndarray:
+def _largest_of_each(values: np.ndarray) -> np.ndarray:
     """The largest magnitude of each state (K,)."""
     return np.abs(values).reshape(len(values), -1).max(axis=1)
 

@@ -54,7 +54,7 @@ class Ends(NamedTuple):
     goal: np.ndarray
 
 
-class Step(NamedTuple):
+class EndsStep(NamedTuple):
     """Changes (ndx,) of start and goal, and the decrease of L that they promise beside what closing the gap costs."""
 
     dx: np.ndarray
@@ -91,7 +91,7 @@ class Response(NamedTuple):
     K: np.ndarray
     F: np.ndarray
 
-    def step(self, mu: float, part: float = 1.0) -> Step:
+    def step(self, mu: float, part: float = 1.0) -> EndsStep:
         """The step damped by mu, which closes a part of the gap."""
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
         scale = np.sqrt(np.diag(self.W)[c])  # makes lengths of steps roots of J's unit
@@ -109,7 +109,7 @@ class Response(NamedTuple):
         w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
         change = np.zeros(2 * len(I))
         change[both] = shrink * (least + Z @ w)
-        return Step(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
+        return EndsStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
 
     def _running(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian and gradient by (dx0, dr) of the LQ problem's J without what draws its end to the goal."""

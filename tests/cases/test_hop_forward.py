@@ -4,7 +4,7 @@ import runpy
 
 import numpy as np
 import pytest
-from others import PLACES
+from foreign_models import PLACES
 from places import ROOT
 
 import planner

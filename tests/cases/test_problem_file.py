@@ -12,7 +12,7 @@ from places import ROOT
 
 import planner
 from planner.cases.problem_file import load
-from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
+from planner.cases.problem_file.keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, WEIGHTS
 from planner.problem.guess import follow, holding_controls
 
 EXAMPLES = ROOT / "examples"

@@ -8,7 +8,7 @@ from planner.base.gl import load_mujoco
 from planner.cases.puma import JOINTS, PEAK_560, RATED, ball_radius, first_lift, puma_mechanism, straight_lift
 from planner.cases.puma import torque_limits as limits_for
 from planner.model.mjcf.text import model_path
-from planner.paper.payload import largest_payload, static_limit
+from planner.paper.methods.payload import largest_payload, static_limit
 from planner.paper.studies import puma as puma_study
 from planner.problem.guess import follow, quintic
 

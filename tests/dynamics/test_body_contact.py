@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from contact_states import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from hypothesis import strategies as st
-from pressed import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from trees import actuated, driven, machines, random_state, relative_error
 
 from planner.base.errors import PlannerError

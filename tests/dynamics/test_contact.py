@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from contact_states import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from hypothesis import strategies as st
-from pressed import MACHINES, SHARP, SOFT, each_touch, law_states, moved
 from trees import CHAINS, actuated, driven, machines, random_state, relative_error
 
 from planner import dynamics as rigid_body

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from others import PLACES, path
+from foreign_models import PLACES, path
 
 import planner
 from planner.base.errors import PlannerError

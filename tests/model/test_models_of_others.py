@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from others import PLACES, path
+from foreign_models import PLACES, path
 from trees import (
     data_at,
     mujoco,

@@ -15,7 +15,7 @@ from planner.cli import paper as command
 from planner.paper.studies import catalogue
 from planner.paper.studies.page import complete, page, run_studies, table_rows
 from planner.paper.studies.study import Row, Study
-from planner.paper.studies.table import random_lq, table_one, table_results
+from planner.paper.studies.table_1 import random_lq, table_one, table_results
 from planner.paper.studies.theorem import STUDY as THEOREMS
 from planner.paper.studies.theorem import Family, identity_errors, local_minima, random_identity
 from planner.paper.studies.watched import watched

@@ -16,14 +16,14 @@ def test_points_at_the_tips_are_points_at_the_tips():
     shoulder = 0.4 * 1.1**2 + 0.3 * 1.8**2
     elbow, both = 0.3 * 0.7**2, 0.3 * 0.7 * 1.8
     assert np.allclose(
-        mass_matrix(masses_study.mechanism_of(arm), [0.0, 0.0]), [[shoulder, both], [both, elbow]], rtol=1e-5
+        mass_matrix(masses_study.arm_mechanism(arm), [0.0, 0.0]), [[shoulder, both], [both, elbow]], rtol=1e-5
     )
 
 
 @pytest.mark.parametrize("kind", masses_study.KINDS)
 def test_the_scale_of_the_masses_gives_the_papers_first_effort(kind):
     arm = masses_study.with_first_effort(kind, 0.6, 0.8)
-    assert masses_study.by_splines(masses_study.mechanism_of(arm)).first_cost == pytest.approx(
+    assert masses_study.by_splines(masses_study.arm_mechanism(arm)).first_cost == pytest.approx(
         masses_study.FIRST, abs=0.01
     )
 
@@ -31,7 +31,7 @@ def test_the_scale_of_the_masses_gives_the_papers_first_effort(kind):
 def test_a_pair_of_masses_has_both_of_the_papers_efforts():
     """Section 2.1: 73.6 and 9.9. Two equal points at the tips of links of 1.078 m, as the study finds."""
     arm = masses_study.with_first_effort("points at the tips", 1.0, 1.078)
-    motion = masses_study.by_splines(masses_study.mechanism_of(arm))
+    motion = masses_study.by_splines(masses_study.arm_mechanism(arm))
     assert motion.success
     assert (round(motion.first_cost, 1), round(motion.cost, 1)) == (masses_study.FIRST, masses_study.LAST)
 

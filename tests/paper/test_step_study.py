@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planner.cases import human_step
-from planner.paper.studies import step as step_study
-from planner.paper.studies.step import feedforward_alone, first_within
-from planner.paper.studies.step_page import STUDY
+from planner.paper.studies.step import run as step_study
+from planner.paper.studies.step.page import STUDY
+from planner.paper.studies.step.run import feedforward_alone, first_within
 from planner.solvers.slq import solve
 
 pytestmark = pytest.mark.slow

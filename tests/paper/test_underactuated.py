@@ -8,7 +8,12 @@ from planner.cases import acrobot
 from planner.dynamics.algorithms import hybrid_dynamics, rnea
 from planner.paper.methods.adjoint import Integration
 from planner.paper.methods.splines import Boundary, SplineSpace
-from planner.paper.methods.underactuated import DrivenProblem, DrivenSystem, Weights, minimize_effort_underactuated
+from planner.paper.methods.underactuated import (
+    DrivenProblem,
+    DrivenSystem,
+    DrivenWeights,
+    minimize_effort_underactuated,
+)
 
 UP = np.array([np.pi / 2, 0.0])
 
@@ -25,7 +30,7 @@ def problem_of(arm, *integration):
 
 @pytest.fixture(scope="module")
 def system(arm):
-    return DrivenSystem(arm, Boundary([-1.0, 0.0], UP, 0.6), "elbow", Weights(3.0, 5.0, 2.0))
+    return DrivenSystem(arm, Boundary([-1.0, 0.0], UP, 0.6), "elbow", DrivenWeights(3.0, 5.0, 2.0))
 
 
 def slopes(function, x, h=1e-4):
@@ -110,7 +115,7 @@ def test_wrong_arguments_are_refused_in_one_sentence(arm, changes, words):
     ("make", "words"),
     [
         (lambda: Integration(0.0), "tolerance is 0"), (lambda: Integration(method="ode45"), "method is 'ode45'"),
-        (lambda: Weights(effort=0.0), "effort weight is 0"),
+        (lambda: DrivenWeights(effort=0.0), "effort weight is 0"),
     ],
 )  # fmt: skip
 def test_wrong_options_are_one_sentence(make, words):

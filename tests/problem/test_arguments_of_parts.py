@@ -1,12 +1,15 @@
 """What machines, costs and their functions are handed: what is none of what they take is one sentence."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import planner
-from planner import FrameCost, PlannerError, RigidBodyDynamics, TrackingCost
+from planner import FrameCost, FunctionDynamics, PlannerError, RigidBodyDynamics, TrackingCost
 from planner.cases import two_link
 from planner.costs import SumCost
+from planner.dynamics.hopper import HopperDynamics
 
 ARM = two_link(horizon=4).dynamics
 Q, R = np.zeros((3, 2, 2)), np.ones((2, 1, 1))
@@ -70,3 +73,19 @@ def test_wrong_parts_are_refused_in_one_sentence(expected):
         WRONG[expected]()
     assert str(error.value).startswith(expected)
     assert "\n" not in str(error.value)
+
+
+def test_parts_and_problems_have_a_short_repr():
+    crane = planner.load_problem(Path(__file__).parents[2] / "examples" / "crane.toml")
+    assert repr(crane) == "Problem(crane: 200 stages of 0.02 s, nx 4, nu 1)"
+    assert repr(crane.dynamics) == "RigidBodyDynamics(2 joints, rk4, dt 0.02)"
+    assert repr(crane.cost) == "TrackingCost(N = 200)"
+    mechanism = "Mechanism(2 degrees of freedom, 1 actuator, 2 bodies, joints: trolley, swing)"
+    assert repr(crane.dynamics.mechanism) == mechanism  # type: ignore[attr-defined]
+    assert repr(HopperDynamics(0.01)) == "HopperDynamics(rk4, dt 0.01)"
+    pendulum = FunctionDynamics(lambda x, u: np.array([x[1], u[0] - x[0]]), 2, 1, 0.02)
+    assert repr(pendulum) == "FunctionDynamics(nx 2, nu 1, rk4, dt 0.02)"
+    plain = planner.Problem(
+        pendulum, planner.costs.TrackingCost.reach([0.0, 0.0], 1, final=1.0, effort=1.0), [1.0, 0.0]
+    )
+    assert repr(plain) == "Problem(FunctionDynamics: 1 stage of 0.02 s, nx 2, nu 1)"

@@ -5,7 +5,7 @@ Bounds are those of contacts with planes (test_contact_mujoco.py).
 
 import numpy as np
 import pytest
-from meetings import DAMPING, FRICTION, PAIRS, SLIP, STIFFNESS, meeting
+from colliding_bodies import DAMPING, FRICTION, PAIRS, SLIP, STIFFNESS, meeting
 from trees import mujoco
 
 import planner

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rolled import TREE
+from rolled_out_plans import TREE
 
 import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rolled import LIMITED, problem_of, rolled_out, tree_plan
+from rolled_out_plans import LIMITED, problem_of, rolled_out, tree_plan
 
 import planner
 from planner.base.errors import FileError, PlannerError

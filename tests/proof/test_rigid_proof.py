@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rolled import LIMITED, TREE, acrobot, problem_of, rolled_out, swing_up, tree_plan
+from rolled_out_plans import LIMITED, TREE, acrobot, problem_of, rolled_out, swing_up, tree_plan
 
 import planner
 from planner.cases.plan_file import load_plan

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_up import APPEARANCE, MODES, N, make_perturbed, make_plan, make_proof, make_replay
+from fake_plans import APPEARANCE, MODES, N, make_perturbed, make_plan, make_proof, make_replay
 from PIL import Image
 
 from planner.base.errors import FileError

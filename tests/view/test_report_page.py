@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_up import make_plan, make_proof, proof_of
+from fake_plans import make_plan, make_proof, proof_of
 from PIL import Image
 
 from planner import cases

@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from made_up import make_plan, make_proof
+from fake_plans import make_plan, make_proof
 from PIL import Image
 
 from planner.base.errors import FileError, RenderingUnavailable

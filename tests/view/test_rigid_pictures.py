@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rolled import LIMITED, TREE, acrobot, problem_of, rolled_out
+from rolled_out_plans import LIMITED, TREE, acrobot, problem_of, rolled_out
 
 import planner
 from planner.model.mechanism import Mechanism

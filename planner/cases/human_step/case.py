@@ -27,7 +27,6 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
-from planner.cases.horizon import MOST_STAGES
 from planner.cases.human_step.cost import step_cost, wishes
 from planner.cases.human_step.drive import Pelvis, Sparing, drive
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
@@ -38,6 +37,7 @@ from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
+from planner.problem.discretisation import MOST_STAGES
 from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
 

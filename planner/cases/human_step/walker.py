@@ -33,6 +33,7 @@ from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.kinematics import jacobian
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
+from planner.model.mjcf.contact_edits import IMPRATIO
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.problem.costs.jerk import driven_by_jerk
@@ -58,7 +59,6 @@ TOUCH = ContactLaw(stiffness=5e3, damping=60.0, ramp=5e-3, force_ramp=5.0, slip_
 """Contact of heel and toe with the belt. It is so soft that a touch-down takes several stages, and a light stance sinks
 in by mm. With this bend of friction, stages of 10, 5 and 2.5 ms lead to the same minimum of a cycle; with a smaller one
 some lead to other minima, 4 % higher."""
-IMPRATIO = 1000.0  # MuJoCo's friction is then that of TOUCH
 STOP = Law(stiffness=1e3, damping=20.0, ramp=0.03, force_ramp=0.1)
 """Stop of a straight knee: with 200 N m/rad it bends backwards by 7 degrees. The stop damps only while it pushes, so it
 needs twice the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""

@@ -30,7 +30,7 @@ PENALTY = Layout(
 
 
 class PenaltyTable:
-    """Arrays of the Measures of a solve (problem.costs.penalty_measures) of a Model, and scratch for one evaluation."""
+    """The PenaltyArrays of a solve (problem.costs.penalty_measures) of a Model, and scratch for one evaluation."""
 
     def __init__(self, model: Any, measures: Any) -> None:
         m, parent, link = measures, model.arrays["parent"], np.array(measures.link)

@@ -73,11 +73,11 @@ def _refuse(found: list[Refusal], name: str) -> None:
     ways = [f"ignore=({', '.join(options)}{',' if len(options) == 1 else ''})"] if options else []
     ways += ["contacts='off'"] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
-    advice = f"; {' and '.join(ways)} loads it without" if ways and not firm else ""
-    if firm:
-        advice = f"; nothing takes a {' or '.join(firm)} out"
     what = ", ".join(refusal.phrase for refusal in found)
-    raise ModelError(f"{name} has what changes its motion and is not modelled: {what}{advice}.")
+    if firm:
+        advice = f"nothing takes a {' or '.join(firm)} out"
+        raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
+    raise ModelError(f"{' and '.join(ways)} loads {name} without what changes its motion and is not modelled: {what}.")
 
 
 def mechanism_of_model(model: Any) -> Mechanism:

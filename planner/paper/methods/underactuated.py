@@ -41,7 +41,7 @@ GRADIENT = 1e-4  # BFGS ends when no component of the gradient is larger
 
 
 @dataclass(frozen=True)
-class Weights:
+class DrivenWeights:
     """Weights of the cost (Eq. 5), each on half a sum of squares.
 
     Attributes:
@@ -72,7 +72,7 @@ class DrivenSystem:
     orders = 3  # positions, velocities and accelerations of the driven joints
 
     def __init__(
-        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], weights: Weights | None = None
+        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], weights: DrivenWeights | None = None
     ) -> None:
         self.start, self.goal = boundary.ends(mechanism)
         if not isinstance(driven, (str, Collection)):
@@ -84,7 +84,7 @@ class DrivenSystem:
             what = "no joint" if not mask.any() else "every joint (see minimize_effort)"
             names = ", ".join(mechanism.joint_names)
             raise PlannerError(f"driven names {what}, expected some of {names} and not all.")
-        self.mechanism, weights = mechanism, weights or Weights()
+        self.mechanism, weights = mechanism, weights or DrivenWeights()
         self._weights, self._effort = (weights.position, weights.velocity), weights.effort
         self.driven, self.free = np.flatnonzero(mask), np.flatnonzero(~mask)
         self.nz, self.inputs = 2 * len(self.free), len(self.driven)
@@ -169,8 +169,9 @@ class DrivenProblem:
     """
 
     def __init__(
-        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *, weights: Weights | None = None,
-        space: SplineSpace | None = None, guess: Guess | None = None, integration: Integration | None = None,
+        self, mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *,
+        weights: DrivenWeights | None = None, space: SplineSpace | None = None, guess: Guess | None = None,
+        integration: Integration | None = None,
     ) -> None:  # fmt: skip
         self.system = DrivenSystem(mechanism, boundary, driven, weights)
         self.basis = (space or SplineSpace()).basis(boundary.duration, least_degree=3)
@@ -195,7 +196,7 @@ class DrivenProblem:
 
 
 def minimize_effort_underactuated(
-    mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *, weights: Weights | None = None,
+    mechanism: Mechanism, boundary: Boundary, driven: Collection[str], *, weights: DrivenWeights | None = None,
     space: SplineSpace | None = None, guess: Guess | None = None, integration: Integration | None = None,
     max_iterations: int = 500,
 ) -> DrivenMotion:  # fmt: skip

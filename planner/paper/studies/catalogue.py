@@ -16,17 +16,17 @@ from planner.paper.studies import (
     objective,
     puma,
     shooting,
-    step_page,
-    table,
+    table_1,
     theorem,
 )
+from planner.paper.studies.step import page as step_study
 from planner.paper.studies.study import Study
 
 STUDIES: tuple[Study, ...] = tuple(
     module.STUDY
     for module in (
-        motion, masses, shooting, elbow, hopper_splines, table, gradient, theorem, hopper, objective, puma, dive,
-        step_page,
+        motion, masses, shooting, elbow, hopper_splines, table_1, gradient, theorem, hopper, objective, puma, dive,
+        step_study,
     )
 )  # fmt: skip
 

@@ -56,7 +56,7 @@ class Arm(NamedTuple):
     length2: float
 
 
-def mechanism_of(arm: Arm) -> Mechanism:
+def arm_mechanism(arm: Arm) -> Mechanism:
     """The two-link model with these links."""
     centre, inertia = KINDS[arm.kind]
     text = arm_text("two_link", Links(*arm[1:], GRAVITY))
@@ -87,7 +87,7 @@ def with_first_effort(kind: str, ratio: float, length: float) -> Arm:
     q = (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * UPRIGHT
     qd = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * UPRIGHT / DURATION
     qdd = (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * UPRIGHT / DURATION**2
-    power = 0.5 * np.sum(rnea(mechanism_of(arm), q, qd, qdd) ** 2, axis=1)
+    power = 0.5 * np.sum(rnea(arm_mechanism(arm), q, qd, qdd) ** 2, axis=1)
     mass = math.sqrt(FIRST / (0.5 * DURATION * float(weights @ power)))
     return Arm(kind, mass, ratio * mass, length, length)
 
@@ -97,7 +97,7 @@ def _arm(family: str, kind: str, parameter: float) -> Arm:
 
 
 def _last(family: str, kind: str, parameter: float) -> float:
-    return by_splines(mechanism_of(_arm(family, kind, parameter))).cost
+    return by_splines(arm_mechanism(_arm(family, kind, parameter))).cost
 
 
 def _crossing(family: str, kind: str, low: float, high: float) -> float | None:
@@ -118,7 +118,7 @@ def _crossing(family: str, kind: str, low: float, high: float) -> float | None:
 def slq_effort(arm: Arm, starts: int) -> dict[str, Any]:
     """SLQ with the cost of Eq. 5 on the same arm from the same first guess."""
     N = round(100 * DURATION)
-    dynamics = RigidBodyDynamics(mechanism_of(arm), DURATION / N)
+    dynamics = RigidBodyDynamics(arm_mechanism(arm), DURATION / N)
     us = follow(dynamics.mechanism, *quintic(np.zeros(2), UPRIGHT, DURATION, N))
     plan = solve(Problem(dynamics, arm_cost(dynamics, N, 200.0, 200.0, 1.0), np.zeros(4), us), starts=starts)
     return {"effort": 0.5 * dynamics.dt * float(np.sum(plan.us**2)), **plan_record(plan)}
@@ -126,7 +126,7 @@ def slq_effort(arm: Arm, starts: int) -> dict[str, Any]:
 
 def _described(arm: Arm) -> dict[str, Any]:
     """One arm, and the efforts that every method finds for it."""
-    mechanism = mechanism_of(arm)
+    mechanism = arm_mechanism(arm)
     motion, seconds = timed(lambda: by_splines(mechanism))
     q = motion.spline(np.linspace(0.0, DURATION, 201))
     return {

@@ -16,7 +16,7 @@ from planner.base.jsonable import finite
 from planner.cases.puma import JOINTS, RATED, puma, puma_mechanism, straight_lift, torque_limits
 from planner.dynamics.algorithms import bias
 from planner.dynamics.kinematics import frame_pose
-from planner.paper.payload import LargestPayload, largest_payload, static_limit
+from planner.paper.methods.payload import LargestPayload, largest_payload, static_limit
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan

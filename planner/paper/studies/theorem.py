@@ -24,8 +24,8 @@ from planner import cases
 from planner.cases.hopper import PAPER
 from planner.paper.studies.records import table
 from planner.paper.studies.study import Row, Study, timed
-from planner.paper.studies.table import random_lq, swept
-from planner.paper.studies.watched import Step, watched
+from planner.paper.studies.table_1 import random_lq, swept
+from planner.paper.studies.watched import Sweep, watched
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Status
 from planner.problem.problem import Problem
@@ -82,7 +82,7 @@ def theorem_results(
     return {"random": random_identity(problems), "problems": problems, "starts": starts, "cases": found}
 
 
-def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Step) -> tuple[float, float, float]:
+def identity_errors(A: np.ndarray, B: np.ndarray, model: Quadratic, step: Sweep) -> tuple[float, float, float]:
     """Eq. 42 for one LQ problem: its right side, and the relative errors of grad . dU and of the sweep's slope.
 
     The step is the sweep's result for A (N, ndx, ndx), B (N, ndx, nu); its regularisation counts as part of R.
@@ -105,7 +105,7 @@ def random_identity(problems: int, seed: int = 0) -> dict[str, Any]:
         A, B, model = random_lq(rng)
         sweep = swept(A, B, model)
         empty = np.empty((0, 0))
-        step = Step(empty, empty, lq.gradient(A, B, model), sweep.K, sweep.k, sweep.slope, 0.0)
+        step = Sweep(empty, empty, lq.gradient(A, B, model), sweep.K, sweep.k, sweep.slope, 0.0)
         errors.append(identity_errors(A, B, model, step))
     return _summary(errors)
 

@@ -13,7 +13,7 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import Frame
 from planner.model.space import conjugate, log_jacobian, log_quaternion, product
 from planner.problem.costs.terms import Quadratic, Term, per_stage
-from planner.problem.costs.tracking import mechanism_of
+from planner.problem.costs.tracking import mechanism_and_step
 
 
 class FrameCost(Term):
@@ -43,7 +43,7 @@ class FrameCost(Term):
         position_weight: Any = 0.0, final_position_weight: Any = None, orientation_weight: Any = 0.0,
         final_orientation_weight: Any = None, dt: float | None = None,
     ) -> None:  # fmt: skip
-        self.mechanism, dt = mechanism_of(machine, dt)
+        self.mechanism, dt = mechanism_and_step(machine, dt)
         if not isinstance(frame, (str, Frame)):
             raise PlannerError(f"frame is {shown(frame)}, expected a Frame or the name of a site or body.")
         self.frame = self.mechanism.frame(frame) if isinstance(frame, str) else frame

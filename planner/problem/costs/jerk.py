@@ -34,6 +34,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import heavy_joints, twin_of
+from planner.model.mjcf.read import read
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Cost, Quadratic, SumCost, Term
 from planner.problem.costs.tracking import TrackingCost
@@ -247,8 +248,6 @@ def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
         raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism that was read from an MJCF.")
     if isinstance(joints, str) or not isinstance(joints, Collection) or not joints:
         raise PlannerError(f"joints is {shown(joints)}, expected names of at least one joint.")
-    from planner.model.mjcf.read import read  # the one module that needs MuJoCo's compiler
-
     twin = twin_of(mechanism, joints)
     root = ElementTree.fromstring(twin.mjcf)
     motors = root.findall("actuator")[-1]  # the section that twin_of added

@@ -23,9 +23,9 @@ from planner.dynamics.contacts import ramp
 from planner.dynamics.kinematics import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
 from planner.model.mechanism import Frame
-from planner.problem.costs.penalty_measures import Measures, measures_of, resampled
+from planner.problem.costs.penalty_measures import PenaltyArrays, measures_of, resampled
 from planner.problem.costs.terms import Quadratic, Term
-from planner.problem.costs.tracking import mechanism_of
+from planner.problem.costs.tracking import mechanism_and_step
 
 
 class PenaltyCost(Term):
@@ -47,7 +47,7 @@ class PenaltyCost(Term):
     """
 
     def __init__(self, machine: Any, horizon: int, terms: Sequence[Any], dt: float | None = None) -> None:
-        self.mechanism, dt = mechanism_of(machine, dt)
+        self.mechanism, dt = mechanism_and_step(machine, dt)
         self.N = count("horizon", horizon, most=LONGEST_HORIZON)
         self.space = self.mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
@@ -138,7 +138,7 @@ class _Measured(NamedTuple):
     factors: tuple[np.ndarray, ...]
 
 
-def _measured(m: Measures, t: int, places: np.ndarray) -> _Measured:
+def _measured(m: PenaltyArrays, t: int, places: np.ndarray) -> _Measured:
     """Term t for points at places (N+1, P, 3), or of a velocity for points that move so."""
     i, j, k, l = (int(end) for end in m.ends[t])
     n, ones = m.normal[t], np.ones(len(places))
@@ -151,7 +151,7 @@ def _measured(m: Measures, t: int, places: np.ndarray) -> _Measured:
     return _Measured(length - m.level[t], d / length[:, None], (i, j, k, l), (1.0 - s, s, u - 1.0, -u))
 
 
-def _ramped(m: Measures, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ramped(m: PenaltyArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (T, N+1) times the tolerance, and their derivatives by the values (T, N+1)."""
     side, a = m.side[:, None], m.ramp[:, None]
     e = np.where(side == 0.0, 1.0, side) * (values - m.bound)

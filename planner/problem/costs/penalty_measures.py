@@ -19,7 +19,7 @@ _SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
-class Measures:
+class PenaltyArrays:
     """T terms over P points as arrays, which kernels take too. The tolerances are in the weights."""
 
     link: np.ndarray  # (P,) that carries a point, -1 for the world
@@ -42,7 +42,7 @@ class Measures:
             value.flags.writeable = False
 
 
-def resampled(measures: Measures, parts: int, ratio: float) -> Measures:
+def resampled(measures: PenaltyArrays, parts: int, ratio: float) -> PenaltyArrays:
     """The terms for stages divided into parts, whose weights are multiplied by ratio; the end stays as it is."""
     bound, weight = (np.repeat(part[:, :-1], parts, axis=1) for part in (measures.bound, measures.weight))
     world = np.repeat(measures.world[:, :-1], parts, axis=1)
@@ -53,16 +53,16 @@ def resampled(measures: Measures, parts: int, ratio: float) -> Measures:
     )  # fmt: skip
 
 
-def joined(parts: Sequence[Measures]) -> Measures:
+def joined(parts: Sequence[PenaltyArrays]) -> PenaltyArrays:
     """The terms of several, of the same mechanism and horizon, as one."""
     together = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
     first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
     together["ends"] = np.concatenate([part.ends + k for part, k in zip(parts, first, strict=True)])
-    return Measures(**together)
+    return PenaltyArrays(**together)
 
 
 class _Place(NamedTuple):
-    """A point of a link, as Measures has it."""
+    """A point of a link, as PenaltyArrays has it."""
 
     link: int
     offset: np.ndarray  # (3,)
@@ -114,7 +114,7 @@ def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
     return known[choice(f"{term}'s contact", name, known)]
 
 
-def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> Measures:
+def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> PenaltyArrays:
     """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
     points, T = _Points(mechanism, N), len(terms)
     kind, ends, normal = np.zeros(T, dtype=np.int64), np.zeros((T, 4), dtype=np.int64), np.zeros((T, 3))
@@ -141,7 +141,7 @@ def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -
         side[t], ramp[t] = _SIDES[term.wanted], term.ramp
         bound[t], weight[t] = _wanted(name, term, N, dt)
     offsets, worlds = ([getattr(place, part) for place in points.places] for part in ("offset", "world"))
-    return Measures(
+    return PenaltyArrays(
         np.array([place.link for place in points.places], dtype=np.int64), np.array(offsets).reshape(-1, 3),
         np.array([place.share for place in points.places]), np.array(worlds).reshape(-1, N + 1, 3),
         kind, ends, normal, level, side, ramp, bound, weight,

@@ -70,7 +70,7 @@ class Term:
     """
 
     def with_effort(self, weight: float) -> Cost:
-        """The cost itself: it weighs no effort, unless its class says otherwise."""
+        """Returns itself. Costs that weigh controls override this."""
         return self  # type: ignore[return-value]
 
     def __add__(self, other: Cost) -> SumCost:

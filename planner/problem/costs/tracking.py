@@ -1,4 +1,4 @@
-"""TrackingCost: the paper's quadratic cost, and states and machines as callers hand them in."""
+"""TrackingCost: the paper's quadratic cost, and checks of the states and machines that callers give."""
 
 from __future__ import annotations
 
@@ -51,6 +51,9 @@ class TrackingCost(Term):
             raise PlannerError("Q has a negative eigenvalue, expected positive semidefinite state weights.")
         for fixed in (self.Q, self.R, self.x_ref, self.u_ref):  # solves keep copies of their own
             fixed.flags.writeable = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(N = {self.N})"
 
     @classmethod
     def reach(
@@ -108,7 +111,7 @@ class TrackingCost(Term):
         Raises:
             PlannerError: A name that the machine does not have, a wrong shape, or a weight out of range.
         """
-        mechanism, dt = mechanism_of(machine, dt)
+        mechanism, dt = mechanism_and_step(machine, dt)
         N, nu = count("horizon", horizon, most=LONGEST_HORIZON), int(machine.nu)
         if goal is None and reference is None:
             raise PlannerError("goal is None and there is no reference, expected one of the two.")
@@ -199,7 +202,7 @@ def states(name: str, value: Any, space: StateSpace, leading: tuple[int | str, .
     return x
 
 
-def mechanism_of(machine: Any, dt: float | None) -> tuple[Mechanism, float]:
+def mechanism_and_step(machine: Any, dt: float | None) -> tuple[Mechanism, float]:
     """The mechanism and the length of a stage of RigidBodyDynamics, or of a Mechanism with dt."""
     mechanism = getattr(machine, "mechanism", machine)
     if not isinstance(mechanism, Mechanism):

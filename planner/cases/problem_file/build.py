@@ -38,9 +38,9 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
-from planner.cases.arrival import check_departure, judge_arrival
-from planner.cases.problem_keys import GROUND, LAW, REQUIRED
-from planner.cases.problem_table import check_keys, checked_starts, checked_values, read_table, with_defaults
+from planner.cases.problem_file.arrival import check_departure, judge_arrival
+from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED
+from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
@@ -116,6 +116,8 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
 
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
+
+    Its starts, seed and durations are for `planner run`; give them to solve or solve_for yourself.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.

@@ -10,8 +10,8 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import read_text
-from planner.cases.horizon import MOST_STAGES
-from planner.cases.problem_keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
+from planner.cases.problem_file.keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
+from planner.problem.discretisation import MOST_STAGES
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.solvers.multistart import MOST_STARTS

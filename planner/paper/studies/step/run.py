@@ -1,9 +1,8 @@
 """The human step (section 2.3): the swing by splines and by SLQ, stance and swing together, and the updates beside.
 
 The paper moves the swing hip by 32 B-spline parameters, with BFGS and the gradient of Eq. 7, in four hours; stance and
-swing together did not converge. Here the cost is one and the same for all methods (cost="study", see
-cases.human_step.cost), and so is the first guess, the normal motion of the pelvis. Three updates of the controls are
-compared:
+swing together did not converge. Here the cost is the same for all methods (cost="study", see cases.human_step.cost),
+and so is the first guess, the normal motion of the pelvis. Three updates of the controls are compared:
 
     feedback             u = us + alpha k + K (x - xs)
     open-loop            U + alpha dU, the paper's Eq. 36; dU = k + K dx along the LQ problem's own states, Eq. 25, 30

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from planner.cases.human_step.phase import SWING
-from planner.paper.studies.step import CYCLE_TIME, FRAMES
+from planner.cases.human_step.walker import SIDES
+from planner.paper.studies.step.run import CYCLE_TIME, FRAMES
 from planner.problem.pictures import Motion, Stick, StickFigures
 from planner.view.plots.stick_figures import draw_stick_figures
 from planner.view.plots.style import DASHED, HUES, SOFT, dress, panels_of, save
 
 POSES = 8
-SIDES = ("right", "left")
 
 
 def draw_step(results: dict[str, Any], path: Path) -> None:

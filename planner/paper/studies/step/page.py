@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from planner.paper.studies.records import row_of, table
-from planner.paper.studies.step import COEFFICIENTS, DEGREE, LIMITS, WITHIN, first_within, step_results
-from planner.paper.studies.step_drawing import draw_step, draw_step_cycle, draw_step_methods
+from planner.paper.studies.step.drawing import draw_step, draw_step_cycle, draw_step_methods
+from planner.paper.studies.step.run import COEFFICIENTS, DEGREE, LIMITS, WITHIN, first_within, step_results
 from planner.paper.studies.study import Row, Study
 
 PAPERS = 32  # parameters

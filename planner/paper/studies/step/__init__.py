@@ -1,0 +1,1 @@
+"""The human step's study: run, drawings and page."""
