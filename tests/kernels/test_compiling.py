@@ -145,7 +145,7 @@ def test_machine_code_for_another_processor_is_another_file(kernel):
     first, _ = kernel
     types = jit.arguments_of(("float64", "none"))
     assert first._cache._path(types, Another()) != first._cache._path(types, first.targetctx.codegen())
-    assert first.targetctx.codegen().magic_tuple()[1:] != Generic().magic_tuple()[1:]
+    assert first.targetctx.codegen().magic_tuple()[1:] != Another().magic_tuple()[1:]
 
 
 RATES = """
