@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
-from planner.dynamics import Dynamics, FunctionDynamics, HopperDynamics, RigidBodyDynamics
+from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.kernels.integrators import EULER
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -34,13 +34,11 @@ class Rates:
             raise PlannerError("the states have quaternions, expected plain vectors: hinges and slides alone.")
         if isinstance(dynamics, RigidBodyDynamics):
             self._own = _Tree(dynamics)
-        elif isinstance(dynamics, HopperDynamics):
-            machine = {name: getattr(dynamics, name) for name in ("stiffness", "smoothing", "gravity")}
-            self._own = _Stepped(HopperDynamics(1.0, "euler", **machine))
-        elif isinstance(dynamics, FunctionDynamics) and dynamics.integrator != "discrete":
-            self._own = _Stepped(dynamics.with_step(1.0, "euler"))
         else:
-            raise PlannerError(f"dynamics is {shown(dynamics)}, expected a machine with rates dx/dt = f(x, u).")
+            remake = getattr(dynamics, "with_step", None)
+            if remake is None:
+                raise PlannerError(f"dynamics is {shown(dynamics)}, expected a machine with rates dx/dt = f(x, u).")
+            self._own = _Stepped(remake(1.0, "euler"))
 
     def __call__(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """dx/dt (nx,) at x (nx,) with u (nu,)."""

@@ -36,8 +36,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import heavy_joints, twin_of
 from planner.model.mjcf.read import read
 from planner.model.space import StateSpace
-from planner.problem.costs.terms import Cost, Quadratic, SumCost, Term
-from planner.problem.costs.tracking import TrackingCost
+from planner.problem.costs.terms import Quadratic, Term, extended_cost
 from planner.problem.problem import Problem
 
 
@@ -120,6 +119,10 @@ class JerkCost(Term):
         self.counts = np.ones(horizon + 1)  # which changes of acceleration count
         self.counts[0], self.counts[-1] = from_rest, to_rest
 
+    def extended(self, own: StateSpace, space: StateSpace) -> RememberedJerkCost:
+        """The same on states that remember the last acceleration."""
+        return RememberedJerkCost(self, space)
+
     def jerks(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, nv) r_n; zero where none counts."""
         a = self.accelerations(xs[: len(us)], us)
@@ -173,45 +176,9 @@ class RememberedJerkCost(Term):
         return Quadratic(weight * (Jt @ J), weight * q, weight * (Jut @ Ju), weight * r, weight * (Jut @ J[:N]))
 
 
-class PartCost(Term):
-    """A cost of the first nx numbers of an extended state (ndx of its deviation), which lies in `space`."""
-
-    def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:
-        self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
-        self.nx, self.ndx = space.nx, space.ndx
-
-    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
-        """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        return self.cost.value(xs[:, : self._nx], us)
-
-    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
-        """The cost's own model, zero for what was added."""
-        model, more = self.cost.quadratize(xs[:, : self._nx], us), self.ndx - self._ndx
-        return Quadratic(
-            np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
-            None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),
-        )  # fmt: skip
-
-
 def extended(space: StateSpace, more: int) -> StateSpace:
     """A space with `more` plain numbers at its end."""
     return StateSpace(space.nx + more, space.ndx + more, space.quaternions)
-
-
-def remembering(cost: Cost, dynamics: JerkDynamics) -> Cost:
-    """Convert a cost of a machine's own states to one of the extended states.
-
-    A TrackingCost stays one, which weighs nothing of what was added: limits look for its goal.
-    """
-    own, space, nv = dynamics.own, dynamics.space, dynamics.mechanism.nv
-    if isinstance(cost, SumCost):
-        return SumCost(*(remembering(term, dynamics) for term in cost.costs))
-    if isinstance(cost, JerkCost):
-        return RememberedJerkCost(cost, space)
-    if type(cost) is TrackingCost:
-        Q = np.pad(cost.Q, ((0, 0), (0, nv), (0, nv)))
-        return TrackingCost(Q, cost.R, np.pad(cost.x_ref, ((0, 0), (0, nv))), cost.u_ref, space)
-    return PartCost(cost, own.nx, own.ndx, space)
 
 
 def with_acceleration(problem: Problem, **changes: Any) -> Problem:
@@ -221,7 +188,8 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
     dynamics = JerkDynamics(problem.dynamics)
     x0 = np.concatenate([array("x0", problem.x0, ("nx",)), np.zeros(dynamics.mechanism.nv)])
     return replace(
-        problem, dynamics=dynamics, cost=remembering(problem.cost, dynamics), x0=x0, twin=None, requirements=None,
+        problem, dynamics=dynamics, x0=x0, twin=None, requirements=None,
+        cost=extended_cost(problem.cost, problem.dynamics.space, dynamics.space),
         **changes,
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
+from planner.model.space import StateSpace
 
 
 class Quadratic(NamedTuple):
@@ -61,6 +62,12 @@ def per_stage(rows: np.ndarray, parts: int) -> np.ndarray:
     return rows if len(rows) == 1 else np.concatenate([np.repeat(rows[:-1], parts, axis=0), rows[-1:]])
 
 
+def extended_cost(cost: Any, own: StateSpace, space: StateSpace) -> Any:
+    """A cost of states in `own` as one of states in `space`, which are the same numbers and more behind them."""
+    extend = getattr(cost, "extended", None)
+    return PartCost(cost, own.nx, own.ndx, space) if extend is None else extend(own, space)
+
+
 class Term:
     """A cost that can be added to any other: a + b is SumCost(a, b).
 
@@ -72,6 +79,10 @@ class Term:
     def with_effort(self, weight: float) -> Cost:
         """Returns itself. Costs that weigh controls override this."""
         return self  # type: ignore[return-value]
+
+    def extended(self, own: StateSpace, space: StateSpace) -> Cost:
+        """The same cost of the first numbers of a longer state; see extended_cost."""
+        return PartCost(self, own.nx, own.ndx, space)  # type: ignore[arg-type]
 
     def __add__(self, other: Cost) -> SumCost:
         return SumCost(self, other)
@@ -117,6 +128,10 @@ class SumCost(Term):
         """The sum with the weights of the controls multiplied."""
         return SumCost(*(remade(cost, "with_effort", weight) for cost in self.costs))
 
+    def extended(self, own: StateSpace, space: StateSpace) -> SumCost:
+        """The sum of the costs of the first numbers of a longer state."""
+        return SumCost(*(extended_cost(cost, own, space) for cost in self.costs))
+
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
         return float(sum(cost.value(xs, us) for cost in self.costs))
@@ -134,3 +149,23 @@ class SumCost(Term):
         Q, q, R, r = (np.sum(parts, axis=0) for parts in zip(*(model[:4] for model in models), strict=True))
         mixed = [model.S for model in models if model.S is not None]
         return Quadratic(Q, q, R, r, np.sum(mixed, axis=0) if mixed else None)
+
+
+class PartCost(Term):
+    """A cost of the first nx numbers of an extended state (ndx of its deviation), which lies in `space`."""
+
+    def __init__(self, cost: Cost, nx: int, ndx: int, space: StateSpace) -> None:
+        self.cost, self.space, self._nx, self._ndx = cost, space, nx, ndx
+        self.nx, self.ndx = space.nx, space.ndx
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        return self.cost.value(xs[:, : self._nx], us)
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """The cost's own model, zero for what was added."""
+        model, more = self.cost.quadratize(xs[:, : self._nx], us), self.ndx - self._ndx
+        return Quadratic(
+            np.pad(model.Q, ((0, 0), (0, more), (0, more))), np.pad(model.q, ((0, 0), (0, more))), model.R, model.r,
+            None if model.S is None else np.pad(model.S, ((0, 0), (0, 0), (0, more))),
+        )  # fmt: skip

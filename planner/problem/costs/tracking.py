@@ -10,7 +10,7 @@ from planner.base.arguments import LONGEST_HORIZON, array, count, number, number
 from planner.base.errors import PlannerError
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
-from planner.problem.costs.terms import Quadratic, Term, per_stage
+from planner.problem.costs.terms import Cost, Quadratic, Term, per_stage
 from planner.problem.costs.weights import diagonal, matrices, places
 
 
@@ -150,6 +150,14 @@ class TrackingCost(Term):
     def with_effort(self, weight: float) -> TrackingCost:
         """The same with the weights of the controls multiplied."""
         return self._of_own_kind(self.Q, weight * self.R, self.x_ref, self.u_ref)
+
+    def extended(self, own: StateSpace, space: StateSpace) -> Cost:
+        """A TrackingCost that weighs nothing of the numbers behind its own: limits look for its goal."""
+        if type(self) is not TrackingCost:
+            return super().extended(own, space)
+        more, further = space.ndx - own.ndx, space.nx - own.nx
+        Q = np.pad(self.Q, ((0, 0), (0, more), (0, more)))
+        return TrackingCost(Q, self.R, np.pad(self.x_ref, ((0, 0), (0, further))), self.u_ref, space)
 
     def with_goal(self, goal: np.ndarray) -> TrackingCost:
         """The same with another reference (nx,) at the end."""
