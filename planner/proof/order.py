@@ -49,6 +49,7 @@ class Order:
     end_uncertainty: float  # Of the end state, largest component
     plan_cost: float  # Of the plan itself
     scale: float  # Changes of the cost are relative to it
+    whole: bool  # Whether the whole cost is judged; False where its end is a penalty on what the goal judges
 
     @property
     def section(self) -> Section:
@@ -58,7 +59,7 @@ class Order:
         steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
         measured = [
             Measured(
-                "cost_change", change, "%", COST_BOUND,
+                "cost_change", change, "%", COST_BOUND if self.whole else None,
                 f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
                 f"+- {self.cost_uncertainty:.1e}",
             ),
@@ -103,8 +104,8 @@ def order(problem: Problem, run: Replay) -> Order:
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, nominal=nominal,
         observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
         cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
-        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=cost(problem, plan.xs, plan.us),
-        scale=cost.scale(plan, problem),
+        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
+        scale=cost.scale(plan, problem), whole=not cost.final,
     )  # fmt: skip
 
 
@@ -144,4 +145,4 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tup
     with curves_acting(twin, model):
         for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
             xs[n] = x
-    return xs[-1], judged_cost(problem)(problem, xs, plan.us)
+    return xs[-1], problem.cost.value(xs, plan.us)
