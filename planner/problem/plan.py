@@ -55,6 +55,7 @@ class Status(StrEnum):
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
         "give what must come back a larger final weight."
     )
+    GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
 
