@@ -130,7 +130,9 @@ def replay(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
-    return replay_in(CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling)
+    return replay_in(
+        CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling
+    )
 
 
 @np.errstate(all="ignore")  # a motion may run away, and then it says so

@@ -25,6 +25,7 @@ PERIOD = 2e-3  # s: 500 Hz
 HINGE = 2.0 * math.pi / 2**17  # rad, what an encoder of 17 bits tells apart
 SLIDE = 1e-6  # units of length of the model
 _FINEST = 1000  # parts of a stage that instants may fall on
+_ROUNDING = 1e-9  # relative
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Sampling:
             PlannerError: No fraction of whole numbers up to 1000 is this period.
         """
         stages = Fraction(self.period / dt).limit_denominator(_FINEST)
-        if abs(stages * dt - self.period) > 1e-9 * self.period:
+        if abs(stages * dt - self.period) > _ROUNDING * self.period:
             raise PlannerError(
                 f"the sampling period is {self.period:.6g} s and a stage {dt:.6g} s, expected a whole fraction of a "
                 f"stage or a whole number of them, {sampling_in(dt).period:.6g} s for example."
@@ -75,11 +76,10 @@ def sampling_of(plan: Plan) -> Sampling:
 
 
 def sampling_in(dt: float) -> Sampling:
-    """Sampling at 500 Hz in stages of dt s: the nearest rate that fits them, the slower of two as near."""
-    stages = PERIOD / dt
-    # Rounded down at a half where parts of a stage are counted, up where whole stages are: the slower rate.
-    parts = math.ceil(dt / PERIOD - 0.5 - 1e-9)
-    return Sampling(dt / max(parts, 1) if dt >= PERIOD else dt * math.floor(stages + 0.5 + 1e-9))
+    """Sampling at 500 Hz in stages of dt s: the nearest rate of whole parts or whole stages, the slower of two."""
+    if dt >= PERIOD:
+        return Sampling(dt / max(math.ceil(dt / PERIOD - 0.5 - _ROUNDING), 1))
+    return Sampling(dt * math.floor(PERIOD / dt + 0.5 + _ROUNDING))
 
 
 class Gains:
