@@ -21,7 +21,8 @@ _AT_ONCE = 50_000  # steps in C before Ctrl-C is heard
 
 def set_state(model: Any, data: Any, w: np.ndarray) -> None:
     """Put a state (nw,) into MuJoCo's data."""
-    data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [model.nq, model.nq + model.nv])
+    nq, nv = model.nq, model.nv
+    data.qpos[:], data.qvel[:], data.act[:] = w[:nq], w[nq : nq + nv], w[nq + nv :]
 
 
 def state_of(data: Any) -> np.ndarray:
@@ -35,9 +36,9 @@ def simulate(
 ) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
     """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and complaints, one sentence each.
 
-    `control` is asked at a step and its state, every `held` steps, for the controls (nu,) or (held, nu) until it is asked
-    again, which are written into ctrl. Every `every` steps the simulation is ended if it has run away: its states are NaN
-    from there. `start` is the time of w0 for sentences, s.
+    `control` is asked every `held` steps, at a step and its state, for the controls (nu,) or (held, nu) that are to act
+    until it is asked again, which are written into ctrl. Every `every` steps the simulation is ended if it has run
+    away: its states are NaN from there. `start` is the time of w0 for sentences, s.
     """
     recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
