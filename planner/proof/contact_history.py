@@ -119,7 +119,8 @@ class ContactRecorder:
         if not len(contacts):
             return
         if self._first is None:
-            self._first = (*map(int, contacts["geoms"][0]), int(contacts["step"][0]))
+            (one, other), step = contacts["geoms"][0], contacts["step"][0]
+            self._first = int(one), int(other), int(step)
         normal, points = contacts["wrench"][:, 0], contacts["point"]
         at, which = np.unique(contacts["step"], return_inverse=True)
         total = np.bincount(which, weights=normal)
