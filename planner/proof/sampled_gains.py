@@ -59,9 +59,12 @@ class Sampling:
         """The period in stages of dt s.
 
         Raises:
-            PlannerError: No fraction of whole numbers up to 1000 is this period.
+            PlannerError: It is neither a whole part of a stage nor a fraction whose denominator is at most 1000.
         """
-        stages = Fraction(self.period / dt).limit_denominator(_FINEST)
+        share = min(max(self.period / dt, _ROUNDING), 1.0 / _ROUNDING)
+        stages = Fraction(1, max(round(1.0 / share), 1))
+        if abs(stages * dt - self.period) > _ROUNDING * self.period:
+            stages = Fraction(share).limit_denominator(_FINEST)
         if abs(stages * dt - self.period) > _ROUNDING * self.period:
             raise PlannerError(
                 f"the sampling period is {self.period:.6g} s and a stage {dt:.6g} s, expected a whole fraction of a "
