@@ -11,5 +11,5 @@ from planner.proof.replaying import replay as replay
 from planner.proof.sampled_gains import Sampling as Sampling
 from planner.proof.sampled_gains import sampling_of as sampling_of
 from planner.proof.slowest_rate import slowest_rate as slowest_rate
+from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof
-from planner.proof.verdict import prove as prove
