@@ -190,8 +190,8 @@ class Plan(Built):
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
 
-    def within_bounds(self, n: int, u: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, put back within the problem's bounds."""
+    def within_bounds(self, n: int | np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), put back within the problem's bounds."""
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
 
