@@ -13,7 +13,7 @@ from planner.base.gl import load_mujoco
 from planner.proof.perturbation import Perturbation
 from planner.proof.rollouts import Rollouts
 
-_FORMAT = "perturbed 1"
+_FORMAT = "perturbed 2"
 
 
 def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
