@@ -2,7 +2,7 @@
 
     1  with gains, until the rate of success is settled (planner.proof.success_rate)
     2  open loop, the same machines
-    3  the mass margins, by bisection over the levels: a level has failed once too many of its rollouts have
+    3  the mass margins, by bisection over the levels
 
 So the word about robustness comes first. Whatever is finished is in the store, and is not run again.
 """
@@ -25,7 +25,6 @@ ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the 
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
 _PER_LEVEL = 20  # the fewest of which 95 % is a number other than all
 _QUICK = 5  # rollouts of a level where not even the first look is asked for
-_AT_ONCE = 10  # rollouts of a level before it is looked at
 _MOST_LEVELS = 4  # that a bisection of nine asks for
 
 
@@ -81,21 +80,15 @@ class Campaign:
 
     def _margin(self, mode: str, others: int) -> float:
         """The largest level at which enough succeed, as if they did at all below; `others` are still to come."""
-        sizes, allowed = self.simulator.nominal.sizes, self.per_level - math.ceil(ENOUGH * self.per_level)
-        low, high, left = -1, len(LEVELS), _MOST_LEVELS * self.per_level
+        sizes, low, high, left = self.simulator.nominal.sizes, -1, len(LEVELS), _MOST_LEVELS * self.per_level
         while high - low > 1:
-            level = (low + high) // 2
-            name, left = f"level {level}", left - self.per_level
-            while True:
-                won = self._won(name, mode)[: self.per_level]
-                if len(won) == self.per_level or len(won) - won.sum() > allowed:
-                    break
-                self._extend(
-                    name, mode, min(len(won) + _AT_ONCE, self.per_level),
-                    lambda k, level=level: draw_masses(LEVELS[level], self._seed, level, k, sizes),
-                    to_come=left + self.per_level - len(won) + others,
-                )  # fmt: skip
-            low, high = (level, high) if len(won) - won.sum() <= allowed else (low, level)
+            level, left = (low + high) // 2, left - self.per_level
+            self._extend(
+                f"level {level}", mode, self.per_level,
+                lambda k, level=level: draw_masses(LEVELS[level], self._seed, level, k, sizes), to_come=left + others,
+            )  # fmt: skip
+            kept = self._won(f"level {level}", mode)[: self.per_level]
+            low, high = (level, high) if kept.mean() >= ENOUGH else (low, level)
         return LEVELS[low] if low >= 0 else 0.0
 
     def _won(self, part: str, mode: str) -> np.ndarray:
