@@ -61,8 +61,8 @@ def replay_case(
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
         substeps = rollouts.control_steps * rollouts.substeps
         return Replay(
-            plan=plan, compiled=compiled, feedback=feedback, integrator=rollouts.integrator, t=t, qpos=qpos, qvel=qvel, act=act,
-            ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
+            plan=plan, compiled=compiled, feedback=feedback, integrator=rollouts.integrator, t=t, qpos=qpos, qvel=qvel,
+            act=act, ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
             contact_point=recorder.point, substeps=substeps, warnings=warnings,
             reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip

@@ -20,8 +20,8 @@ from planner.base.arguments import count, number
 from planner.base.jsonable import finite
 from planner.base.measured import Measured, Section
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.campaign import Campaign
+from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.perturbation import Perturbation
 from planner.proof.rollouts import MODES, OutOfTime, Rollouts
 from planner.proof.success_rate import Rate
@@ -64,7 +64,7 @@ class Perturbed:
 
     @property
     def robustness(self) -> str:
-        """ "robust", "fragile" or, of too few rollouts to know, "counting": see planner.proof.success_rate.
+        """The word "robust", "fragile" or, of too few rollouts to know, "counting": see planner.proof.success_rate.
 
         Of the rate with gains; where other errors than the standard ones were drawn, it is about those.
         """
@@ -174,7 +174,7 @@ def _result(campaign: Campaign, trials: Trials, perturbation: Perturbation, note
         perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=campaign.done, step=simulator.step,
         control_step=simulator.control_step, tolerance=rule.most,
         end_error={mode: end_errors(simulator.plan, campaign.ends(mode)) for mode in MODES},
-        success={mode: campaign.won(mode) for mode in MODES}, margin=dict(campaign.margin),
+        success={mode: campaign.won(mode) for mode in MODES}, margin={mode: campaign.margin[mode] for mode in MODES},
         per_level=campaign.per_level, t=simulator.plan.t[simulator.knots],
         fans={mode: _percentiles(campaign.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
     )  # fmt: skip

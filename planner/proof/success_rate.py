@@ -14,7 +14,8 @@ import numpy as np
 
 ROBUST = 0.8  # the lower end of the interval that makes a plan robust
 TIGHT = 0.07  # half the width of an interval that is tight enough
-# Numbers of rollouts after which the rate is looked at; at 160 every rate is settled, up to 16 of 16 none that succeeds.
+# Numbers of rollouts after which the rate is looked at: 16 is the first of which all is robust, at 160 every rate is
+# settled.
 LOOKS = (16, 32, 64, 96, 128, 160)
 _Z = 1.959963984540054  # standard deviations: 95 % of a normal distribution lie within
 
@@ -51,7 +52,7 @@ class Rate:
 
     @property
     def word(self) -> str:
-        """ "robust" for a lower end of at least ROBUST; else "fragile" where settled; else "counting"."""
+        """The word "robust" for a lower end of at least ROBUST; else "fragile" where settled; else "counting"."""
         if self.interval[0] >= ROBUST:
             return "robust"
         return "fragile" if self.settled else "counting"

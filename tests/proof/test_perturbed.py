@@ -21,7 +21,7 @@ from planner.proof.perturbed import Trials, perturbed
 from planner.proof.replaying import replay
 from planner.proof.rollouts import MODES, Rollouts
 from planner.proof.success_rate import LOOKS, Rate, enough, next_look
-from planner.proof.success_rule import Rule, end_errors, ranges_of_motion, rule_of, within_goals
+from planner.proof.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)
