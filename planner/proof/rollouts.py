@@ -3,7 +3,9 @@
 The gains act at control steps, the whole fraction of a stage that is nearest to 500 Hz. The simulator takes half of
 that: with errors of several percent a finer step shows nothing else. Where there may be contacts it takes the model's
 own timestep, by semi-implicit Euler in place of RK4 (a quarter of the work, and RK4 has no order across an impact)
-where the machine without errors moves the same then. A rollout is the same to the last bit in any batch and on any number of threads: every segment starts from the physical
+where the machine without errors moves the same then.
+
+A rollout is the same to the last bit in any batch and on any number of threads: every segment starts from the physical
 state alone (no warm start), and what NumPy does here for many rollouts it does elementwise, since a matrix product
 may round differently in other company.
 """

@@ -13,29 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 
-from planner.model.mechanism import Mechanism
+from planner.problem.goals import Goal, goals_of
 from planner.problem.plan import Plan
+from planner.proof.scales import SHARE, path_bounds
 
 GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
 OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal
 _LEAST = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly moves
-
-
-class Aim(Protocol):
-    """A goal of a problem."""
-
-    @property
-    def tolerance(self) -> float:
-        """In the goal's own unit."""
-        ...
-
-    def missed(self, xs: np.ndarray) -> np.ndarray:
-        """(K,) by how much states (K, nx) miss it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -56,9 +43,9 @@ class Rule:
         return won
 
 
-def rule_of(plan: Plan, goals: Sequence[Aim] = ()) -> Rule:
-    """The rule for a plan, whose problem has these goals."""
-    own: Any = None if plan.problem is None else plan.problem.requirements
+def rule_of(plan: Plan) -> Rule:
+    """The rule for a plan with its problem."""
+    own, goals = (None, ()) if plan.problem is None else (plan.problem.requirements, goals_of(plan.problem, plan.xs))
     near = Rule(
         f"ends within {100.0 * OF_RANGE:g} % of each coordinate's range of motion from the plan's end",
         lambda ends: end_errors(plan, ends) <= OF_RANGE, most=OF_RANGE,
@@ -70,7 +57,7 @@ def rule_of(plan: Plan, goals: Sequence[Aim] = ()) -> Rule:
     return within_goals(goals) if goals else near
 
 
-def within_goals(goals: Sequence[Aim]) -> Rule:
+def within_goals(goals: Sequence[Goal]) -> Rule:
     """Succeed by missing every goal by at most five times its tolerance."""
 
     def succeeds(ends: np.ndarray) -> np.ndarray:
@@ -79,7 +66,7 @@ def within_goals(goals: Sequence[Aim]) -> Rule:
             won &= goal.missed(ends) <= GOAL_TOLERANCES * goal.tolerance
         return won
 
-    return Rule("ends within five tolerances of every goal", succeeds)
+    return Rule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
 
 
 def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
@@ -95,17 +82,4 @@ def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
     """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
-    moved = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
-    units = _units(plan)
-    largest = np.array([moved[units == unit].max() for unit in units])
-    return np.maximum(moved, np.maximum(0.1 * largest, _LEAST))
-
-
-def _units(plan: Plan) -> np.ndarray:
-    """(ndx,) numbers that are equal for coordinates of one unit."""
-    units = np.arange(4, 4 + plan.space.ndx)  # each its own, of a machine that is not known
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    if isinstance(mechanism, Mechanism):
-        turns = np.any(mechanism.S[:, :3] != 0.0, axis=1).astype(int)
-        units[: 2 * mechanism.nv] = np.concatenate([turns, 2 + turns])
-    return units
+    return np.maximum(path_bounds(plan) / SHARE, _LEAST)
