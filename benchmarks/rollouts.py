@@ -23,7 +23,7 @@ import planner
 from planner.base.gl import load_mujoco, load_rollout
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.perturbation import Perturbation, draw
-from planner.proof.rollouts import CONTROL_STEPS, MODES, Batch, Rollouts
+from planner.proof.rollouts import MODES, Batch, Rollouts
 
 CASES = ("two-link", "acrobot", "hopper")
 ROLLOUTS = 512
@@ -67,7 +67,7 @@ def measure(name: str) -> dict[str, Any]:
     whole = planner.solve(planner.cases.build(name))
     assert whole.twin is not None
     with Rollouts(whole, CompiledTwin(whole.twin)) as simulator:
-        steps, per_stage = simulator.steps, CONTROL_STEPS * simulator.substeps
+        steps, per_stage = simulator.steps, simulator.control_steps * simulator.substeps
     plan = first_stages(whole, max(2, round(STEPS / per_stage)))
     with Rollouts(plan, CompiledTwin(whole.twin)) as simulator:
         sizes, size = simulator.nominal.sizes, simulator.batch_size

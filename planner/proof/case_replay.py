@@ -12,7 +12,7 @@ from planner.proof.contact_history import ContactRecorder
 from planner.proof.perturbation import Perturbation, draw
 from planner.proof.ranges import ranges_reached
 from planner.proof.replaying import Replay
-from planner.proof.rollouts import CONTROL_STEPS, MODES, Rollouts
+from planner.proof.rollouts import MODES, Rollouts
 from planner.proof.simulation import RUNAWAY, set_state, state_of, warnings_of
 
 
@@ -59,10 +59,10 @@ def replay_case(
                 recorder.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
-        substeps = CONTROL_STEPS * rollouts.substeps
+        substeps = rollouts.control_steps * rollouts.substeps
         return Replay(
-            plan=plan, compiled=compiled, feedback=feedback, integrator="RK4", t=t, qpos=qpos, qvel=qvel, act=act,
-            ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
+            plan=plan, compiled=compiled, feedback=feedback, integrator=rollouts.integrator, t=t, qpos=qpos, qvel=qvel,
+            act=act, ctrl=ctrl, xs=rollouts.x_of(w), plan_xs=plan.between_knots(substeps), contact_force=recorder.force,
             contact_point=recorder.point, substeps=substeps, warnings=warnings,
             reached=ranges_reached(model, t, w, ctrl), contacts=recorder.history(t),
         )  # fmt: skip

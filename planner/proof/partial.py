@@ -13,7 +13,7 @@ from planner.base.gl import load_mujoco
 from planner.proof.perturbation import Perturbation
 from planner.proof.rollouts import Rollouts
 
-_FORMAT = "perturbed 1"
+_FORMAT = "perturbed 2"
 
 
 def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
@@ -21,7 +21,7 @@ def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> st
     plan, twin, problem = rollouts.plan, rollouts.twin, rollouts.plan.problem
     assert problem is not None  # Rollouts has checked
     version = load_mujoco().__version__
-    words = (_FORMAT, version, twin.mjcf, sorted(twin.assets), perturbation, seed, rollouts.step)
+    words = (_FORMAT, version, twin.mjcf, sorted(twin.assets), perturbation, seed, rollouts.step, rollouts.integrator)
     digest = hashlib.sha256(repr(words).encode())
     maps = (twin.to_x, twin.to_x_offset, twin.to_sim, twin.to_sim_offset)
     for array in (plan.t, plan.xs, plan.us, plan.K, problem.x0, *maps):

@@ -155,7 +155,8 @@ def _deviation(plan: Plan, index: int) -> str:
 
 def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
     """Draw a histogram of the end errors in each mode, and the tolerance."""
-    dress(axes, f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode", "rollouts", f"end error, {ERROR}")
+    title = f"Monte Carlo: end errors of {rollouts.done} rollouts in each mode"
+    dress(axes, title, "rollouts", "end error / range of motion")
     ends = {mode: positive(errors) for mode, errors in rollouts.end_error.items()}
     found = np.concatenate([*ends.values(), [rollouts.tolerance], [1.0] if math.isnan(rollouts.tolerance) else []])
     found = found[np.isfinite(found)]

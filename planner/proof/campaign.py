@@ -1,0 +1,129 @@
+"""The order in which the rollouts of a Monte Carlo are run, and what is known after each.
+
+    1  with gains, until the rate of success is settled (planner.proof.success_rate)
+    2  open loop, the same machines
+    3  the mass margins, by bisection over the levels
+
+So the word about robustness comes first. Whatever is finished is in the store, and is not run again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from planner.proof.partial import Partial, fingerprint
+from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
+from planner.proof.rollouts import MODES, Rollouts
+from planner.proof.success_rate import LOOKS, enough, next_look
+from planner.proof.success_rule import Rule
+
+ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
+LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
+_PER_LEVEL = 20  # the fewest of which 95 % is a number other than all
+_QUICK = 5  # rollouts of a level where not even the first look is asked for
+_MOST_LEVELS = 4  # that a bisection of nine asks for
+
+
+class Campaign:
+    """The rollouts of one plan, with one perturbation and seed."""
+
+    def __init__(
+        self, simulator: Rollouts, rule: Rule, perturbation: Perturbation, seed: int, asked: int, *,
+        partial: Path | None = None, most_at_once: int | None = None, deadline: float = math.inf,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> None:  # fmt: skip
+        self.simulator, self.rule, self.asked = simulator, rule, asked
+        self.per_level = _PER_LEVEL if asked >= LOOKS[0] else _QUICK
+        self.margin = dict.fromkeys(MODES, math.nan)  # see Perturbed
+        self._perturbation, self._seed, self._deadline, self._progress = perturbation, seed, deadline, progress
+        self._size = min(simulator.batch_size, most_at_once or simulator.batch_size)
+        self._store = Partial(partial, fingerprint(simulator, perturbation, seed))
+        self._finished = self._total = 0  # simulations run here, and how many these and those to come are at most
+
+    def run(self) -> None:
+        """Run what is missing; OutOfTime after the deadline."""
+        margins = len(MODES) * _MOST_LEVELS * self.per_level
+        while (look := next_look(self._won("cases", "feedback"), self.asked)) is not None:
+            self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
+        self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
+        for mode in MODES[::-1]:
+            margins -= _MOST_LEVELS * self.per_level
+            self.margin[mode] = self._margin(mode, margins)
+        if self._progress is not None and self._finished < self._total:  # bisections took less than was expected
+            self._progress(self._finished, self._finished)
+
+    @property
+    def done(self) -> int:
+        """Number of machines that were run with gains, and count."""
+        return enough(self._won("cases", "feedback"), self.asked)
+
+    def ends(self, mode: str) -> np.ndarray:
+        """(K, nx) the ends that count."""
+        found = self._store.arrays.get(f"cases {mode} end", np.empty((0, self.simulator.plan.xs.shape[1])))
+        return found[: self.done]
+
+    def won(self, mode: str) -> np.ndarray:
+        """(K,) which of these succeed."""
+        return self._won("cases", mode)[: self.done]
+
+    def deviations(self, mode: str) -> np.ndarray:
+        """(K, T, ndx) deviations from the plan at the kept knots."""
+        nothing = np.empty((0, len(self.simulator.knots), self.simulator.plan.space.ndx))
+        return self._store.arrays.get(f"cases {mode} deviation", nothing)[: self.done]
+
+    def _case(self, k: int) -> Draw:
+        return draw(self._perturbation, self._seed, k, self.simulator.nominal.sizes)
+
+    def _margin(self, mode: str, others: int) -> float:
+        """The largest level at which enough succeed, as if they did at all below; `others` are still to come."""
+        sizes, low, high, left = self.simulator.nominal.sizes, -1, len(LEVELS), _MOST_LEVELS * self.per_level
+        while high - low > 1:
+            level, left = (low + high) // 2, left - self.per_level
+            self._extend(
+                f"level {level}", mode, self.per_level,
+                lambda k, level=level: draw_masses(LEVELS[level], self._seed, level, k, sizes), to_come=left + others,
+            )  # fmt: skip
+            kept = self._won(f"level {level}", mode)[: self.per_level]
+            low, high = (level, high) if kept.mean() >= ENOUGH else (low, level)
+        return LEVELS[low] if low >= 0 else 0.0
+
+    def _won(self, part: str, mode: str) -> np.ndarray:
+        """(K,) the successes among all the store has of a part."""
+        if self.rule.follows is not None:
+            return self._store.arrays.get(f"{part} {mode} won", np.empty(0, dtype=bool))
+        ends = self._store.arrays.get(f"{part} {mode} end")
+        return np.empty(0, dtype=bool) if ends is None else self.rule.won(ends)
+
+    def _extend(self, part: str, mode: str, wanted: int, draw_one: Callable[[int], Draw], to_come: int) -> None:
+        """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""
+        simulator, plan, follows = self.simulator, self.simulator.plan, self.rule.follows
+        done = len(self._store.arrays.get(f"{part} {mode} end", ()))
+        while done < wanted:
+            batch = simulator.batch([draw_one(k) for k in range(done, min(done + self._size, wanted))])
+            xs = simulator.run(batch, mode, self._deadline)
+            more = {"end": xs[:, -1]}
+            if follows is not None:
+                more["won"] = _following(follows, xs, plan.xs[simulator.knots], simulator.knots)
+            if part == "cases":  # in single precision: for plots
+                with np.errstate(all="ignore"):  # of what has exploded
+                    more["deviation"] = plan.space.difference(xs, plan.xs[simulator.knots]).astype(np.float32)
+            self._store.add(**{f"{part} {mode} {name}": values for name, values in more.items()})
+            done += len(xs)
+            self._finished += len(xs)
+            self._total = self._finished + wanted - done + to_come
+            if self._progress is not None:
+                self._progress(self._finished, self._total)
+
+
+def _following(
+    follows: Callable[..., np.ndarray], xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray
+) -> np.ndarray:
+    """(K,) successes among states (K, T, nx) at the kept knots; none that has exploded is one."""
+    won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
+    if sound.any():
+        won[sound] = follows(xs[sound], plan_xs, knots)
+    return won

@@ -1,0 +1,85 @@
+"""The rule by which a perturbed rollout succeeds.
+
+The machine's own where its requirements have one, else the problem's goals, else the end of the plan:
+
+    goals       every goal is missed by at most five times its tolerance: a machine that differs from the planned one
+                cannot be asked for the tolerance of the planned one
+    no goal     every coordinate ends within 10 % of its own range of motion of the plan's end; a coordinate that moves
+                little, within 10 % of the largest range of its unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.problem.goals import Goal, goals_of
+from planner.problem.plan import Plan
+from planner.proof.scales import SHARE, path_bounds
+
+GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
+OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal
+_LEAST = 0.1  # rad, m, rad/s, m/s: the least range, of a machine that hardly moves
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Which rollouts succeed."""
+
+    words: str
+    succeeds: Callable[[np.ndarray], np.ndarray]  # end states (K, nx), all finite -> (K,) bool
+    # In its place where the way counts: see planner.problem.problem.Requirements.
+    follows: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    most: float = math.nan  # Largest of end_errors() that succeeds; NaN where something else decides
+
+    def won(self, ends: np.ndarray) -> np.ndarray:
+        """(K,) successes of end states (K, nx); none that has exploded is one."""
+        sound, won = np.isfinite(ends).all(axis=1), np.zeros(len(ends), dtype=bool)
+        if sound.any():
+            won[sound] = self.succeeds(ends[sound])
+        return won
+
+
+def rule_of(plan: Plan) -> Rule:
+    """The rule for a plan with its problem."""
+    own, goals = (None, ()) if plan.problem is None else (plan.problem.requirements, goals_of(plan.problem, plan.xs))
+    near = Rule(
+        f"ends within {100.0 * OF_RANGE:g} % of each coordinate's range of motion from the plan's end",
+        lambda ends: end_errors(plan, ends) <= OF_RANGE, most=OF_RANGE,
+    )  # fmt: skip
+    if own is not None and own.follows is not None:
+        return replace(near, words="by its own rule", follows=own.follows, most=math.nan)
+    if own is not None and own.success is not None:
+        return Rule("by its own rule", own.success)
+    return within_goals(goals) if goals else near
+
+
+def within_goals(goals: Sequence[Goal]) -> Rule:
+    """Succeed by missing every goal by at most five times its tolerance."""
+
+    def succeeds(ends: np.ndarray) -> np.ndarray:
+        won = np.ones(len(ends), dtype=bool)
+        for goal in goals:
+            won &= goal.missed(ends) <= GOAL_TOLERANCES * goal.tolerance
+        return won
+
+    return Rule(f"ends within {GOAL_TOLERANCES:g} tolerances of every goal", succeeds)
+
+
+def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
+    """(K,) the largest component of deviations of ends (K, nx) from the plan's, each over its range of motion.
+
+    Infinite for a simulation that exploded.
+    """
+    sound, errors = np.isfinite(ends).all(axis=1), np.full(len(ends), np.inf)
+    away = np.abs(plan.space.difference(ends[sound], plan.xs[-1])) / ranges_of_motion(plan)
+    errors[sound] = away.max(axis=1, initial=0.0)
+    return errors
+
+
+def ranges_of_motion(plan: Plan) -> np.ndarray:
+    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
+    return np.maximum(path_bounds(plan) / SHARE, _LEAST)
