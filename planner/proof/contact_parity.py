@@ -17,7 +17,7 @@ measured too, since a force that follows accelerations is not the plan's, whatev
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -159,7 +159,7 @@ class _Bench:
             for starts, middle in tries:
                 xs, alone = pressing.pressed(starts, pressing.depth, middle)
                 lowest = bool(lowest or alone.any())
-                touching += [x for x in xs if np.isfinite(self._force(pressing, shapes, x)[0])]
+                touching += [x for x in xs if self._touches(pressing, shapes, x)]
                 if len(touching) >= STATES or (touching and middle is None and starts is anywhere):
                     break
             if touching:
@@ -171,79 +171,89 @@ class _Bench:
                 self.unreached.append(shapes.name)
 
     def _force(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, qacc: np.ndarray | None = None
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
     ) -> np.ndarray:
         """MuJoCo's force (3,) on the contact's first or only body."""
         self._hold(x, qacc)
         if not isinstance(pressing.contact, Contact):
             return force_between(self._model, self._data, shapes)
-        return force_between(self._model, self._data, shapes, pressing.place(x[None]).p[0], 0.25 * pressing.spacing)
+        return force_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
 
-    def _both(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The plan's force (3,) and MuJoCo's."""
-        place = pressing.place(x[None])
-        ours = contact_force(pressing.contact.law, place.n, place.e, place.v)[0][0]
-        return ours, self._force(pressing, shapes, x)
+    def _touches(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> bool:
+        return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
+
+    def _both(
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, velocity: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The plan's force (3,) and MuJoCo's where the contact moves by about a velocity (3,), and how it does move."""
+        m, v = self._mechanism, place.v[0]
+        if velocity is not None:
+            x = x.copy()
+            x[m.nq : m.nq + m.nv], v = pressing.moving(place, velocity)
+        ours = contact_force(pressing.contact.law, place.n, place.e, v[None])[0][0]
+        return ours, self._force(pressing, shapes, x, place), v
 
     def _coefficients(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> Iterator[Coefficient]:
         law, name, depth = pressing.contact.law, shapes.name, pressing.depth
         deeper = pressing.pressed(x[None], 2.0 * depth)[0]
         if not len(deeper):
             return
-        places = pressing.place(x[None]), pressing.place(deeper)
-        n, e, further = places[0].n[0], float(places[0].e[0]) - law.lift, float(places[1].e[0] - places[0].e[0])
-        rest, more = self._both(pressing, shapes, x), self._both(pressing, shapes, deeper[0])
-        K = [float(f @ places[1].n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
+        place, below = pressing.place(x[None]), pressing.place(deeper)
+        n, e, further = place.n[0], float(place.e[0]) - law.lift, float(below.e[0] - place.e[0])
+        rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
+        K = [float(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
         yield _surface("contact_surface", name, e - float(rest[1] @ n) / K[1], depth, _bluntness(pressing.contact))
         load = float(rest[0] @ n)
         closing = _CLOSING * load / law.damping if law.damping > 0.0 else pressing.speed
-        at, v = pressing.moving(x, -closing * n)
+        *forces, v = self._both(pressing, shapes, x, place, -closing * n)
         if -v @ n > _STUCK * closing:
-            pair = zip(rest, self._both(pressing, shapes, at), strict=True)
-            B = [float((f - f0) @ n) / float(-v @ n) for f0, f in pair]
+            B = [float((f - f0) @ n) / float(-v @ n) for f0, f in zip(rest, forces, strict=True)]
             yield compared("contact_damping", name, B[1], B[0], load / closing)
-        yield from self._friction(pressing, shapes, x, n, rest)
-        yield self._inertia(pressing, shapes, x, rest[1])
+        yield from self._friction(pressing, shapes, x, place, rest)
+        yield self._inertia(pressing, shapes, x, place, rest[1])
 
     def _friction(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, n: np.ndarray, rest: tuple[np.ndarray, np.ndarray]
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
     ) -> Iterator[Coefficient]:
         """Friction while it slips, and its damping while it sticks; nothing where the contact cannot slide."""
-        law, load, across = pressing.contact.law, float(rest[0] @ n), np.eye(3) - np.outer(n, n)
+        law, n = pressing.contact.law, place.n[0]
+        load, across = float(rest[0] @ n), np.eye(3) - np.outer(n, n)
         rubs = law.friction > 0.0 and law.slip_damping > 0.0
         slips = law.friction * load / law.slip_damping if rubs else pressing.speed
-        fast = _FAST * (1.0 + law.bend) * slips
         ways = [way / np.linalg.norm(way) for way in across if np.linalg.norm(way) > 0.1]
-        way = max(ways, key=lambda way: np.linalg.norm(across @ pressing.moving(x, fast * way)[1]))
-        v = pressing.moving(x, fast * way)[1]
-        if v @ n > 0.0:  # it would lift off
-            way, v = -way, -v
-        reached = float(np.linalg.norm(across @ v))
-        if reached < _STUCK * fast:
+        way = max(ways, key=lambda way: np.linalg.norm(across @ pressing.moving(place, slips * way)[1]))
+        v = pressing.moving(place, slips * way)[1]
+        share = float(np.linalg.norm(across @ v)) / slips
+        if share < _STUCK:
             return
+        if v @ n > 0.0:  # it would lift off
+            way = -way
 
-        def rubbed(speed: float) -> tuple[list[float], float, tuple[np.ndarray, np.ndarray]]:
+        def rubbed(speed: float) -> tuple[list[float], list[float], float]:
+            """Both frictions, both normal forces, and the speed of sliding."""
+            *forces, v = self._both(pressing, shapes, x, place, speed / share * way)
+            size = float(np.linalg.norm(across @ v))
             # Less the forces at rest: the normals of two capsules may differ a little.
-            at, v = pressing.moving(x, speed / reached * fast * way)
-            forces, along = self._both(pressing, shapes, at), across @ v
-            size = float(np.linalg.norm(along))
-            return [float((f0 - f) @ along) / size for f0, f in zip(rest, forces, strict=True)], size, forces
+            friction = [float((f0 - f) @ across @ v) / size for f0, f in zip(rest, forces, strict=True)]
+            return friction, [float(f @ n) for f in forces], size
 
-        friction, _, forces = rubbed(fast)
-        mu = [f / float(force @ n) for f, force in zip(friction, forces, strict=True)]
-        yield compared("friction", shapes.name, mu[1], mu[0], 1.0)
+        friction, normal, speed = rubbed(_FAST * (1.0 + law.bend) * slips)
+        if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # not where it closes as fast
+            yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
         if rubs:
-            friction, size, _ = rubbed(_SLOW * slips)
-            yield compared("slip_damping", shapes.name, friction[1] / size, friction[0] / size, law.slip_damping)
+            friction, _, speed = rubbed(_SLOW * slips)
+            yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
-    def _inertia(self, pressing: Pressing, shapes: Shapes, x: np.ndarray, rest: np.ndarray) -> Coefficient:
+    def _inertia(
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray
+    ) -> Coefficient:
         """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
-        place = pressing.place(x[None])
         push = 0.1 * float(rest @ place.n[0])
+        self._hold(x)
         qacc = np.empty((1, self._mechanism.nv))
         self._mujoco.mj_solveM(self._model, self._data, qacc, push * (place.J[0].T @ place.n[0])[None])
-        change = rest - self._force(pressing, shapes, x, qacc[0])
+        change = rest - self._force(pressing, shapes, x, place, qacc[0])
         share = float(change @ place.n[0]) / push
         sentence = f"{shapes.name} takes up {100.0 * share:.3g} % of the force that it gives, the plan's nothing"
         return Coefficient("contact_inertia", shapes.name, share, 0.0, abs(share), sentence)

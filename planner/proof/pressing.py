@@ -114,13 +114,11 @@ class Pressing:
         others = [place_of(m, other, q, qd).e for other in self._others]
         return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
 
-    def moving(self, x: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A state (nx,) whose least joint velocities come nearest to a relative velocity (3,), and what it is."""
-        m, place = self.mechanism, self.place(x[None])
+    def moving(self, place: Any, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The least joint velocities (nv,) at a place of one state that come nearest to a velocity (3,), and theirs."""
         drift = self.contact.plane.velocity if isinstance(self.contact, Contact) else np.zeros(3)
-        x = x.copy()
-        x[m.nq : m.nq + m.nv] = np.linalg.pinv(place.J[0], rcond=1e-6) @ (velocity + drift)
-        return x, place.J[0] @ x[m.nq : m.nq + m.nv] - drift
+        qd = np.linalg.pinv(place.J[0], rcond=1e-6) @ (velocity + drift)
+        return qd, place.J[0] @ qd - drift
 
 
 def beyond_ramps(law: Law) -> float:
