@@ -245,9 +245,7 @@ class _Bench:
             friction, _, speed = rubbed(_SLOW * slips)
             yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
-    def _inertia(
-        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray
-    ) -> Coefficient:
+    def _inertia(self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
         """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
         push = 0.1 * float(rest @ place.n[0])
         self._hold(x)

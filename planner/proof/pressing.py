@@ -71,7 +71,9 @@ class Pressing:
         J = np.abs(self.place(x).J).max(axis=(0, 1))
         return bool(np.any(np.delete(J, fixed) > _SLIGHT * max(J.max(), 1.0)))
 
-    def pressed(self, starts: np.ndarray, depth: float, middle: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def pressed(
+        self, starts: np.ndarray, depth: float, middle: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Move the joints of states (K, nx) until the contact is `depth` m deep, the machine at rest.
 
         Newton's method with the least change of the joints. With `middle` (3,), a point of the plane's shape where the

@@ -30,7 +30,9 @@ def shapes_of(mechanism: Mechanism, survey: Survey) -> list[Shapes | None]:
     Names decide, and where they do not, places: a contact that is elsewhere is the same one, and differs.
     """
     flat, round_ = list(_with_planes(survey)), list(_of_bodies(survey))
-    return [_nearest(one, flat) for one in mechanism.contacts] + [_nearest(one, round_) for one in mechanism.body_contacts]
+    return [_nearest(one, flat) for one in mechanism.contacts] + [
+        _nearest(one, round_) for one in mechanism.body_contacts
+    ]
 
 
 class _Candidate(NamedTuple):
@@ -54,7 +56,9 @@ def _with_planes(survey: Survey) -> Iterator[_Candidate]:
             centre = (survey.geoms[sphere.geom] @ np.append(sphere.centre, 1.0))[:3]
             label = part_name(named(model, "geom", sphere.geom), spheres, k)
             place = np.array([*centre, sphere.radius, *plane.normal, plane.offset])
-            yield _Candidate(Shapes(sphere.geom, other, name), (int(links[model.geom_bodyid[sphere.geom]]),), label, place)
+            yield _Candidate(
+                Shapes(sphere.geom, other, name), (int(links[model.geom_bodyid[sphere.geom]]),), label, place
+            )
 
 
 def _of_bodies(survey: Survey) -> Iterator[_Candidate]:
