@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.base.jsonable import finite
 from planner.base.measured import Measured, Section
 from planner.dynamics import kinematics
 from planner.model.contact.laws import Contact
@@ -33,7 +34,7 @@ from planner.proof.rollouts import MODES
 
 TITLE = "another ground"
 LIGHT = 0.01  # of the mass that hangs together with a body: lighter ones do not stand on MuJoCo's default contact
-PLAN = "plan's contact"
+PLAN = "planned contact"
 
 _KINDS = {"rad": "angle", "m": "distance"}
 _LOOKS, _LOOKS_PER_STAGE = 200, 4  # at a replay, to see what touches and where
@@ -47,7 +48,7 @@ class GroundRow:
     """What one ground makes of a plan.
 
     Attributes:
-        ground: "plan's contact", "default contact", "half stiffness" and so on.
+        ground: "planned contact", "default contact", "half stiffness" and so on.
         mode: "open-loop" or "feedback".
         end: Largest error of the end state by unit, against the plan.
         path: The same over the whole path.
@@ -71,6 +72,12 @@ class GroundTable:
 
     rows: tuple[GroundRow, ...] = ()
     not_applicable: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The rows as JSON values, or the reason why there are none."""
+        if self.not_applicable:
+            return {"applicable": False, "reason": self.not_applicable}
+        return {"applicable": True, "rows": [finite(asdict(row)) for row in self.rows]}
 
     @property
     def section(self) -> Section:
@@ -190,7 +197,7 @@ def _centre(contact: Contact) -> Frame:
 def _measured(row: GroundRow) -> Iterator[Measured]:
     """A row without its velocities, which the table has."""
     note = " ".join((f"{row.ground}, {row.mode}; shown, not judged.", *row.warnings))
-    ground, mode = (re.sub(r"\W+", "_", part.replace("'", "")) for part in (row.ground, row.mode))
+    ground, mode = (re.sub(r"\W+", "_", part) for part in (row.ground, row.mode))
     for where, errors in (("end", row.end), ("path", row.path)):
         for unit, value in errors.items():
             if not unit.endswith("/s"):

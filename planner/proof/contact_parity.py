@@ -106,13 +106,17 @@ def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None =
     for one in found:
         pairs.setdefault(one.kind, set()).add(one.pair)
     for kind, names in pairs.items():
-        worst = max((one for one in found if one.kind == kind), key=lambda one: one.error)
-        error, bound = 100.0 * worst.error, INERTIA_BOUND if kind == "contact_inertia" else BOUND
+        worst = max((one for one in found if one.kind == kind), key=lambda one: np.nan_to_num(one.error, nan=np.inf))
+        error, bound = (
+            100.0 * float(np.nan_to_num(worst.error, nan=np.inf)),
+            INERTIA_BOUND if kind == "contact_inertia" else BOUND,
+        )
         note = f"largest of {len(names)}, at {worst.pair}" if error <= bound else str(worst)
         note += f", at seeded states outside the ramps (seed {seed}), relative to the plan's"
-        if unreached:
-            note += f"; not reached: {', '.join(unreached)}"
         measured.append(Measured(f"{kind}_error", error, "%", bound, note))
+    if unreached:
+        note = f"not compared, since no state that was tried brings them together: {', '.join(unreached)}"
+        measured.append(Measured("contacts_not_reached", float(len(unreached)), "", None, note))
     return tuple(measured)
 
 
@@ -133,7 +137,12 @@ class _Bench:
         self._model = compiled.copy()
         self._model.opt.enableflags &= ~int(self._mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
         self._survey, self._data = Survey(compiled.model), self._mujoco.MjData(self._model)
-        self.unreached: list[str] = []
+        self._seen: dict[tuple[int, int], str] = {}  # of each pair of geoms a part that was not reached, "" for none
+
+    @property
+    def unreached(self) -> list[str]:
+        """The pairs of which no part was pressed: nowhere near the states that were tried do they touch."""
+        return [name for name in self._seen.values() if name]
 
     def _hold(self, x: np.ndarray, qacc: np.ndarray | None = None) -> None:
         """Let MuJoCo compute the forces at a state (nx,), while the machine accelerates by qacc (nv,) or not."""
@@ -152,23 +161,33 @@ class _Bench:
                 name = contact_name(contact)
                 yield _missing(name, f"{name} touches nothing in the model, the plan has a contact")
                 continue
-            touching, lowest = [], False
+            touching, ought_to = [], False
             tries = [(near, None), (anywhere, None)]
-            if isinstance(contact, Contact):  # it may be beside the floor, which is a box
-                tries.append((np.concatenate([near, anywhere]), self._survey.home.geom_xpos[shapes.other].copy()))
-            for starts, middle in tries:
-                xs, alone = pressing.pressed(starts, pressing.depth, middle)
-                lowest = bool(lowest or alone.any())
+            middle = self._middle(contact, shapes)
+            if middle is not None:  # the plan's plane goes on where the box ends
+                tries.append((np.concatenate([near, anywhere]), middle))
+            for starts, aim in tries:
+                xs, alone = pressing.pressed(starts, pressing.depth, aim)
+                ought_to = ought_to or (aim is middle and bool(alone.any()))
+                if pressing.corners:  # of a box MuJoCo takes the lowest alone
+                    xs = xs[alone]
                 touching += [x for x in xs if self._touches(pressing, shapes, x)]
-                if len(touching) >= STATES or (touching and middle is None and starts is anywhere):
+                if len(touching) >= STATES or (touching and starts is anywhere):
                     break
+            geoms = shapes.own, shapes.other
             if touching:
+                self._seen[geoms] = ""
                 for x in touching[:STATES]:
                     yield from self._coefficients(pressing, shapes, x)
-            elif lowest:
+            elif ought_to:
                 yield _missing(shapes.name, f"{shapes.name} does not touch in the model where it does in the plan")
             else:
-                self.unreached.append(shapes.name)
+                self._seen.setdefault(geoms, shapes.name)
+
+    def _middle(self, contact: AnyContact, shapes: Shapes) -> np.ndarray | None:
+        """(3,) where the file puts a box that a contact touches; None for what has no end."""
+        box = self._model.geom_type[shapes.other] == int(self._mujoco.mjtGeom.mjGEOM_BOX)
+        return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
 
     def _force(
         self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
@@ -201,7 +220,7 @@ class _Bench:
         place, below = pressing.place(x[None]), pressing.place(deeper)
         n, e, further = place.n[0], float(place.e[0]) - law.lift, float(below.e[0] - place.e[0])
         rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
-        K = [float(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
+        K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
         yield _surface("contact_surface", name, e - float(rest[1] @ n) / K[1], depth, _bluntness(pressing.contact))
         load = float(rest[0] @ n)
@@ -216,34 +235,36 @@ class _Bench:
     def _friction(
         self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
     ) -> Iterator[Coefficient]:
-        """Friction while it slips, and its damping while it sticks; nothing where the contact cannot slide."""
+        """Friction while it slips, along and across, and its damping; nothing where the contact cannot slide."""
         law, n = pressing.contact.law, place.n[0]
         load, across = float(rest[0] @ n), np.eye(3) - np.outer(n, n)
         rubs = law.friction > 0.0 and law.slip_damping > 0.0
         slips = law.friction * load / law.slip_damping if rubs else pressing.speed
-        ways = [way / np.linalg.norm(way) for way in across if np.linalg.norm(way) > 0.1]
-        way = max(ways, key=lambda way: np.linalg.norm(across @ pressing.moving(place, slips * way)[1]))
-        v = pressing.moving(place, slips * way)[1]
-        share = float(np.linalg.norm(across @ v)) / slips
-        if share < _STUCK:
-            return
-        if v @ n > 0.0:  # it would lift off
-            way = -way
 
-        def rubbed(speed: float) -> tuple[list[float], list[float], float]:
+        def share(way: np.ndarray) -> float:
+            """How much of a velocity that is asked for is along the surfaces."""
+            return float(np.linalg.norm(across @ pressing.moving(place, slips * way)[1])) / slips
+
+        def rubbed(way: np.ndarray, speed: float) -> tuple[list[float], list[float], float]:
             """Both frictions, both normal forces, and the speed of sliding."""
-            *forces, v = self._both(pressing, shapes, x, place, speed / share * way)
+            *forces, v = self._both(pressing, shapes, x, place, speed / share(way) * way)
             size = float(np.linalg.norm(across @ v))
             # Less the forces at rest: the normals of two capsules may differ a little.
             friction = [float((f0 - f) @ across @ v) / size for f0, f in zip(rest, forces, strict=True)]
-            return friction, [float(f @ n) for f in forces], size
+            return friction, [f @ n for f in forces], size
 
-        friction, normal, speed = rubbed(_FAST * (1.0 + law.bend) * slips)
-        if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # not where it closes as fast
-            yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
-        if rubs:
-            friction, _, speed = rubbed(_SLOW * slips)
-            yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
+        along = max((way / np.linalg.norm(way) for way in across if np.linalg.norm(way) > 0.1), key=share)
+        for way in (along, np.cross(n, along)):
+            if share(way) < _STUCK:
+                continue
+            lifts = pressing.moving(place, slips * way)[1] @ n > 0.0
+            way = -way if lifts else way
+            friction, normal, speed = rubbed(way, _FAST * (1.0 + law.bend) * slips)
+            if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # not where it closes as fast
+                yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
+            if rubs:
+                friction, _, speed = rubbed(way, _SLOW * slips)
+                yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
     def _inertia(self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
         """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
@@ -272,7 +293,7 @@ class _Bench:
             x[m.nq : m.nq + m.nv] = 0.0
             x[m.nq + stop.dof] = stop.side * closing
             ours = one_sided(law, *stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv]))[0]
-            return float(ours[0]), self._limit(x, stop)
+            return ours[0], self._limit(x, stop)
 
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
         K = [(two - one) / depth for one, two in zip(held, deeper, strict=True)]
@@ -288,7 +309,7 @@ class _Bench:
         data, kind = self._data, int(self._mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
         joint = self._model.dof_jntid[stop.dof]
         rows = (np.asarray(data.efc_type) == kind) & (np.asarray(data.efc_id) == joint)
-        return float(np.asarray(data.efc_force)[rows].sum())
+        return np.asarray(data.efc_force)[rows].sum()  # of NumPy, which divides by 0
 
 
 def _bluntness(contact: AnyContact) -> float:

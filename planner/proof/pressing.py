@@ -16,6 +16,7 @@ AnyContact = Contact | BodyContact
 
 _ITERATIONS, _STEP = 40, 0.5  # of Newton's method, and how far a joint goes at once, rad or m
 _ARRIVED, _ALMOST = 1e-6, 1e-3  # of the depth
+_CORNERS = 4  # others that a box has at least, if it is one
 _SLIGHT = 1e-9  # of a Jacobian that is none
 _SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask for more
 _POINT = 0.02  # of the distance between the corners of a box: the same
@@ -26,6 +27,7 @@ class Pressing:
 
     Attributes:
         depth: How deep, m: beyond the ramps of its law, else as the weight does but little of its shapes' size.
+        corners: Whether it may be the corner of a box.
         spacing: Least distance to another contact of the same link, m; infinite for a single one.
     """
 
@@ -33,6 +35,7 @@ class Pressing:
         self.mechanism, self.contact = mechanism, contact
         self._others = [one for one in mechanism.contacts if self._beside(one)]
         away = [float(np.linalg.norm(one.centre - contact.centre)) for one in self._others]  # type: ignore[union-attr]
+        self.corners = len(away) >= _CORNERS
         self.spacing = min((distance for distance in away if distance > 0.0), default=np.inf)
         weight = self._mass() * float(np.linalg.norm(mechanism.gravity))
         radius = contact.radius if isinstance(contact, Contact) else contact.first.radius + contact.second.radius
@@ -87,13 +90,13 @@ class Pressing:
         x[:, m.nq : m.nq + m.nv] = 0.0
         for _ in range(_ITERATIONS):
             place = self.place(x)
-            short = depth + contact.law.lift - place.e
-            rows, missing = -np.einsum("ka,kaj->kj", place.n, place.J)[:, None], short[:, None]
+            rows, missing = -np.einsum("ka,kaj->kj", place.n, place.J)[:, None], self._missing(place, depth)[:, None]
+            aside = np.zeros((len(x), 3))
             if middle is not None and isinstance(contact, Contact):
                 across = np.eye(3) - np.outer(contact.plane.normal, contact.plane.normal)
                 aside = (_carried(m, contact, x, middle) - place.p) @ across
                 rows, missing = np.concatenate([rows, across @ place.J], 1), np.concatenate([missing, aside], 1)
-            if np.all(np.abs(short) <= _ARRIVED * depth) and (middle is None or np.abs(missing).max() <= depth):
+            if np.all(np.abs(missing[:, 0]) <= _ARRIVED * depth) and np.all(np.abs(aside) <= depth):
                 break
             step = np.einsum("kja,ka->kj", np.linalg.pinv(rows, rcond=1e-6), missing)
             step *= np.minimum(1.0, _STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), _STEP))
@@ -101,13 +104,17 @@ class Pressing:
             change[:, : m.nv] = step
             x = m.space.integrate(x, change)
         place = self.place(x)
-        there = np.abs(depth + contact.law.lift - place.e) <= _ALMOST * depth
+        there = (np.abs(self._missing(place, depth)) <= _ALMOST * depth) & np.all(np.abs(aside) <= 2.0 * depth, axis=1)
         x = x[there]
         if isinstance(place, BodyPlace):  # where axes cross, closest points are sharp
             x = x[np.argsort(-place.crossing[there], kind="stable")]
         lowest = self._lowest(x)
         order = np.argsort(~lowest, kind="stable")
         return x[order], lowest[order]
+
+    def _missing(self, place: Any, depth: float) -> np.ndarray:
+        """(K,) how much deeper a place is to be, m."""
+        return depth + self.contact.law.lift - place.e
 
     def _lowest(self, x: np.ndarray) -> np.ndarray:
         m = self.mechanism
