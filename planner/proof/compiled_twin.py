@@ -6,6 +6,7 @@ Steps, integrators and flags are options of the compiled model, so each use sets
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -52,6 +53,13 @@ class CompiledTwin:
     def copy(self) -> Any:
         """A model of the caller's own, to be changed."""
         return copy.copy(self.model)
+
+    def changed(self, change: Callable[[Any], object]) -> CompiledTwin:
+        """The same twin with a model that `change` has changed, which its text knows nothing of."""
+        other, model = CompiledTwin(self.twin), self.copy()
+        change(model)
+        other.__dict__["model"] = model  # where the cached property keeps it
+        return other
 
     def stepping(self, timestep: float, integrator: str = "RK4") -> Any:
         """A copy that takes steps of `timestep` s with MuJoCo's "RK4" or "EULER", and goes on when it runs away."""
