@@ -8,7 +8,7 @@ several steps, so that memory stays within bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,15 @@ class ContactHistory:
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
+class Touch(NamedTuple):
+    """The contact of two geoms over a simulation; depths count from where force begins, in units of length."""
+
+    geoms: tuple[int, int]
+    first: int  # step
+    at_start: float  # depth at step 0; 0 where they do not touch there
+    deepest: float  # over all steps
+
+
 class ContactRecorder:
     """Records the contacts of a simulation, step by step."""
 
@@ -53,6 +62,7 @@ class ContactRecorder:
         self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
         self.force = np.zeros(steps + 1)  # sum of the normal contact forces
         self.point = np.full((steps + 1, 3), np.nan)  # where it acts; NaN without contact
+        self.touches: dict[tuple[int, int], Touch] = {}  # of each pair of geoms
         self.first: tuple[int, int, int] | None = None  # the two geoms of the first contact, and its step
 
     def look(self, i: int, data: Any) -> None:
@@ -71,10 +81,13 @@ class ContactRecorder:
         mujoco.mj_checkVel(model, data)
         self.look(i, data)
         mujoco.mj_checkAcc(model, data)
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        kinds = mujoco.mjtIntegrator
+        if model.opt.integrator == kinds.mjINT_RK4:
             mujoco.mj_RungeKutta(model, data, 4)
-        else:
+        elif model.opt.integrator == kinds.mjINT_EULER:
             mujoco.mj_Euler(model, data)
+        else:
+            mujoco.mj_implicit(model, data)
 
     def _record(self, i: int, data: Any) -> None:
         """The contacts that a forward pass has left in `data`."""
@@ -88,6 +101,7 @@ class ContactRecorder:
             one, other = (int(geom) for geom in contact.geom)
             if self.first is None:
                 self.first = one, other, i
+            self._touch(i, (one, other), float(contact.includemargin - contact.dist))
             if wrench[0] > 0.0 and min(one, other) >= 0:  # a flex has no geom
                 self._add(i // self._each, one, other, contact.frame.reshape(3, 3).T @ wrench[:3], wrench[0], contact)
         self.force[i] = total
@@ -116,6 +130,17 @@ class ContactRecorder:
         one, other, i = self.first
         shapes = " and ".join(named(self._model, "geom", geom) for geom in (one, other))
         return f"{shapes} touch from t = {i * timestep:.4g} s, of which the plan knows nothing."
+
+    def _touch(self, i: int, geoms: tuple[int, int], depth: float) -> None:
+        """Remember how deep two geoms are in each other at step i."""
+        if depth <= 0.0 or min(geoms) < 0:  # a flex has no geom
+            return
+        before = self.touches.get(geoms)
+        if before is None:
+            self.touches[geoms] = Touch(geoms, i, depth if i == 0 else 0.0, depth)
+        else:
+            start = max(before.at_start, depth) if i == 0 else before.at_start
+            self.touches[geoms] = Touch(geoms, before.first, start, max(before.deepest, depth))
 
     def _add(self, sample: int, one: int, other: int, force: np.ndarray, normal: float, contact: Any) -> None:
         """A contact's force on `other`."""

@@ -20,7 +20,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactHistory, ContactRecorder
+from planner.proof.contact_history import ContactHistory, ContactRecorder, Touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.ranges import ranges_reached
 from planner.proof.simulation import MOST_STEPS, simulate
@@ -50,6 +50,7 @@ class Replay:
         warnings: MuJoCo's complaints, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
         contacts: The force of each contact.
+        touches: Which geoms touched, from when and how deep.
     """
 
     plan: Plan
@@ -69,6 +70,7 @@ class Replay:
     warnings: tuple[str, ...] = ()
     reached: tuple[str, ...] = ()
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
+    touches: tuple[Touch, ...] = ()
 
     def __repr__(self) -> str:
         mode = "feedback" if self.feedback else "open loop"
@@ -144,11 +146,12 @@ def replay_in(
     if M > MOST_STEPS:
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
-    plan_xs, ctrl, recorder = plan.between_knots(n), np.repeat(plan.us, n, axis=0), ContactRecorder(model, M)
+    plan_xs, recorder = plan.between_knots(n), ContactRecorder(model, M)
+    ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:
-        asked = ctrl[i] + plan.K[i // n] @ plan.space.difference(twin.x_of(w), plan_xs[i])
-        return plan.within_bounds(i // n, asked)
+        asked = plan.us[i // n] + plan.K[i // n] @ plan.space.difference(twin.x_of(w), plan_xs[i])
+        return compiled.commands(plan.within_bounds(i // n, asked))
 
     start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
     with curves_acting(twin, model):
@@ -158,10 +161,10 @@ def replay_in(
     surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
     return Replay(
         plan=plan, compiled=compiled, feedback=feedback, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
-        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
+        ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
         substeps=n, warnings=warnings,
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
-        contacts=recorder.history(t),
+        contacts=recorder.history(t), touches=tuple(recorder.touches.values()),
     )  # fmt: skip
 
 
