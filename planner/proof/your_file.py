@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
@@ -38,6 +39,10 @@ from planner.proof.simulation import simulate
 TITLE = "your file"
 GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
+
+
+class Undriven(ModelError):
+    """The file's joints cannot be driven as the plan prescribes."""
 
 
 class Goal(Protocol):
@@ -79,7 +84,7 @@ def your_file(
         units: (ndx,) of the components of a deviation, for errors along the path; by default a mechanism's.
 
     Returns:
-        The step, and the replay in the file; None where there is no twin.
+        The step, and the replay in the file; None where the step does not apply.
 
     Raises:
         PlannerError: The plan cannot be replayed.
@@ -87,7 +92,10 @@ def your_file(
     """
     if plan.twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
-    compiled = as_given(problem, plan.twin, mjcf)
+    try:
+        compiled = as_given(problem, plan.twin, mjcf)
+    except Undriven as error:
+        return Section(TITLE, not_applicable=str(error)), None
     known = ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin)
     if ideal is not None and known:
         compiled = ideal.compiled  # which has its model already
@@ -123,7 +131,11 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
     unused = [one.index for one in unmodelled(model) if one.kind == "actuator"]
     prescribed = getattr(problem.dynamics, "prescribed", ())
     if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
-        given = replace(given, mjcf=driven(given.mjcf, given.assets, model, in_order(mechanism, prescribed)))
+        try:
+            text = driven(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
+        except ModelError as error:
+            raise Undriven(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
+        given = replace(given, mjcf=text)
     return CompiledTwin(_with_idle_states(given, model, unused), unused)
 
 
@@ -167,7 +179,7 @@ def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list
     for touch in run.touches:
         if frozenset(touch.geoms) not in unknown or touch.deepest <= GRAZE * scale:
             continue
-        pair = " and ".join(named(model, "geom", geom) for geom in touch.geoms)
+        pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
         if touch.at_start <= GRAZE * scale:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
         elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
@@ -232,4 +244,4 @@ def _open_loop(run: Replay) -> tuple[Measured, ...]:
 
 
 def _key(name: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return re.sub(r"\W+", "_", name.lower()).strip("_")
