@@ -21,8 +21,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.driven import as_driven
 from planner.model.mjcf.edit import take_out
-from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.left_out import left_out
+from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import Survey, compile_model
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin

@@ -161,8 +161,8 @@ def replay_in(
     surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
     return Replay(
         plan=plan, compiled=compiled, feedback=feedback, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
-        ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
-        substeps=n, warnings=warnings,
+        ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force,
+        contact_point=recorder.point, substeps=n, warnings=warnings,
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
         contacts=recorder.history(t), touches=tuple(recorder.touches.values()),
     )  # fmt: skip

@@ -1,8 +1,11 @@
 """Step 6 of a proof: the plan in the model exactly as the user gave it.
 
 A plan's model may lack contacts, friction loss or equalities of the user's file. Here the file is simulated unedited,
-with its own integrator and options at a refined step, under the plan's controls and gains. Joints that the plan
-prescribes are driven in it too, and torques that MJCF does not know act in it too.
+with its own options at a refined step, under the plan's controls and gains. Joints that the plan prescribes are driven
+in it too, and torques that MJCF does not know act in it too.
+
+The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
+acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails.
 
 What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
 actuator, no runaway, and every goal is met.
@@ -96,18 +99,28 @@ def your_file(
         compiled = as_given(problem, plan.twin, mjcf)
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
-    known = ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin)
-    if ideal is not None and known:
-        compiled = ideal.compiled  # which has its model already
-    integrator = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
-    if ideal is not None and known and ideal.integrator == integrator:
+    if ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin):
         run, shown = ideal, ()
     else:
-        run = replay_in(compiled, plan, feedback=True, integrator=integrator)
+        run = replay_in(compiled, plan, feedback=True)
         shown = _open_loop(run)
-    unknown, overlaps = _touches(run, _unknown_pairs(run.compiled.model, problem, edited=mjcf is not None))
+    unknown = _unknown_pairs(run.compiled.model, problem, edited=mjcf is not None)
+    section = Section(TITLE, (*_measured(run, problem, goals, unknown, units), *shown))
+    own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
+    if section.passed or own == run.integrator:
+        return section, run
+    again = replay_in(run.compiled, plan, feedback=True, integrator=own)
+    other = Section(TITLE, (*_measured(again, problem, goals, unknown, units), *_open_loop(again)))
+    return (other, again) if other.passed else (section, run)
+
+
+def _measured(
+    run: Replay, problem: Problem, goals: Sequence[Goal], unknown: set[frozenset[int]], units: Sequence[str]
+) -> list[Measured]:
+    """Everything that is judged and shown of a replay with gains."""
+    touching, overlaps = _touches(run, unknown)
     sentences = {
-        "unknown_contacts": (unknown, "touches of pairs that the plan's model lacks"),
+        "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
         "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
         "clamped_actuators": (clamps_hit(run), "actuators that are asked for more than they give"),
         "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
@@ -116,8 +129,8 @@ def your_file(
         Measured(name, float(len(found)), "", 0.0, " ".join(found) or meaning)
         for name, (found, meaning) in sentences.items()
     ]
-    measured = [*judged, *_goals(run, goals), *_path(run, problem, units), *_forces(run, overlaps), *shown]
-    return Section(TITLE, tuple(measured)), run
+    step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
+    return [*judged, *_goals(run, goals), *_path(run, problem, units), *_forces(run, overlaps), step]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
@@ -203,11 +216,11 @@ def _goals(run: Replay, goals: Sequence[Goal]) -> list[Measured]:
 def _path(run: Replay, problem: Problem, units: Sequence[str]) -> list[Measured]:
     """The largest deviation from the plan at any step, of each unit."""
     error = np.abs(run.error).max(axis=0)
-    units = np.array(units or _units(problem, len(error)))
+    own = np.array(units or _units(problem, len(error)))
     return [
-        Measured("path_error" + (f"_{_key(unit)}" if unit else ""), float(error[units == unit].max()), unit, None,
+        Measured("path_error" + (f"_{_key(unit)}" if unit else ""), float(error[own == unit].max()), unit, None,
                  "largest deviation from the plan at any step")
-        for unit in dict.fromkeys(units.tolist())
+        for unit in dict.fromkeys(own.tolist())
     ]  # fmt: skip
 
 

@@ -62,8 +62,9 @@ def left_out(original: str, planned: str, assets: dict[str, bytes], contacts: bo
         given = compile_model(original, assets)
         elements = tuple(unmodelled(given))
     pairs = pairs_by_name(given)
-    lacking = tuple(" and ".join(named(given, "geom", geom) for geom in pairs[key]) for key in pairs if key not in known)
-    return LeftOut(elements, lacking, contacts_off=bool(pairs) and not known)
+    unknown = [pair for key, pair in pairs.items() if key not in known]
+    names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
+    return LeftOut(elements, names, contacts_off=bool(pairs) and not known)
 
 
 def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
