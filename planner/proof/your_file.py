@@ -40,6 +40,7 @@ from planner.proof.replaying import Replay, replay_in
 from planner.proof.simulation import simulate
 
 TITLE = "your file"
+MOST_NAMED = 3  # pairs, joints or actuators in a sentence
 GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
@@ -104,7 +105,7 @@ def your_file(
     else:
         run = replay_in(compiled, plan, feedback=True)
         shown = _open_loop(run)
-    unknown = _unknown_pairs(run.compiled.model, problem, edited=mjcf is not None)
+    unknown = _unknown_pairs(run.compiled, problem, edited=mjcf is not None)
     section = Section(TITLE, (*_measured(run, problem, goals, unknown, units), *shown))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
@@ -126,7 +127,7 @@ def _measured(
         "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
     }
     judged = [
-        Measured(name, float(len(found)), "", 0.0, " ".join(found) or meaning)
+        Measured(name, float(len(found)), "", 0.0, _together(found) or meaning)
         for name, (found, meaning) in sentences.items()
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
@@ -172,17 +173,12 @@ def _same_model(one: Twin, other: Twin) -> bool:
     return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
 
 
-def _unknown_pairs(model: Any, problem: Problem, edited: bool) -> set[frozenset[int]]:
-    """The pairs of geoms of a model of which the plan knows nothing."""
-    if not edited and not lacking(problem).pairs:
+def _unknown_pairs(compiled: CompiledTwin, problem: Problem, edited: bool) -> set[frozenset[int]]:
+    """The pairs of geoms of a compiled file of which the plan knows nothing."""
+    found = lacking(problem, compiled)
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism) or not (edited or found.pairs):
         return set()
-    mechanism, twin = getattr(problem.dynamics, "mechanism", None), problem.twin
-    if twin is None or not isinstance(mechanism, Mechanism):
-        return set()
-    known = {}
-    if mechanism.contacts or mechanism.body_contacts:
-        known = pairs_by_name(compile_model(twin.planned, twin.assets))
-    return {frozenset(pair) for key, pair in pairs_by_name(model).items() if key not in known}
+    return {frozenset(pair) for key, pair in pairs_by_name(compiled.model).items() if key not in found.known}
 
 
 def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list[str]]:
@@ -200,6 +196,12 @@ def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
     return wrong, overlaps
+
+
+def _together(sentences: list[str]) -> str:
+    """The first sentences, and the number of the others."""
+    more = [f"And {len(sentences) - MOST_NAMED} more."] if len(sentences) > MOST_NAMED else []
+    return " ".join([*sentences[:MOST_NAMED], *more])
 
 
 def _goals(run: Replay, goals: Sequence[Goal]) -> list[Measured]:
@@ -237,7 +239,7 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
     model = run.compiled.model
     loss, largest = model.dof_frictionloss, float(np.nanmax(run.contact_force, initial=0.0))
     return [
-        Measured("overlaps_at_the_start", float(len(overlaps)), "", None, " ".join(overlaps)),
+        Measured("overlaps_at_the_start", float(len(overlaps)), "", None, _together(overlaps)),
         Measured("largest_contact_force", largest, "N", None, "sum of the normal forces of all contacts"),
         Measured("friction_loss", float(loss.max(initial=0.0)), "N m, N", None,
                  f"largest, of {np.count_nonzero(loss)} of {len(loss)} degrees of freedom"),

@@ -1,9 +1,12 @@
 """What a plan's model lacks of the user's file is said in phrases with counts, and nothing else is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
+from planner.contact import ContactLaw
 from planner.problem.costs.jerk import driven_by_jerk
 from planner.proof.left_out import left_out, pairs_left_out
 
@@ -52,3 +55,10 @@ def test_a_machine_driven_by_jerk_remembers_its_file():
 @pytest.mark.parametrize("name", cases.CASES)
 def test_the_cases_lack_nothing(name):
     assert left_out(cases.build(name)) == ()
+
+
+def test_a_mechanism_whose_contacts_were_taken_off_by_hand():
+    """Its text has them still, so it is no secret."""
+    mechanism = Mechanism.from_mjcf(MODEL.format(flag=""), contacts=ContactLaw.resting(1.0), ignore=OUT)
+    assert "contacts of 2 pairs" in left_out(problem(mechanism))  # of the cylinder, and of two bodies that both move
+    assert "contacts of 4 pairs" in left_out(problem(replace(mechanism, contacts=())))

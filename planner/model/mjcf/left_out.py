@@ -28,17 +28,18 @@ class LeftOut:
     Attributes:
         elements: What is not modelled and was taken out, but for contacts.
         pairs: Pairs of geoms that may touch in the file alone, e.g. "geom 'arm' and geom 'wall'".
-        contacts_off: Whether the plan's model has no contacts at all, where the file has some.
+        known: The pairs that the plan's model has.
     """
 
     elements: tuple[Refusal, ...] = ()
     pairs: tuple[str, ...] = ()
-    contacts_off: bool = False
+    known: frozenset[frozenset[GeomName]] = frozenset()
 
     @property
     def kinds(self) -> frozenset[str]:
         """The kinds of what was taken out, "contacts" only where all of them were."""
-        return frozenset({one.kind for one in self.elements} | ({"contacts"} if self.contacts_off else set()))
+        contacts = {"contacts"} if self.pairs and not self.known else set()
+        return frozenset({one.kind for one in self.elements} | contacts)
 
     @property
     def phrases(self) -> tuple[str, ...]:
@@ -49,12 +50,15 @@ class LeftOut:
         return tuple(found)
 
 
-def left_out(original: str, planned: str, assets: dict[str, bytes], contacts: bool = True) -> LeftOut:
+def left_out(
+    original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None
+) -> LeftOut:
     """Compare the text of a file as the user gave it with the text that a plan's mechanism was read from.
 
-    `contacts` tells whether the mechanism has any; one may have none though its text has some.
+    `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
+    model of a text that was not edited, where there is one already.
     """
-    own = compile_model(planned, assets)
+    own = compiled if compiled is not None and not original else compile_model(planned, assets)
     known = pairs_by_name(own) if contacts else {}
     if not original:
         given, elements = own, ()
@@ -64,7 +68,7 @@ def left_out(original: str, planned: str, assets: dict[str, bytes], contacts: bo
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
-    return LeftOut(elements, names, contacts_off=bool(pairs) and not known)
+    return LeftOut(elements, names, frozenset(known))
 
 
 def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
