@@ -8,7 +8,7 @@ several steps, so that memory stays within bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,8 @@ MOST_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
 MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
 _AT_ONCE = 4096  # contacts that are summed up together: one by one they would take longer than MuJoCo's steps
 _CONTACT = np.dtype(
-    [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6)]
+    [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6),
+     ("depth", float)]
 )  # fmt: skip
 
 
@@ -45,6 +46,15 @@ class ContactHistory:
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
+class Touch(NamedTuple):
+    """The contact of two geoms over a simulation; depths count from where force begins, in units of length."""
+
+    geoms: tuple[int, int]
+    first: int  # step
+    at_start: float  # depth at step 0; 0 where they do not touch there
+    deepest: float  # over all steps
+
+
 class ContactRecorder:
     """Records the contacts of a simulation, step by step."""
 
@@ -58,6 +68,7 @@ class ContactRecorder:
         self._force = np.zeros(steps + 1)
         self._point = np.full((steps + 1, 3), np.nan)
         self._first: tuple[int, int, int] | None = None
+        self._touches: dict[tuple[int, int], Touch] = {}
         self._waiting, self._filled = np.empty(_AT_ONCE if self.records else 0, _CONTACT), 0  # contacts to be summed up
 
     @property
@@ -71,6 +82,12 @@ class ContactRecorder:
         """(M+1, 3) where it acts; NaN without contact."""
         self._sum_up()
         return self._point
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """How deep each pair of geoms was in each other."""
+        self._sum_up()
+        return tuple(self._touches.values())
 
     @property
     def first(self) -> tuple[int, int, int] | None:
@@ -94,10 +111,13 @@ class ContactRecorder:
         mujoco.mj_checkVel(model, data)
         self.look(i, data)
         mujoco.mj_checkAcc(model, data)
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        kinds = mujoco.mjtIntegrator
+        if model.opt.integrator == kinds.mjINT_RK4:
             mujoco.mj_RungeKutta(model, data, 4)
-        else:
+        elif model.opt.integrator == kinds.mjINT_EULER:
             mujoco.mj_Euler(model, data)
+        else:
+            mujoco.mj_implicit(model, data)
 
     def _record(self, i: int, data: Any) -> None:
         """Keep the contacts that a forward pass has left in `data`, to be summed up with others."""
@@ -109,6 +129,7 @@ class ContactRecorder:
             self._waiting = self._waiting if count <= len(self._waiting) else np.empty(count, _CONTACT)
         here, contact = self._waiting[self._filled : self._filled + count], data.contact
         here["step"], here["geoms"], here["point"], here["frame"] = i, contact.geom, contact.pos, contact.frame
+        here["depth"] = contact.includemargin - contact.dist
         for c, wrench in enumerate(here["wrench"]):
             self._mujoco.mj_contactForce(self._model, data, c, wrench)
         self._filled += count
@@ -127,7 +148,19 @@ class ContactRecorder:
         moment = np.stack([np.bincount(which, weights=normal * column) for column in points.T], axis=1)
         self._force[at], loaded = total, total > 0.0
         self._point[at[loaded]] = moment[loaded] / total[loaded, None]
+        self._touch(contacts[(contacts["depth"] > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])
         self._by_pairs(contacts[(normal > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])  # a flex has no geom
+
+    def _touch(self, contacts: np.ndarray) -> None:
+        """Remember how deep pairs of geoms are in each other."""
+        pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
+        for k, (one, other) in enumerate(pairs.tolist()):
+            depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
+            before = self._touches.get((one, other), Touch((one, other), int(steps[0]), 0.0, 0.0))
+            start = max(before.at_start, float(np.max(depths, where=steps == 0, initial=0.0)))
+            self._touches[one, other] = before._replace(
+                at_start=start, deepest=max(before.deepest, float(depths.max()))
+            )
 
     def _by_pairs(self, contacts: np.ndarray) -> None:
         """Add contacts between geoms to the sums of their pairs."""

@@ -20,7 +20,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactHistory, ContactRecorder
+from planner.proof.contact_history import ContactHistory, ContactRecorder, Touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.ranges import ranges_reached
 from planner.proof.sampled_gains import Gains, Sampling
@@ -52,6 +52,7 @@ class Replay:
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
         contacts: The force of each contact.
         sampling: When the gains acted; None for ideal gains, at every simulator step.
+        touches: Which geoms touched, from when and how deep.
     """
 
     plan: Plan
@@ -72,6 +73,7 @@ class Replay:
     reached: tuple[str, ...] = ()
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
     sampling: Sampling | None = None
+    touches: tuple[Touch, ...] = ()
 
     def __repr__(self) -> str:
         mode = "feedback" if self.feedback else "open loop"
@@ -161,23 +163,30 @@ def replay_in(
     if M > MOST_STEPS:
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
-    plan_xs, ctrl, recorder = plan.between_knots(n), np.repeat(plan.us, n, axis=0), ContactRecorder(model, M)
+    plan_xs, recorder = plan.between_knots(n), ContactRecorder(model, M)
+    ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
     gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
+
+    def with_gains(i: int, w: np.ndarray) -> np.ndarray:
+        assert gains is not None
+        return compiled.commands(gains(i, w))
+
     start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
     with curves_acting(twin, model):
         w, warnings = simulate(
-            model, start, ctrl, control=gains, held=gains.held if gains else 1, recorder=recorder, every=n
-        )
+            model, start, ctrl, control=with_gains if gains else None, held=gains.held if gains else 1,
+            recorder=recorder, every=n,
+        )  # fmt: skip
     t = model.opt.timestep * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
     return Replay(
         plan=plan, compiled=compiled, feedback=feedback, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
-        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
-        substeps=n, warnings=warnings,
+        ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force,
+        contact_point=recorder.point, substeps=n, warnings=warnings,
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
-        contacts=recorder.history(t), sampling=sampling,
+        contacts=recorder.history(t), sampling=sampling, touches=recorder.touches,
     )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def test_all_steps_at_once_are_those_one_by_one(monkeypatch, integrator):
     assert not warnings
 
 
-@pytest.mark.parametrize("integrator", ["RK4", "Euler"])
+@pytest.mark.parametrize("integrator", ["RK4", "Euler", "implicit", "implicitfast"])
 def test_recording_contacts_changes_no_step(integrator):
     arm, ctrl = model(integrator, FLOOR), np.random.default_rng(0).normal(size=(600, 1))
     recorder = ContactRecorder(arm, len(ctrl))

@@ -111,7 +111,8 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     if twin is None:
         raise PlannerError("its model is missing.")
     table = with_defaults(table, "the plan")
-    return _problem(table, _mechanism(twin.planned, table, twin.assets), "the plan")
+    mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
+    return _problem(table, mechanism, "the plan")
 
 
 def load_problem(path: str | Path) -> Problem:
