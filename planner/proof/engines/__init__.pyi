@@ -1,0 +1,1 @@
+from planner.proof.engines.section import another_engine as another_engine
