@@ -1,7 +1,7 @@
 """Pinocchio: a model by its own parser of MJCF, accelerations by its articulated-body algorithm.
 
-Its parser reads the tree, the inertias and the armature, but neither gravity nor springs nor actuators; its algorithm
-has no damping. Its velocity of a free joint is in the body's frame, its quaternions end with w.
+Its parser reads the tree of the first body in the world, the inertias and the armature, but neither gravity nor springs
+nor actuators; its algorithm has no damping. Its velocity of a free joint is in the body's frame, its quaternions end with w.
 """
 
 from __future__ import annotations

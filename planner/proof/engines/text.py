@@ -15,6 +15,9 @@ from planner.model.mjcf.text import parsed
 from planner.model.twin import Twin
 
 
+_POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
+
+
 class Prepared(NamedTuple):
     """A model that another parser may read."""
 
@@ -24,8 +27,10 @@ class Prepared(NamedTuple):
     changes: tuple[str, ...]  # What was done to the text, a phrase each
 
 
-def prepared(twin: Twin, model: Any, folder: Path) -> Prepared:
+def prepared(twin: Twin, model: Any, folder: Path, *, one_machine: bool, one_joint: bool) -> Prepared:
     """Write a twin's text, which compiles to `model`, and its files into a folder.
+
+    Where the parser reads no more than that, all bodies hang on `one_machine`, and a body has `one_joint`.
 
     Raises:
         ModelError: The text has not all joints of the model, or names files that the twin has not.
@@ -40,25 +45,50 @@ def prepared(twin: Twin, model: Any, folder: Path) -> Prepared:
     for keyframes in root.findall("keyframe"):
         root.remove(keyframes)
         changes.append("its keyframes are left out")
-    for frame in root.iterfind("worldbody//frame"):
-        raise ModelError(f"the file has a <frame> ({frame.get('name', 'without a name')}), which no other parser reads")
+    if root.find("worldbody//frame") is not None:
+        raise ModelError("the file has a <frame>, which this parser does not read")
     joints = joints_of(root, model)
     parents = {child: parent for parent in root.iter() for child in parent}
     named = _name(joints, "joint") + _name(list(root.iterfind("worldbody//body")), "body")
     if named:
         changes.append(f"{named} joints and bodies without a name have one")
+    bodies = tuple(parents[joint].attrib["name"] for joint in joints)
+    several = [body for body in parents if body.tag == "body" and len(_joints(body)) > 1] if one_joint else []
+    for body in several:
+        _split(body, parents[body], root)
+    if several:
+        changes.append(f"{len(several)} bodies with several joints are chains of bodies with one joint")
     tops = worlds[0].findall("body")
-    if len(tops) > 1:  # Pinocchio reads the first alone
-        changes.append(f"its {len(tops)} machines hang on one body without mass, fixed to the world")
+    if one_machine and len(tops) > 1:
+        changes.append(f"its {len(tops)} bodies in the world hang on one body without mass, fixed to the world")
         base = ElementTree.SubElement(worlds[0], "body", name=_unused("base", root))
         for body in tops:
             worlds[0].remove(body)
             base.append(body)
     _write(root, twin.assets, folder)
     return Prepared(
-        folder / "model.xml", tuple(joint.attrib["name"] for joint in joints),
-        tuple(parents[joint].attrib["name"] for joint in joints), tuple(changes),
+        folder / "model.xml", tuple(joint.attrib["name"] for joint in joints), bodies, tuple(changes)
     )  # fmt: skip
+
+
+def _joints(body: ElementTree.Element) -> list[ElementTree.Element]:
+    return [child for child in body if child.tag in ("joint", "freejoint")]
+
+
+def _split(body: ElementTree.Element, parent: ElementTree.Element, root: ElementTree.Element) -> None:
+    """Make a chain of a body with several joints; all have its frame, only the last has its mass."""
+    place = list(parent).index(body)
+    parent.remove(body)
+    for joint in _joints(body)[:-1]:
+        link = ElementTree.Element("body", name=_unused(f"{body.get('name')}_{joint.get('name')}", root))
+        link.attrib.update({key: body.attrib.pop(key) for key in _POSE if key in body.attrib})
+        if "childclass" in body.attrib:
+            link.set("childclass", body.attrib["childclass"])
+        body.remove(joint)
+        link.append(joint)
+        parent.insert(place, link)
+        parent, place = link, len(link)
+    parent.append(body)
 
 
 def _name(elements: list[ElementTree.Element], kind: str) -> int:
