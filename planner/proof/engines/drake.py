@@ -1,8 +1,7 @@
 """Drake: a model by its own parser of MJCF, accelerations by the articulated-body algorithm of its MultibodyPlant.
 
 Its parser reads gravity, damping, and the armature of hinges and slides with an actuator that it knows; it ignores
-springs, friction loss and `general` actuators. Of a body with several joints it puts the first where the parent is, so
-such a body is given to it as a chain. Its velocity of a free joint is (angular, linear), both in the world,
+springs, friction loss and `general` actuators. Its velocity of a free joint is (angular, linear), both in the world,
 that of a ball angular in the parent's frame. A ball is three angles for it, which are computed anew for every state: no
 angle is ever integrated.
 """

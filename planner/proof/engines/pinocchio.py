@@ -1,7 +1,7 @@
 """Pinocchio: a model by its own parser of MJCF, accelerations by its articulated-body algorithm.
 
-Its parser reads the tree of the first body in the world, the inertias and the armature, but neither gravity nor springs
-nor actuators; its algorithm has no damping. Its velocity of a free joint is in the body's frame, its quaternions end with w.
+Its parser reads the tree, the inertias and the armature, but neither gravity nor springs nor actuators; its algorithm
+has no damping. Its velocity of a free joint is in the body's frame, its quaternions end with w.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from planner.proof.engines.text import Prepared
 
 NEEDS = "pin==4.0.0 libpinocchio==4.0.0"
 
-_SIZES = {1: 1, 3: 4, 6: 7}  # numbers of a joint's place by those of its velocity
 _WXYZ = np.array([3, 0, 1, 2])  # where x, y, z, w have w, x, y, z
 
 
@@ -52,8 +51,7 @@ class Pinocchio:
         model.gravity.linear = np.array(mechanism.gravity)
         self._data, self._free = model.createData(), []
         self._q, self._v = np.zeros(mechanism.nq, dtype=int), np.zeros(mechanism.nv, dtype=int)
-        joints = [(int(n), int(model.idx_qs[i]), int(model.idx_vs[i]), model.names[i]) for i, n in _joints(model)]
-        self._place(mechanism, text, joints)
+        self._place(mechanism, text)
         self._armature, self.lacks_damping = mechanism.armature, mechanism.damping
         self.settings = ["gravity"]
         lacks = np.asarray(model.armature)[self._v] != mechanism.armature
@@ -63,26 +61,24 @@ class Pinocchio:
             model.armature = armature
             self.settings.append(f"armature of {joints_with(mechanism, lacks)}")
 
-    def _place(self, mechanism: Mechanism, text: Prepared, joints: list[tuple[int, int, int, str]]) -> None:
-        """Find MuJoCo's joints in Pinocchio's, which are one for all joints of a body."""
-        expected = [own.stop - own.start for own in mechanism.joint_links]
-        dof = place = j = 0
-        for size, q, v, name in joints:
-            known = j < len(text.joints) and name in (text.joints[j], f"Composite_{text.joints[j]}")
-            while known and size > 0 and j < len(expected):
-                n, nq = expected[j], _SIZES[expected[j]]
-                self._q[place : place + nq] = q + np.arange(nq)
-                self._v[dof : dof + n] = v + np.arange(n)
-                if n > 1:  # the quaternion
-                    self._q[place + nq - 4 : place + nq] = q + nq - 4 + _WXYZ
-                if n == 6:
-                    self._free.append((place, dof))
-                size, q, v, place, dof, j = size - n, q + nq, v + n, place + nq, dof + n, j + 1
-            if size != 0 or not known:
-                break
-        if j < len(expected) or self._model.nv != mechanism.nv:
-            read = ", ".join(name for *_, name in joints)
+    def _place(self, mechanism: Mechanism, text: Prepared) -> None:
+        """Find MuJoCo's joints among Pinocchio's."""
+        model, own = self._model, {name: i for i, name in enumerate(self._model.names)}
+        sizes = [links.stop - links.start for links in mechanism.joint_links]
+        found = [own.get(name, 0) for name in text.joints]  # 0 is the universe, which does not move
+        if [model.nvs[i] for i in found] != sizes or model.nv != mechanism.nv:
+            read = ", ".join(list(model.names)[1:])
             raise ModelError(f"Pinocchio's parser reads other joints ({read}) than {', '.join(text.joints)}")
+        place = 0
+        for i, n, links in zip(found, sizes, mechanism.joint_links, strict=True):
+            q, numbers = int(model.idx_qs[i]), int(model.nqs[i])
+            self._v[links] = int(model.idx_vs[i]) + np.arange(n)
+            self._q[place : place + numbers] = q + np.arange(numbers)
+            if n > 1:
+                self._q[place + numbers - 4 : place + numbers] = q + numbers - 4 + _WXYZ
+            if n == 6:
+                self._free.append((place, links.start))
+            place += numbers
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """qacc (nv,) at qpos (nq,), qvel (nv,) with the applied forces tau (nv,), in MuJoCo's coordinates."""
@@ -101,8 +97,3 @@ class Pinocchio:
             w = v[dof + 3 : dof + 6]
             found[dof : dof + 3] = R @ (found[dof : dof + 3] + cross(w, own_v[dof : dof + 3]))
         return found
-
-
-def _joints(model: Any) -> list[tuple[int, int]]:
-    """(index, degrees of freedom) of every joint but the universe."""
-    return [(i, int(model.nvs[i])) for i in range(1, model.njoints)]

@@ -55,12 +55,11 @@ class _Kind(NamedTuple):
     make: Callable[[Prepared, Mechanism], Engine]
     load: Callable[[], Any]
     needs: str
-    reads: dict[str, bool]  # what its parser reads no more than
 
 
 _KINDS = {
-    "pinocchio": _Kind(pinocchio.Pinocchio, pinocchio.load, pinocchio.NEEDS, {"one_machine": True, "one_joint": False}),
-    "drake": _Kind(drake.Drake, drake.load, drake.NEEDS, {"one_machine": False, "one_joint": True}),
+    "pinocchio": _Kind(pinocchio.Pinocchio, pinocchio.load, pinocchio.NEEDS),
+    "drake": _Kind(drake.Drake, drake.load, drake.NEEDS),
 }
 ENGINES = tuple(_KINDS)
 
@@ -107,9 +106,8 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
         raise ModelError("the model has other joints than the plan's: it is another machine.")
     try:
         with tempfile.TemporaryDirectory() as folder:
-            kind = _KINDS[name]
-            text = prepared(twin, compiled.model, Path(folder), **kind.reads)
-            engine = kind.make(text, mechanism)
+            text = prepared(twin, compiled.model, Path(folder))
+            engine = _KINDS[name].make(text, mechanism)
     except ModelError as error:
         return Section(name, not_applicable=str(error).rstrip("."))
     applied = Applied(mechanism, engine.lacks_damping)

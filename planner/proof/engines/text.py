@@ -27,15 +27,17 @@ class Prepared(NamedTuple):
     changes: tuple[str, ...]  # What was done to the text, a phrase each
 
 
-def prepared(twin: Twin, model: Any, folder: Path, *, one_machine: bool, one_joint: bool) -> Prepared:
+def prepared(twin: Twin, model: Any, folder: Path) -> Prepared:
     """Write a twin's text, which compiles to `model`, and its files into a folder.
 
-    Where the parser reads no more than that, all bodies hang on `one_machine`, and a body has `one_joint`.
+    A body with several joints is a chain of bodies with one: Drake puts the first of them where the parent is, and
+    Pinocchio forgets their `ref`. And there is one body in the world, since Pinocchio reads the first alone.
 
     Raises:
         ModelError: The text has not all joints of the model, or names files that the twin has not.
     """
     root = parsed(twin.mjcf, "the model")
+    root.attrib.setdefault("model", "model")  # Drake refuses one without a name
     worlds, changes = root.findall("worldbody"), []
     for other in worlds[1:]:  # Pinocchio would read all of them as often as there are sections
         worlds[0].extend(other)
@@ -53,13 +55,13 @@ def prepared(twin: Twin, model: Any, folder: Path, *, one_machine: bool, one_joi
     if named:
         changes.append(f"{named} joints and bodies without a name have one")
     bodies = tuple(parents[joint].attrib["name"] for joint in joints)
-    several = [body for body in parents if body.tag == "body" and len(_joints(body)) > 1] if one_joint else []
+    several = [body for body in parents if body.tag == "body" and len(_joints(body)) > 1]
     for body in several:
         _split(body, parents[body], root)
     if several:
         changes.append(f"{len(several)} bodies with several joints are chains of bodies with one joint")
     tops = worlds[0].findall("body")
-    if one_machine and len(tops) > 1:
+    if len(tops) > 1:
         changes.append(f"its {len(tops)} bodies in the world hang on one body without mass, fixed to the world")
         base = ElementTree.SubElement(worlds[0], "body", name=_unused("base", root))
         for body in tops:
