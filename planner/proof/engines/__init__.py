@@ -2,4 +2,6 @@
 
 from planner.base.lazy import public_names
 
+ENGINES = ("pinocchio", "drake")
+
 __getattr__, __dir__, __all__ = public_names(__name__)

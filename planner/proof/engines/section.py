@@ -26,13 +26,14 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
-from planner.proof.engines import drake, pinocchio
-from planner.proof.engines.applied import Applied
+from planner.proof.engines import ENGINES, drake, pinocchio
+from planner.proof.engines.applied import Applied, joints_with
 from planner.proof.engines.motion import PARTS, Rates, motion
 from planner.proof.engines.text import Prepared, prepared
 from planner.proof.replaying import problem_of
 from planner.proof.rigid_parity import random_states, rounded, turns
 
+NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # values to be read with theirs
 STATES = 64  # at which accelerations are compared
 _STILL = 1e-9  # of our own acceleration at rest: less is no gravity
 
@@ -61,7 +62,6 @@ _KINDS = {
     "pinocchio": _Kind(pinocchio.Pinocchio, pinocchio.load, pinocchio.NEEDS),
     "drake": _Kind(drake.Drake, drake.load, drake.NEEDS),
 }
-ENGINES = tuple(_KINDS)
 
 
 def require(name: str) -> None:
@@ -137,14 +137,10 @@ def _reason(dynamics: Any, model: Any) -> str:
         n = f"{contacts} contacts" if contacts > 1 else "contacts"
         return f"the model has {n}, and each engine has a law of contact of its own"
     if mechanism.stops:
-        names = dict.fromkeys(mechanism.joint_names[_joint(mechanism, stop.dof)] for stop in mechanism.stops)
-        return f"the ends of range of {', '.join(names)} push back, and each engine has a law of its own"
+        stopped = joints_with(mechanism, np.isin(np.arange(mechanism.nv), [stop.dof for stop in mechanism.stops]))
+        return f"the ends of range of {stopped} push back, and each engine has a law of its own"
     extra = ", ".join(one.phrase for one in unmodelled(model))
     return f"the model has what the other engines are not given: {extra}" if extra else ""
-
-
-def _joint(mechanism: Mechanism, dof: int) -> int:
-    return next(j for j, links in enumerate(mechanism.joint_links) if links.start <= dof < links.stop)
 
 
 def _check_gravity(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> None:
@@ -172,9 +168,9 @@ def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) 
     found = np.array([theirs(x, u)[accelerations] for x, u in zip(xs, us, strict=True)])
     relative = np.abs(found - ours) / scale[:, None]
     dof = int(relative.max(axis=0).argmax())
-    joint = mechanism.joint_names[_joint(mechanism, dof)]
+    on = joints_with(mechanism, np.arange(mechanism.nv) == dof)
     note = f"{name} {engine.version} at {STATES} random states (seed {seed}), relative to what they are made of"
-    return Measured("acceleration_difference", float(relative.max()), "", None, f"{note}; largest at joint {joint!r}")
+    return Measured("acceleration_difference", float(relative.max()), "", None, f"{note}; largest at {on}")
 
 
 def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
