@@ -17,6 +17,7 @@ from planner.cases.problem_file import keys as problem_keys
 from planner.dynamics import INTEGRATORS
 from planner.paper.studies.catalogue import STUDIES
 from planner.problem.objective import OBJECTIVES
+from planner.proof.engines import ENGINES
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 
 PROBLEM_FILE = "PROBLEM.toml"
@@ -208,6 +209,8 @@ def build() -> argparse.ArgumentParser:
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
         {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),
+         "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
+                      "help": f"Also repeat the plan in {' or '.join(ENGINES)}, where installed; repeat it for both."},
          "--out": _takes("FILE", "Write the proof to this JSON file.")}, _PROOF, _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
