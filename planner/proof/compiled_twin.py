@@ -31,6 +31,10 @@ class CompiledTwin:
     def __init__(self, twin: Twin) -> None:
         self.twin = twin  # the text and the maps between its state and the plan's
 
+    def __getstate__(self) -> dict[str, Twin]:
+        """The twin alone: a copy compiles the text when it is asked for the model."""
+        return {"twin": self.twin}
+
     @cached_property
     def model(self) -> Any:
         """MuJoCo's model, not to be changed; every user changes a copy()."""
