@@ -15,6 +15,7 @@ from planner.base.jsonable import json_text
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
 from planner.cli.results import plan_facts, show_proof
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.proof.case_replay import replay_case
@@ -26,6 +27,7 @@ from planner.proof.replaying import Replay
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = load_plan(arguments.plan)
+    digest = plan_digest(arguments.plan)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out"):
             if getattr(arguments, flag) is not None:
@@ -45,7 +47,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
         if unfinished is not None:
-            unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")
+            unfinished.write_text(json_text(proof.to_dict() | {"plan_digest": digest}), encoding="utf-8")
     show_proof(proof, console)
     if arguments.out is not None:
         console.say(arguments.out)

@@ -31,9 +31,9 @@ class CompiledTwin:
     def __init__(self, twin: Twin) -> None:
         self.twin = twin  # the text and the maps between its state and the plan's
 
-    def __getstate__(self) -> dict[str, Twin]:
-        """The twin alone: a copy compiles the text when it is asked for the model."""
-        return {"twin": self.twin}
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the model: a copy compiles the text when it is asked for it."""
+        return {name: part for name, part in vars(self).items() if name != "model"}
 
     @cached_property
     def model(self) -> Any:
