@@ -2,13 +2,16 @@
 
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from commands import PLANNER, refused, run
+from PIL import Image
 
 import planner
 from planner.cli.results import OUTPUTS
@@ -130,3 +133,64 @@ def test_ctrl_c_while_libraries_are_imported_is_one_sentence(tmp_path):
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=60)
     assert (child.returncode, err) == (130, "planner: interrupted; nothing was written.\n")
+
+
+UP = "import sys; print('up', flush=True); from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
+
+
+def whole(folder):
+    """Names of the files of a folder, of which those of a run can be read to their ends."""
+    names = {file.name for file in folder.iterdir()} if folder.exists() else set()
+    for name in names & {*OUTPUTS, MARK, ROLLOUTS}:
+        file = folder / name
+        if name == "plan.npz":
+            planner.load_plan(file)
+        elif file.suffix == ".json":
+            json.loads(file.read_text())
+        elif file.suffix == ".png":
+            Image.open(file).load()
+        elif file.suffix == ".html":
+            assert file.read_text().rstrip().endswith("</html>")
+        elif name == ROLLOUTS:
+            with np.load(file) as arrays:
+                assert all(arrays[part].size >= 0 for part in arrays.files)
+    return names
+
+
+@pytest.mark.slow
+def test_at_whatever_time_a_run_is_stopped_it_is_resumed_to_the_same_plan_and_proof(tmp_path):
+    """Ctrl-C and SIGKILL at random times of one run after the other, until the last one is left alone."""
+    words, rng = [*ARM, "--rollouts", "8", "--out"], random.Random(15)
+
+    def begin(out):
+        child = subprocess.Popen(
+            [sys.executable, "-c", UP, *words, out],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert child.stdout is not None
+        assert child.stdout.readline() == "up\n"
+        return child
+
+    began = time.monotonic()
+    undisturbed = begin("whole")
+    _, err = undisturbed.communicate(timeout=300)
+    seconds = time.monotonic() - began
+    assert undisturbed.returncode == 0, err
+    for kill in [signal.SIGINT, signal.SIGKILL] * 5:
+        child = begin("o")
+        time.sleep(rng.uniform(0.1, 0.9) * seconds)
+        child.send_signal(kill)
+        _, err = child.communicate(timeout=300)
+        whole(tmp_path / "o")
+        if kill == signal.SIGINT:
+            assert child.returncode in (0, 1, 130), err  # 1: in the solve, whose best plan is proved
+            assert err == "" or (err.startswith("planner: interrupted") and err.count("\n") == 1), err
+    last = begin("o")
+    _, err = last.communicate(timeout=300)
+    assert last.returncode == 0, err
+    assert {name for name in whole(tmp_path / "o") if not name.startswith(".")} == whole(tmp_path / "whole")
+    for name in ("plan.npz", "proof.json"):
+        assert (tmp_path / "o" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -7,6 +7,15 @@ import sys
 import pytest
 from commands import PLANNER, launch, refused, run
 
+import planner
+
+LIMITED = (
+    "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+    "resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"
+    "from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
+)
+"""A command that cannot write files of more than so many bytes, which stands in for a full disk."""
+
 
 def test_a_failed_run_leaves_older_results_alone(finished, tmp_path):
     folder, _ = finished
@@ -15,14 +24,9 @@ def test_a_failed_run_leaves_older_results_alone(finished, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     refused(run("run", "hopper", "--height", "-1", "--out", tmp_path, cwd=tmp_path), "height")
-    # A file-size limit stands in for a full disk: the plan is larger than that.
-    code = (
-        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (12000, 12000));"
-        "from planner.__main__ import main; sys.exit(main(sys.argv[1:]))"
-    )
     words = ["run", "hopper", "--no-video", "--quiet", "--rollouts", "0", "--out", str(tmp_path)]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=300)
+    command = [sys.executable, "-c", LIMITED.format(12000), *words]  # the plan is larger than that
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2, done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
@@ -56,3 +60,35 @@ def test_a_full_stdout_exits_2_and_keeps_the_files(tmp_path):
     assert "could not be printed" in done.stderr
     assert "Traceback" not in done.stderr
     assert (tmp_path / "o" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [(["list"], 0), (["--version"], 0), ([], 0), (["run", "--help"], 0), (["list", "--json"], 0), (["fly"], 2),
+     (["solve", "two-link", "--horizon", "20", "--quiet", "--out", "p.npz"], 0)],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)  # fmt: skip
+def test_nobody_needs_to_listen(tmp_path, words, code):
+    """Closed stdin, stdout and stderr: no traceback into a file that took their numbers, and the work is done."""
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" <&- >&- 2>"{tmp_path}/said"', "sh", *PLANNER, *words], cwd=tmp_path, timeout=120
+    )
+    assert done.returncode == code
+    assert "Traceback" not in (tmp_path / "said").read_text()
+    done = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *PLANNER, *words], cwd=tmp_path, timeout=120)
+    assert done.returncode == code
+    if words and words[0] == "solve":
+        assert planner.load_plan(tmp_path / "p.npz").success
+
+
+@pytest.mark.slow
+def test_a_full_disk_of_the_cache_is_not_taken_for_that_of_the_plan(tmp_path):
+    """Machine code that cannot be kept is used all the same: files of more than 20 kB, which the plan is not."""
+    words = ["solve", "two-link", "--horizon", "20", "--quiet", "--out", "p.npz"]
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED.format(20000), *words], cwd=tmp_path, capture_output=True, text=True,
+        timeout=300, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert planner.load_plan(tmp_path / "p.npz").success
+    assert all(file.stat().st_size <= 20000 for file in (tmp_path / "cache").rglob("*.nbc"))
