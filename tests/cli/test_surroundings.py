@@ -64,20 +64,17 @@ def test_a_full_stdout_exits_2_and_keeps_the_files(tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "code"),
-    [(["list"], 0), (["--version"], 0), ([], 0), (["run", "--help"], 0), (["list", "--json"], 0), (["fly"], 2),
+    [(["list"], 0), ([], 0), (["run", "--help"], 0), (["fly"], 2),
      (["solve", "two-link", "--horizon", "20", "--quiet", "--out", "p.npz"], 0)],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )  # fmt: skip
 def test_nobody_needs_to_listen(tmp_path, words, code):
-    """Closed stdin, stdout and stderr: no traceback into a file that took their numbers, and the work is done."""
-    done = subprocess.run(
-        ["sh", "-c", f'exec "$@" <&- >&- 2>"{tmp_path}/said"', "sh", *PLANNER, *words], cwd=tmp_path, timeout=120
-    )
-    assert done.returncode == code
-    assert "Traceback" not in (tmp_path / "said").read_text()
-    done = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *PLANNER, *words], cwd=tmp_path, timeout=120)
-    assert done.returncode == code
-    if words and words[0] == "solve":
+    """With stdout closed, then all three: no traceback, the usual exit code, and the work is done."""
+    quiet = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *PLANNER, *words], cwd=tmp_path, stderr=subprocess.PIPE)
+    silent = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *PLANNER, *words], cwd=tmp_path)
+    assert (quiet.returncode, silent.returncode) == (code, code)
+    assert b"Traceback" not in quiet.stderr
+    if words[:1] == ["solve"]:
         assert planner.load_plan(tmp_path / "p.npz").success
 
 
