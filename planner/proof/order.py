@@ -23,7 +23,7 @@ from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.replaying import Replay
 from planner.proof.same_step import advancing
-from planner.proof.scales import COST_BOUND, cost_scale
+from planner.proof.scales import COST_BOUND, judged_cost
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
@@ -49,6 +49,7 @@ class Order:
     end_uncertainty: float  # Of the end state, largest component
     plan_cost: float  # Of the plan itself
     scale: float  # Changes of the cost are relative to it
+    whole: bool  # Whether the whole cost is judged; False where its end is a penalty on what the goal judges
 
     @property
     def section(self) -> Section:
@@ -58,7 +59,7 @@ class Order:
         steps = f"{self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
         measured = [
             Measured(
-                "cost_change", change, "%", COST_BOUND,
+                "cost_change", change, "%", COST_BOUND if self.whole else None,
                 f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
                 f"+- {self.cost_uncertainty:.1e}",
             ),
@@ -78,7 +79,7 @@ class Order:
 
 def order(problem: Problem, run: Replay) -> Order:
     """Replay a plan open loop at halved steps, in the model of its refined replay."""
-    plan = run.plan
+    plan, cost = run.plan, judged_cost(problem)
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
@@ -104,7 +105,7 @@ def order(problem: Problem, run: Replay) -> Order:
         observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
         cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
         end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
-        scale=cost_scale(plan, problem),
+        scale=cost.scale(plan, problem), whole=not cost.final,
     )  # fmt: skip
 
 
