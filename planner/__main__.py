@@ -6,20 +6,18 @@ input, 130 interrupted outside of a solve (a solve keeps its best plan so far).
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
-from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
 from planner.cli.console import Console
 
-_COMMANDS = {
-    "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
-    "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
-    "paper": paper.paper, "warmup": compiling.warmup,
-}  # fmt: skip
+_INTERRUPTED = "interrupted; nothing was written."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,6 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     console = Console(as_json="--json" in words, quiet="--quiet" in words)
     try:
+        with _left_at_once(console):
+            parser, commands = _commands()
         arguments = parser.parse(words)
         if arguments.version:
             console.say("  ".join(f"{name} {version}" for name, version in installed_versions().items()))
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.command is None:
             parser.build().print_help()
             return 0
-        code = _COMMANDS[arguments.command](arguments, console)
+        code = commands[arguments.command](arguments, console)
         if console.lost:
             console.complain(f"the results could not be printed: {console.lost}.")
             return 2
@@ -47,7 +47,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _refuse(console, "there is not enough memory for this problem, expected a shorter horizon.", 2)
     except KeyboardInterrupt:
-        return _refuse(console, "interrupted; nothing was written.", 130)
+        return _refuse(console, _INTERRUPTED, 130)
+
+
+def _commands() -> tuple[Any, dict[str, Callable[..., int]]]:
+    """The parser and the commands, whose libraries take a second to be imported."""
+    from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
+
+    return parser, {
+        "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+        "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
+        "paper": paper.paper, "warmup": compiling.warmup,
+    }  # fmt: skip
+
+
+@contextmanager
+def _left_at_once(console: Console) -> Iterator[None]:
+    """Have Ctrl-C end the process while it imports: some libraries swallow the exception, others print a traceback."""
+
+    def leave(*_: object) -> None:
+        os._exit(_refuse(console, _INTERRUPTED, 130))
+
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if usual:
+        signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        if usual:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _refuse(console: Console, sentence: str, code: int) -> int:

@@ -8,12 +8,14 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner.base.jsonable import finite
-from planner.problem.plan import Iteration, Start
-from planner.solvers.free_time import Tried
-from planner.solvers.periodic import Pass
+
+if TYPE_CHECKING:
+    from planner.problem.plan import Iteration, Start
+    from planner.solvers.free_time import Tried
+    from planner.solvers.periodic import Pass
 
 
 def shown(value: object) -> str:

@@ -16,6 +16,7 @@ from planner.base.jsonable import json_text
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
 from planner.cli.results import plan_facts, show_proof
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.proof.case_replay import replay_case
@@ -28,6 +29,7 @@ from planner.proof.replaying import Replay
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = load_plan(arguments.plan)
+    digest = plan_digest(arguments.plan)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out", "engine"):
             if getattr(arguments, flag):
@@ -51,7 +53,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         sections = {name: another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed) for name in engines}
         found = proof.to_dict() | {"engines": {name: section.to_dict() for name, section in sections.items()}}
         if unfinished is not None:
-            unfinished.write_text(json_text(found), encoding="utf-8")
+            unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
     show_proof(replace(proof, sections=proof.sections | sections), console)  # shown: they are no part of the verdict
     for section in sections.values():
         for one in section.measured:

@@ -36,6 +36,10 @@ class CompiledTwin:
         self.twin = twin  # the text and the maps between its state and the plan's
         self.unused = frozenset(unused)  # actuators that the plan does not have: their controls stay 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the model: a copy compiles the text when it is asked for it."""
+        return {name: part for name, part in vars(self).items() if name != "model"}
+
     @cached_property
     def model(self) -> Any:
         """MuJoCo's model, not to be changed; every user changes a copy()."""

@@ -1,7 +1,8 @@
 """check(): prove stored plans again and compare with the stored numbers, a regression test of the user's plans.
 
 The numbers of plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json. That file also holds seed,
-rollouts and perturbation of the proof, so that the same is measured again.
+rollouts and perturbation of the proof, so that the same is measured again, and the digest of the plan's file: numbers
+of another plan are not compared.
 
     regressed   the verdict or mode got worse, a number fails the bound that it passed, or got worse by more than
                 the tolerance
@@ -22,6 +23,7 @@ from planner.base.errors import FileError, PlannerError
 from planner.base.files import read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.perturbation import Perturbation
@@ -142,17 +144,23 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
     file = stored_proof(path)
     try:
         plan = load_plan(path)
+        digest = plan_digest(path)
         stored = _read(file) if file.exists() else None
+        if stored is not None and stored.get("plan_digest", digest) != digest:
+            if not update:
+                wanted = f"expected that of this {path.name}; --update replaces it"
+                raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
+            stored = None
         proof = _proved_as(plan, stored)
     except PlannerError as error:
         return Checked(path, problem=str(error))
-    now = proof.to_dict()
+    now = proof.to_dict() | {"plan_digest": digest}
     if stored is None:
         if not update:
             problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
             return Checked(path, problem=problem, proof=proof)
         write_json(file, now)
-        return Checked(path, proof=proof)
+        return Checked(path, proof=proof, updated=True)
     changes = tuple(_changes(stored, now, tolerance))
     if update and changes:
         write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
