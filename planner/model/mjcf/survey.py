@@ -13,22 +13,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.bounded import compiled
 
 
 def compile_model(
     mjcf: str | ElementTree.Element, assets: dict[str, bytes] | None = None, name: str = "the model"
 ) -> Any:
     """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel."""
-    mujoco = load_mujoco()
     text = mjcf if isinstance(mjcf, str) else ElementTree.tostring(mjcf, encoding="unicode")
-    try:
-        return mujoco.MjModel.from_xml_string(text, assets or {})
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split()) or "it does not say why"
-        stop = "" if reason.endswith((".", "!", "?")) else "."
-        raise ModelError(f"MuJoCo refuses {name}: {reason}{stop}") from None
+    return compiled(text, assets or {}, name)
 
 
 def named(model: Any, kind: str, index: int) -> str:

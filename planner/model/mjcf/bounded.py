@@ -1,0 +1,134 @@
+"""Compile MJCF in a child process with limits of time and memory.
+
+MuJoCo's compiler ignores signals, and a few lines of MJCF can keep it busy for hours, ask for more memory than there
+is, or end the process. So a child compiles the model and simulates an instant of it, and the model comes back as
+MuJoCo's binary: what ends the child is one sentence here. The child is a fork, which takes a few milliseconds, because
+nothing is imported again. Forks are safe beside other threads on Linux only; elsewhere models are compiled in place.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import resource
+import select
+import signal
+import sys
+import threading
+import time
+import warnings
+from contextlib import suppress
+from typing import Any, NoReturn
+
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+
+SECONDS = 10  # of the child's processor time
+MEMORY = 2 * 2**30  # bytes, beside those of this process
+_LONGEST_WAIT = 3.0 * SECONDS  # of the clock: other work may keep the processor from the child
+_forking = threading.Lock()  # the filters of warnings are of the process, not of a thread
+
+
+def compiled(text: str, assets: dict[str, bytes], name: str) -> Any:
+    """MuJoCo's MjModel of an MJCF text and its files; a message calls it `name`.
+
+    Raises:
+        ModelError: MuJoCo refuses it, or takes too long, or needs too much memory, or breaks down.
+    """
+    mujoco = load_mujoco()
+    if sys.platform != "linux":
+        return _compile(text, assets, name)
+    file = os.memfd_create("model")
+    try:
+        answer, ended_by = _asked(text, assets, name, file)
+        if answer == b"compiled":
+            return mujoco.MjModel.from_binary_path(f"/proc/self/fd/{file}")
+    finally:
+        os.close(file)
+    if answer:
+        raise ModelError(answer.decode())
+    if ended_by in (signal.SIGKILL, signal.SIGXCPU):
+        raise ModelError(f"MuJoCo takes more than {SECONDS} s to compile {name}, expected a smaller model.")
+    raise ModelError(f"MuJoCo's compiler breaks down at {name} (signal {ended_by}), expected a model without its cause.")
+
+
+def _asked(text: str, assets: dict[str, bytes], name: str, file: int) -> tuple[bytes, int]:
+    """A child's answer: "compiled", or why not, or nothing, and then the signal that ended it."""
+    ours, theirs = os.pipe()
+    with _forking, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of the threads that the child does not have
+        child = os.fork()
+    if child == 0:
+        _answer(text, assets, name, file, theirs)
+    os.close(theirs)
+    answer, ends = b"", time.monotonic() + _LONGEST_WAIT
+    try:
+        while select.select([ours], [], [], max(0.0, ends - time.monotonic()))[0]:
+            part = os.read(ours, 65536)
+            answer += part
+            if not part:
+                break
+    finally:  # it has ended, or takes too long, or nobody waits for it any more
+        os.close(ours)
+        with suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+        status = os.waitpid(child, 0)[1]
+    return answer, os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+
+
+def _answer(text: str, assets: dict[str, bytes], name: str, file: int, answer: int) -> NoReturn:
+    """Compile in this child, write the model and the answer, and end."""
+    try:
+        for kill in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(kill, signal.SIG_DFL)
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # C++ prints there why it ends
+        with open("/proc/self/statm") as sizes:
+            now = int(sizes.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        _limit(resource.RLIMIT_AS, now + MEMORY)
+        _limit(resource.RLIMIT_FSIZE, MEMORY)
+        _limit(resource.RLIMIT_CPU, SECONDS)
+        _limit(resource.RLIMIT_CORE, 0)
+        try:
+            model = _compile(text, assets, name)
+            _simulate_an_instant(model, name)
+            load_mujoco().mj_saveModel(model, f"/proc/self/fd/{file}", None)
+            words = "compiled"
+        except ModelError as error:
+            words = str(error)
+        except MemoryError:
+            words = f"MuJoCo needs more than {MEMORY / 2**30:g} GB for {name}, expected a smaller model."
+        os.write(answer, words.encode()[:_LONGEST_ANSWER])
+    finally:
+        os._exit(0)
+
+
+_LONGEST_ANSWER = 4096
+
+
+def _limit(what: int, soft: int) -> None:
+    """Lower a limit of this process to `soft`, unless it is lower already."""
+    hard = resource.getrlimit(what)[1]
+    resource.setrlimit(what, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
+
+
+def _compile(text: str, assets: dict[str, bytes], name: str) -> Any:
+    mujoco = load_mujoco()
+    try:
+        return mujoco.MjModel.from_xml_string(text, assets)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo refuses {name}: {_reason(error)}") from None
+
+
+def _simulate_an_instant(model: Any, name: str) -> None:
+    """What a replay would do first, with the memory that it takes."""
+    mujoco = load_mujoco()
+    try:
+        mujoco.mj_forward(model, mujoco.MjData(model))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo cannot simulate {name}: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    reason = " ".join(str(error).split()) or "it does not say why"
+    return reason if reason.endswith((".", "!", "?")) else f"{reason}."
