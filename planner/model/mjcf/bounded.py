@@ -1,7 +1,7 @@
 """Compile MJCF in a child process with limits of time and memory.
 
 MuJoCo's compiler ignores signals, and a few lines of MJCF can keep it busy for hours, ask for more memory than there
-is, or end the process. So a child compiles the model and simulates an instant of it, and the model comes back as
+is, or end the process. So a child compiles the model and places its bodies once, and the model comes back as
 MuJoCo's binary: what ends the child is one sentence here. The child is a fork, which takes a few milliseconds, because
 nothing is imported again. Forks are safe beside other threads on Linux only; elsewhere models are compiled in place.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import faulthandler
 import os
-import resource
 import select
 import signal
 import sys
@@ -20,6 +19,7 @@ import warnings
 from contextlib import suppress
 from typing import Any, NoReturn
 
+from planner.base.arguments import shown
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 
@@ -78,6 +78,8 @@ def _asked(text: str, assets: dict[str, bytes], name: str, file: int) -> tuple[b
 
 def _answer(text: str, assets: dict[str, bytes], name: str, file: int, answer: int) -> NoReturn:
     """Compile in this child, write the model and the answer, and end."""
+    import resource  # of POSIX only
+
     try:
         for kill in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(kill, signal.SIG_DFL)
@@ -91,7 +93,7 @@ def _answer(text: str, assets: dict[str, bytes], name: str, file: int, answer: i
         _limit(resource.RLIMIT_CORE, 0)
         try:
             model = _compile(text, assets, name)
-            _simulate_an_instant(model, name)
+            _place(model, name)
             load_mujoco().mj_saveModel(model, f"/proc/self/fd/{file}", None)
             words = "compiled"
         except ModelError as error:
@@ -108,6 +110,8 @@ _LONGEST_ANSWER = 4096
 
 def _limit(what: int, soft: int) -> None:
     """Lower a limit of this process to `soft`, unless it is lower already."""
+    import resource
+
     hard = resource.getrlimit(what)[1]
     resource.setrlimit(what, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
 
@@ -115,20 +119,32 @@ def _limit(what: int, soft: int) -> None:
 def _compile(text: str, assets: dict[str, bytes], name: str) -> Any:
     mujoco = load_mujoco()
     try:
-        return mujoco.MjModel.from_xml_string(text, assets)
+        model = mujoco.MjModel.from_xml_string(text, assets)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo refuses {name}: {_reason(error)}") from None
+    _check_names(model, name)
+    return model
+
+
+def _place(model: Any, name: str) -> None:
+    """What every use of the model does first, with the memory that it takes."""
+    mujoco = load_mujoco()
+    try:
+        mujoco.mj_kinematics(model, mujoco.MjData(model))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ModelError(f"MuJoCo refuses {name}: {_reason(error)}") from None
 
 
-def _simulate_an_instant(model: Any, name: str) -> None:
-    """What a replay would do first, with the memory that it takes."""
-    mujoco = load_mujoco()
-    try:
-        mujoco.mj_forward(model, mujoco.MjData(model))
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise ModelError(f"MuJoCo cannot simulate {name}: {_reason(error)}") from None
+def _check_names(model: Any, name: str) -> None:
+    """Raise ModelError for names with line ends or a terminal's escapes: they could forge a line of the output."""
+    for one in bytes(model.names).split(b"\0"):
+        text = one.decode(errors="replace")
+        if not text.isprintable():
+            raise ModelError(f"{name} has an element named {shown(text)}, expected a name of printable characters.")
 
 
 def _reason(error: Exception) -> str:
     reason = " ".join(str(error).split()) or "it does not say why"
+    if "unknown exception" in reason or "allocate memory" in reason:
+        reason = f"it asks for more than {MEMORY / 2**30:g} GB ({reason.rstrip('.!')})"
     return reason if reason.endswith((".", "!", "?")) else f"{reason}."
