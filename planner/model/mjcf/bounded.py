@@ -16,8 +16,9 @@ import sys
 import threading
 import time
 import warnings
-from contextlib import suppress
 from typing import Any, NoReturn
+
+import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import ModelError
@@ -26,6 +27,8 @@ from planner.base.gl import load_mujoco
 SECONDS = 10  # of the child's processor time
 MEMORY = 2 * 2**30  # bytes, beside those of this process
 _LONGEST_WAIT = 3.0 * SECONDS  # of the clock: other work may keep the processor from the child
+_MODEL, _REFUSED = b"model", b"refused"  # how an answer begins
+_NAME = "model.mjb"
 _forking = threading.Lock()  # the filters of warnings are of the process, not of a thread
 
 
@@ -38,46 +41,41 @@ def compiled(text: str, assets: dict[str, bytes], name: str) -> Any:
     mujoco = load_mujoco()
     if sys.platform != "linux":
         return _compile(text, assets, name)
-    file = os.memfd_create("model")
-    try:
-        answer, ended_by = _asked(text, assets, name, file)
-        if answer == b"compiled":
-            return mujoco.MjModel.from_binary_path(f"/proc/self/fd/{file}")
-    finally:
-        os.close(file)
-    if answer:
-        raise ModelError(answer.decode())
+    answer, ended_by = _asked(text, assets, name)
+    if answer.startswith(_MODEL):
+        return mujoco.MjModel.from_binary_path(_NAME, {_NAME: answer[len(_MODEL) :]})
+    if answer.startswith(_REFUSED):
+        raise ModelError(answer[len(_REFUSED) :].decode())
     if ended_by in (signal.SIGKILL, signal.SIGXCPU):
         raise ModelError(f"MuJoCo takes more than {SECONDS} s to compile {name}, expected a smaller model.")
     raise ModelError(f"MuJoCo's compiler breaks down at {name} (signal {ended_by}), expected a model without its cause.")
 
 
-def _asked(text: str, assets: dict[str, bytes], name: str, file: int) -> tuple[bytes, int]:
-    """A child's answer: "compiled", or why not, or nothing, and then the signal that ended it."""
+def _asked(text: str, assets: dict[str, bytes], name: str) -> tuple[bytes, int]:
+    """A child's answer, a model or why not, or a part of it, and then the signal that ended it."""
     ours, theirs = os.pipe()
     with _forking, warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of the threads that the child does not have
         child = os.fork()
     if child == 0:
-        _answer(text, assets, name, file, theirs)
+        _answer(text, assets, name, theirs)
     os.close(theirs)
-    answer, ends = b"", time.monotonic() + _LONGEST_WAIT
+    parts, ends, ended = [], time.monotonic() + _LONGEST_WAIT, False
     try:
-        while select.select([ours], [], [], max(0.0, ends - time.monotonic()))[0]:
-            part = os.read(ours, 65536)
-            answer += part
-            if not part:
-                break
-    finally:  # it has ended, or takes too long, or nobody waits for it any more
+        while not ended and select.select([ours], [], [], max(0.0, ends - time.monotonic()))[0]:
+            parts.append(os.read(ours, 2**20))
+            ended = not parts[-1]
+    finally:
         os.close(ours)
-        with suppress(ProcessLookupError):
+        if not ended:  # it takes too long, or nobody waits for it any more
             os.kill(child, signal.SIGKILL)
         status = os.waitpid(child, 0)[1]
-    return answer, os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+    ended_by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+    return b"" if ended_by else b"".join(parts), ended_by
 
 
-def _answer(text: str, assets: dict[str, bytes], name: str, file: int, answer: int) -> NoReturn:
-    """Compile in this child, write the model and the answer, and end."""
+def _answer(text: str, assets: dict[str, bytes], name: str, answer: int) -> NoReturn:
+    """Compile in this child, write the answer, and end."""
     import resource  # of POSIX only
 
     try:
@@ -88,24 +86,23 @@ def _answer(text: str, assets: dict[str, bytes], name: str, file: int, answer: i
         with open("/proc/self/statm") as sizes:
             now = int(sizes.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         _limit(resource.RLIMIT_AS, now + MEMORY)
-        _limit(resource.RLIMIT_FSIZE, MEMORY)
         _limit(resource.RLIMIT_CPU, SECONDS)
         _limit(resource.RLIMIT_CORE, 0)
         try:
             model = _compile(text, assets, name)
             _place(model, name)
-            load_mujoco().mj_saveModel(model, f"/proc/self/fd/{file}", None)
-            words = "compiled"
+            content = np.empty(load_mujoco().mj_sizeModel(model), dtype=np.uint8)
+            load_mujoco().mj_saveModel(model, None, content)
+            words = _MODEL + content.tobytes()
         except ModelError as error:
-            words = str(error)
+            words = _REFUSED + str(error).encode()
         except MemoryError:
-            words = f"MuJoCo needs more than {MEMORY / 2**30:g} GB for {name}, expected a smaller model."
-        os.write(answer, words.encode()[:_LONGEST_ANSWER])
+            more = f"MuJoCo needs more than {MEMORY / 2**30:g} GB for {name}, expected a smaller model."
+            words = _REFUSED + more.encode()
+        with open(answer, "wb") as pipe:
+            pipe.write(words)
     finally:
         os._exit(0)
-
-
-_LONGEST_ANSWER = 4096
 
 
 def _limit(what: int, soft: int) -> None:
