@@ -1,59 +1,33 @@
 """The command line: `planner`, or `python -m planner`.
 
 Exit codes: 0 done (and PASS, where a proof ran), 1 not converged or FAIL (files still written), 2 wrong usage or
-input, 130 interrupted outside of a solve (a solve keeps its best plan so far).
+input, 70 an error of the planner itself, 130 interrupted outside of a solve (a solve keeps its best plan so far).
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
-
-from planner.base.errors import PlannerError
-from planner.base.versions import installed_versions
-from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
-from planner.cli.console import Console
-
-_COMMANDS = {
-    "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
-    "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
-    "paper": paper.paper, "warmup": compiling.warmup,
-}  # fmt: skip
+from typing import NoReturn
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    # A kill ends like an exception, so that hidden folders are removed.
-    for kill in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(kill, lambda number, _: sys.exit(128 + number))
-    words = list(sys.argv[1:] if argv is None else argv)
-    console = Console(as_json="--json" in words, quiet="--quiet" in words)
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # packages turn an interruption of their import into errors of their own
+        signal.signal(signal.SIGINT, _leave)
     try:
-        arguments = parser.parse(words)
-        if arguments.version:
-            console.say("  ".join(f"{name} {version}" for name, version in installed_versions().items()))
-            return 0
-        if arguments.command is None:
-            parser.build().print_help()
-            return 0
-        code = _COMMANDS[arguments.command](arguments, console)
-        if console.lost:
-            console.complain(f"the results could not be printed: {console.lost}.")
-            return 2
-        return code
-    except PlannerError as error:
-        return _refuse(console, str(error), 2)
-    except MemoryError:
-        return _refuse(console, "there is not enough memory for this problem, expected a shorter horizon.", 2)
-    except KeyboardInterrupt:
-        return _refuse(console, "interrupted; nothing was written.", 130)
+        from planner.cli.commands import command
+    finally:
+        signal.signal(signal.SIGINT, before)
+    return command(list(sys.argv[1:] if argv is None else argv))
 
 
-def _refuse(console: Console, sentence: str, code: int) -> int:
-    console.complain(sentence)
-    console.document({"error": sentence, "exit_code": code})
-    return code
+def _leave(*_: object) -> NoReturn:
+    os.write(2, b"planner: interrupted; nothing was written.\n")
+    os._exit(130)
 
 
 if __name__ == "__main__":
