@@ -1,7 +1,7 @@
 """The command line: `planner`, or `python -m planner`.
 
 Exit codes: 0 done (and PASS, where a proof ran), 1 not converged or FAIL (files still written), 2 wrong usage or
-input, 130 interrupted outside of a solve (a solve keeps its best plan so far).
+input, 70 an error of the planner itself, 130 interrupted outside of a solve (a solve keeps its best plan so far).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+<<<<<<< HEAD
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -18,16 +19,19 @@ from planner.base.versions import installed_versions
 from planner.cli.console import Console
 
 _INTERRUPTED = "interrupted; nothing was written."
+=======
+from collections.abc import Sequence
+from typing import NoReturn
+>>>>>>> v-a
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    # A kill ends like an exception, so that hidden folders are removed.
-    for kill in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(kill, lambda number, _: sys.exit(128 + number))
-    words = list(sys.argv[1:] if argv is None else argv)
-    console = Console(as_json="--json" in words, quiet="--quiet" in words)
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # packages turn an interruption of their import into errors of their own
+        signal.signal(signal.SIGINT, _leave)
     try:
+<<<<<<< HEAD
         with _left_at_once(console):
             parser, commands = _commands()
         arguments = parser.parse(words)
@@ -76,12 +80,17 @@ def _left_at_once(console: Console) -> Iterator[None]:
     finally:
         if usual:
             signal.signal(signal.SIGINT, signal.default_int_handler)
+=======
+        from planner.cli.commands import command
+    finally:
+        signal.signal(signal.SIGINT, before)
+    return command(list(sys.argv[1:] if argv is None else argv))
+>>>>>>> v-a
 
 
-def _refuse(console: Console, sentence: str, code: int) -> int:
-    console.complain(sentence)
-    console.document({"error": sentence, "exit_code": code})
-    return code
+def _leave(*_: object) -> NoReturn:
+    os.write(2, b"planner: interrupted; nothing was written.\n")
+    os._exit(130)
 
 
 if __name__ == "__main__":

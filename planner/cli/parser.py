@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NoReturn, get_args, get_type_hints
 
-from planner.base.arguments import choice
+from planner.base.arguments import choice, shown
 from planner.base.errors import PlannerError
 from planner.cases import CASES
 from planner.cases.problem_file import keys as problem_keys
@@ -38,6 +38,11 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        if arg_strings == ["--"] and action.option_strings:  # argparse would drop it, and then miss it
+            raise argparse.ArgumentError(action, "expected another value than '--'")
+        return super()._get_values(action, arg_strings)  # type: ignore[misc]
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None:
             choice("/".join(action.option_strings) or str(action.metavar), value, tuple(action.choices))
@@ -62,7 +67,7 @@ def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]
         try:
             return parse(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}") from None
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not {expected}") from None
 
     return convert
 
@@ -272,4 +277,4 @@ def parse(argv: list[str]) -> argparse.Namespace:
     near = difflib.get_close_matches(word.split("=")[0], known, n=1)
     hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
-    raise PlannerError(f"{where!r} has no {kind} {word!r}. {hint}")
+    raise PlannerError(f"{where!r} has no {kind} {shown(word)}. {hint}")

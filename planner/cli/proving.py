@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.base.arguments import choice, count
+from planner.base.arguments import shown as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.base.jsonable import json_text
@@ -83,7 +84,7 @@ def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
         try:
             given[name] = float(value)
         except ValueError:
-            raise PlannerError(f"--perturb {name} is {value!r}, expected a number, e.g. {name}=0.05.") from None
+            raise PlannerError(f"--perturb {name} is {quoted(value)}, expected a number, e.g. {name}=0.05.") from None
     return Perturbation.usual(plan.problem, **given)
 
 

@@ -27,23 +27,13 @@ ON_FLOOR = ARM.format(friction="", floor='<geom name="floor" type="plane" pos="0
 @pytest.fixture
 def texts(monkeypatch):
     """The texts that MuJoCo has compiled, in order."""
-    seen, mujoco = [], survey.load_mujoco()
+    seen, compiled = [], survey.compiled
 
-    class Counted:
-        def __getattr__(self, name):
-            return getattr(mujoco.MjModel, name)
+    def counted(text, *rest):
+        seen.append(text)
+        return compiled(text, *rest)
 
-        def from_xml_string(self, text, *rest):
-            seen.append(text)
-            return mujoco.MjModel.from_xml_string(text, *rest)
-
-    class MuJoCo:
-        MjModel = Counted()
-
-        def __getattr__(self, name):
-            return getattr(mujoco, name)
-
-    monkeypatch.setattr(survey, "load_mujoco", MuJoCo)
+    monkeypatch.setattr(survey, "compiled", counted)
     return seen
 
 

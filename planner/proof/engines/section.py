@@ -46,7 +46,7 @@ class Engine(Protocol):
     settings: list[str]  # what it was given in numbers, since its parser does not read it
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """qacc (nv,) at qpos, qvel with the applied forces tau."""
+        """Qacc (nv,) at qpos, qvel with the applied forces tau."""
         ...
 
 
@@ -131,7 +131,9 @@ def _reason(dynamics: Any, model: Any) -> str:
     if not isinstance(mechanism, Mechanism):
         return "the plan's dynamics are not those of a mechanism"
     if getattr(dynamics, "prescribed", ()):
-        return f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
+        return (
+            f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
+        )
     contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     if contacts or may_touch(model):
         n = f"{contacts} contacts" if contacts > 1 else "contacts"
