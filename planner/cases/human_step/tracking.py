@@ -1,0 +1,87 @@
+"""Step 3 of the proof of a step: MuJoCo's legs against the plan's, and how much of the difference smoothing explains.
+
+A plan's contact and stops are smooth (model.contact.laws), MuJoCo's are plain springs and dampers with a cone of
+friction. So a replay differs from its plan even where nothing is wrong. The plan's own recursion says by how much: the
+same controls with the same law without its smoothing, in steps as short as the replay's. That predicts the error of an
+open-loop replay to a few percent (with gains it is smaller), and the bound is twice the prediction. What is left
+between MuJoCo and the predicted motion is the inertia of MuJoCo's friction (walker.IMPRATIO), and integration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from planner.base.measured import Measured, Section
+from planner.cases.human_step.measures import places
+from planner.cases.human_step.phase import Step
+from planner.cases.human_step.walker import IMPRATIO
+from planner.dynamics import RigidBodyDynamics
+from planner.model.contact.laws import ContactLaw, Law
+from planner.model.mechanism import Mechanism
+from planner.problem.guess import rolled
+
+if TYPE_CHECKING:
+    from planner.problem.plan import Plan
+    from planner.proof.replaying import Replay
+
+TIMES = 2.0  # the predicted error
+BESIDE = 0.02  # deg, RMS: what smoothing does not explain, and all there is where nothing is smoothed
+MOST = 0.5  # deg, RMS over the joints of the legs, whatever is predicted
+
+_predicted: WeakKeyDictionary[Plan, np.ndarray] = WeakKeyDictionary()
+
+
+def unsmoothed(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with contacts and stops as MuJoCo has them: no ramps, and friction cut off at its cone."""
+    contacts = []
+    for contact in mechanism.contacts:
+        law = contact.law
+        plain = ContactLaw.exact(law.stiffness, law.damping, law.slip_damping, law.friction, IMPRATIO)
+        contacts.append(replace(contact, law=plain))
+    stops = [replace(stop, law=Law(stop.law.stiffness, stop.law.damping)) for stop in mechanism.stops]
+    return replace(mechanism, contacts=tuple(contacts), stops=tuple(stops))
+
+
+def without_smoothing(plan: Plan, parts: int) -> np.ndarray:
+    """States (N+1, nx) of a plan's controls, open loop and unsmoothed, with so many steps of RK4 per stage."""
+    assert plan.problem is not None
+    dynamics: Any = plan.problem.dynamics  # rigid bodies, as every step's are
+    plain = RigidBodyDynamics(
+        unsmoothed(dynamics.mechanism), dynamics.dt / parts, "rk4", prescribed=dynamics.prescribed
+    )  # fmt: skip
+    return rolled(plain, plan.xs[0], np.repeat(plan.us, parts, axis=0))[::parts]
+
+
+def judge_tracking(step: Step, run: Replay) -> Section:
+    """Compare MuJoCo's legs with the plan's: RMS over all joints."""
+    legs, pelvis = places(step)
+    error = run.error
+    joints = list(legs.values())
+    away = np.degrees(error[:, joints])
+    place, turn = (float(np.abs(error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
+    if run.plan not in _predicted:  # two replays ask for it
+        _predicted[run.plan] = without_smoothing(run.plan, run.substeps)
+    plain = _predicted[run.plan]
+    predicted = _rms(np.degrees(plain - run.plan.xs)[:, joints])
+    left = _rms(np.degrees(run.xs[:: run.substeps] - plain)[:, joints])
+    bound, how = min(TIMES * predicted + BESIDE, MOST), "with the plan's gains" if run.feedback else "without feedback"
+    measured = [
+        Measured("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
+        Measured("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+        Measured("predicted_joint_error", predicted, "deg", None,
+                 "RMS, open loop, by the plan's own law without its smoothing; the bound is twice this"),
+        Measured("pelvis_error", place, "m", None, "largest, of its place"),
+        Measured("pelvis_turn_error", turn, "rad", None, "largest"),
+    ]  # fmt: skip
+    if not run.feedback:
+        note = "RMS, MuJoCo against the motion without smoothing"
+        measured.append(Measured("unexplained_joint_error", left, "deg", None, note))
+    return Section(run.title, tuple(measured))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
