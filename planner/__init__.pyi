@@ -25,8 +25,8 @@ from planner.proof.model_parity import parity as parity
 from planner.proof.refinement import refine as refine
 from planner.proof.replaying import Replay as Replay
 from planner.proof.replaying import replay as replay
+from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof
-from planner.proof.verdict import prove as prove
 from planner.solvers.free_time import solve_for as solve_for
 from planner.solvers.periodic import solve_periodic as solve_periodic
 from planner.solvers.slq import solve as solve

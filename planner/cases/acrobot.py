@@ -29,13 +29,13 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.cases.horizon import stages
-from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics, judge_upright
+from planner.cases.planar_arm import Links, arm_appearance, arm_cost, arm_dynamics
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.guess import rolled
-from planner.problem.problem import Problem, Requirements
+from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 Start = Literal["paper", "hanging"]
@@ -91,7 +91,7 @@ def acrobot(
         dynamics, cost, x0=x0, us=_first_controls(first, dynamics, x0, N), twin=Twin.of(dynamics.mechanism),
         recipe=Recipe("acrobot", parameters, acrobot),
         appearance=arm_appearance("Acrobot, to upright", links, ("elbow",), speed=0.5),
-        requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
+        tolerance=TOLERANCE,
     )  # fmt: skip
 
 

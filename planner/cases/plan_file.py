@@ -93,7 +93,7 @@ def _problem(plan: Plan, arrays: dict[str, np.ndarray], meta: dict[str, Any]) ->
         missing = sorted(set(problem.recipe.parameters) - set(parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
     limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
-    problem = replace(plain(problem), limits=limits)
+    problem = replace(plain(problem), limits=limits, tolerance=meta["tolerance"])
     return problem if meta["objective"] is None else with_objective(problem, meta["objective"])
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arguments import choice, number
-from planner.base.measured import Measured, Section
+from planner.base.measured import Measured
 from planner.cases.horizon import LARGEST
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.model.mechanism import Mechanism
@@ -125,14 +125,6 @@ def arm_appearance(title: str, links: Links, controls: tuple[str, ...], speed: f
             Panel("Motors", "torque, N m", controls=tuple(enumerate(controls))),
         ),
     )  # fmt: skip
-
-
-def judge_upright(replay: Replay, tolerance: float) -> Section:
-    """Check that the plan and MuJoCo's replay end upright and at rest, within a tolerance in rad and rad/s."""
-    goal = np.concatenate([UPRIGHT, np.zeros(2)])
-    why = "the final weight w is soft: at the optimum the next radian costs an effort of w times the miss"
-    misses = (end_misses(who, x, goal, tolerance, why) for who, x in ends_of(replay).items())
-    return Section("goal", tuple(measured for miss in misses for measured in miss))
 
 
 def ends_of(replay: Replay) -> dict[str, np.ndarray]:

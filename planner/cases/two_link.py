@@ -26,10 +26,10 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.cases.horizon import stages
-from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics, judge_upright
+from planner.cases.planar_arm import UPRIGHT, Links, arm_appearance, arm_cost, arm_dynamics
 from planner.model.twin import Twin
 from planner.problem.guess import follow, quintic
-from planner.problem.problem import Problem, Requirements
+from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 Guess = Literal["paper", "zero"]
@@ -78,5 +78,5 @@ def two_link(
         dynamics, cost, x0=np.zeros(4), us=us, twin=Twin.of(dynamics.mechanism),
         recipe=Recipe("two-link", parameters, two_link),
         appearance=arm_appearance("Two-link arm, to upright", links, ("shoulder", "elbow"), speed=0.5),
-        requirements=Requirements(goal=lambda replay: judge_upright(replay, TOLERANCE)),
+        tolerance=TOLERANCE,
     )  # fmt: skip

@@ -130,5 +130,4 @@ def show_proof(proof: Proof, console: Console) -> None:
             console.say(f"{section.title}: not applicable, {section.not_applicable}")
     for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
         console.say(line)
-    mode = f" ({proof.mode})" if proof.mode else ""
-    console.say(f"\n{proof.verdict}{mode}: {proof.reason}")
+    console.say(f"\n{proof.headline}: {proof.reason}")

@@ -23,7 +23,7 @@ from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
 from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
-from planner.proof.verdict import with_rollouts
+from planner.proof.steps import with_rollouts
 
 INTERRUPTED = 130
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -32,6 +32,7 @@ class FunctionDynamics:
         dt: Length of a stage, s.
         integrator: "euler", "semi-implicit-euler" (x is positions, then as many velocities), "rk4", "discrete".
         jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), batched if f is; central differences by default.
+        coordinates: (nx,) name and unit of each number of the state, e.g. ("height", "m"), for reports and tolerances.
 
     Raises:
         PlannerError: A wrong argument, or an f that does not return numbers of the right shape.
@@ -45,6 +46,7 @@ class FunctionDynamics:
         dt: float,
         integrator: str = "rk4",
         jacobian: Jacobian | None = None,
+        coordinates: Sequence[tuple[str, str]] | None = None,
     ) -> None:
         if not callable(f):
             raise PlannerError(f"f is {f!r}, expected a function f(x, u).")
@@ -56,6 +58,9 @@ class FunctionDynamics:
                 f"nx is {nx}, expected an even number for semi-implicit-euler: positions, then velocities."
             )
         self._f, self._jacobian = f, jacobian
+        self.coordinates = None if coordinates is None else tuple((str(name), str(unit)) for name, unit in coordinates)
+        if self.coordinates is not None and len(self.coordinates) != self.nx:
+            raise PlannerError(f"coordinates has {len(self.coordinates)} entries, expected nx = {self.nx}.")
         self.batched = self._try_out()
 
     def __repr__(self) -> str:
@@ -81,7 +86,7 @@ class FunctionDynamics:
         """
         if self.integrator == "discrete":
             raise PlannerError("the dynamics are a discrete map, expected rates f(x, u): they fit any stage.")
-        return FunctionDynamics(self._f, self.nx, self.nu, dt, integrator, self._jacobian)
+        return FunctionDynamics(self._f, self.nx, self.nu, dt, integrator, self._jacobian, self.coordinates)
 
     def _rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         if self.batched:

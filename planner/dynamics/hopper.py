@@ -28,6 +28,7 @@ class HopperDynamics:
 
     nx = 3
     nu = 1
+    coordinates = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
     structured = False
     has_slopes = True
     has_ranges = False  # of states: its own rollout computes its own cost, so NumPy does a solve with ranges

@@ -25,7 +25,7 @@ from planner.base.jsonable import finite
 from planner.model.mjcf.bounds import check_stored
 from planner.model.space import StateSpace
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 ARRAYS = ("t", "xs", "us", "K", "history")
 FILE = "file:"  # and a digest: the bytes of a file that the model's text names, as uint8
 HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
@@ -42,7 +42,7 @@ _META = {
     "recipe": (dict, type(None)), "status": (str,), "cost": _NUMBER, "gradient_norm": _NUMBER, "iterations": (int,),
     "versions": (dict,), "twin": (dict, type(None)), "mjcf": (str, type(None)), "files": (dict,), "space": (dict,),
     "starts": (list,), "options": (dict,), "digests": (dict,), "limits": (dict, type(None)),
-    "objective": (dict, type(None)),
+    "objective": (dict, type(None)), "tolerance": (int, float, str, dict, type(None)),
 }  # fmt: skip
 _START = (int,), (str,), _NUMBER, (int,), _NUMBER
 

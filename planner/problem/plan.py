@@ -27,6 +27,7 @@ from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
+from planner.problem.costs.wanted import stored_tolerance
 from planner.problem.criteria import plain
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
@@ -230,6 +231,7 @@ class Plan(Built):
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
             "options": self.options, "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
+            "tolerance": None if self.problem is None else stored_tolerance(self.problem.tolerance),
         }  # fmt: skip
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}

@@ -18,6 +18,7 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
+from planner.problem.costs.wanted import checked_tolerance
 from planner.problem.limits import Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
@@ -67,6 +68,9 @@ class Problem(Built):
             digits of it are worth no iterations; None for solve's own.
         gain_tolerance: The same, where a cost has kinks.
         periodic: Components of the state that return at the end, for planner.solve_periodic; None for none.
+        tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
+            m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
+            joints and frames. None: 2 % of the way, see planner.problem.goals.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start or horizon were replaced.
         bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
@@ -88,6 +92,7 @@ class Problem(Built):
     limits: Limits | None = None
     objective: Objective | None = None
     periodic: Periodic | None = None
+    tolerance: float | Mapping[str, float] | None = None
     decrease_tolerance: float | None = None
     gain_tolerance: float = 0.0
     bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
@@ -125,6 +130,7 @@ class Problem(Built):
         if self.decrease_tolerance is not None:
             number("decrease_tolerance", self.decrease_tolerance, least=0.0)
         number("gain_tolerance", self.gain_tolerance, least=0.0)
+        object.__setattr__(self, "tolerance", checked_tolerance(self.tolerance))
         if self.periodic is not None:
             object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
         if self.limits is not None:

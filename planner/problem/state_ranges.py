@@ -49,9 +49,16 @@ class StateRanges:
         return self.space.difference(xs, self.reference)[:, self.component]
 
     def beyond(self, xs: np.ndarray) -> np.ndarray:
-        """How far (N+1, H) states lie outside of their ranges; 0 within."""
-        e = self.deviations(xs)
-        return np.maximum(np.maximum(e - self.upper, self.lower - e), 0.0)
+        """How far (M+1, H) states lie outside of their ranges; 0 within.
+
+        At the knots (M = N), or at equal parts of every stage too, which have the reference and range of its start
+        (the start itself is free, so the first stage has those of its end).
+        """
+        N, i = len(self.reference) - 1, np.arange(len(xs))
+        rows = i * N // (len(xs) - 1)
+        rows[(rows == 0) & (i > 0)] = min(1, N - 1)
+        e = self.space.difference(xs, self.reference[rows])[:, self.component]
+        return np.maximum(np.maximum(e - self.upper[rows], self.lower[rows] - e), 0.0)
 
     def at_bound(self, xs: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether (N+1, H) states are at a bound or outside of it."""

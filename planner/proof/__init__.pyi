@@ -8,5 +8,5 @@ from planner.proof.refinement import refine as refine
 from planner.proof.replaying import Replay as Replay
 from planner.proof.replaying import proven_cost as proven_cost
 from planner.proof.replaying import replay as replay
+from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof
-from planner.proof.verdict import prove as prove

@@ -1,6 +1,13 @@
-"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost. MuJoCo has no part in it."""
+"""Step 0 of a proof: whether a plan agrees with its own dynamics and cost. MuJoCo has no part in it.
+
+Everything is computed again from the plan's states and controls. What rounding becomes on the way depends on the
+machine and its weights, so it is measured: the same is computed from states and controls that are wrong in their last
+digits, and a number that these move by more than the usual bound is judged by how far they move it.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,54 +15,107 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.scales import cost_of_deviation, limit_violations
+from planner.proof.scales import COST_BOUND, judged_cost, limit_violations
 from planner.solvers import lq
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 GAIN_BOUND = 1e-6  # relative; what rounding becomes in a sweep over unstable stages
-_LEAST = 1e-3  # of the cost of a deviation that passes: costs smaller than that are as good as zero
+_LAST_DIGITS = 1e-13  # relative errors of states and controls: what sums over a tree of links leave of 16 digits
+_MARGIN = 30.0  # between two such computations and the worst of many
+_MOST = 1e-3  # a plan whose numbers rounding moves by more than this is not known
+_LEAST = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
 
 
-def consistency(plan: Plan, problem: Problem) -> Section:
-    """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
-    dynamics, cost = problem.dynamics, problem.cost
+class Recomputed(NamedTuple):
+    """What a plan's states and controls say of it."""
+
+    missed: np.ndarray  # (N, ndx) of each state from one stage of the last
+    cost: float
+    gradient_norm: float  # Eq. 19, projected where controls are at their bounds
+    terms: float  # the size of what the gradient is the sum of
+    sweep: lq.Sweep | None  # None where R + B'PB is not positive definite
+
+
+def recomputed(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> Recomputed:
+    """From states xs (N+1, nx) and controls us (N, nu)."""
     with np.errstate(all="ignore"):  # a plan may hold any numbers; a NaN passes no bound
-        missed = plan.space.difference(dynamics.step(plan.xs[:-1], plan.us), plan.xs[1:])
-        A, B = dynamics.linearize(plan.xs, plan.us)
-        quadratic = cost.quadratize(plan.xs, plan.us)
+        missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
+        A, B = problem.dynamics.linearize(xs, us)
+        quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.hinges is not None and problem.ranges is not None:
-            quadratic = problem.ranges.added(plan.hinges, quadratic, plan.xs)
-        moves = None if problem.bounds is None else (problem.bounds[0] - plan.us, problem.bounds[1] - plan.us)
+            quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
+        moves = None if problem.bounds is None else (problem.bounds[0] - us, problem.bounds[1] - us)
         norm = float(np.linalg.norm(lq.projected(lq.gradient(A, B, quadratic), moves)))
-        terms = float(np.linalg.norm(quadratic.r)) + norm
-        scale = max(abs(plan.cost), _LEAST * cost_of_deviation(quadratic), np.finfo(float).tiny)
+        known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
+        sweep = lq.riccati(A, B, quadratic, bounds=moves) if known else None
+        return Recomputed(missed, problem.cost.value(xs, us), norm, float(np.linalg.norm(quadratic.r)) + norm, sweep)
+
+
+def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
+    """Start, states, cost, gradient, gains and times recomputed from the plan's states and controls."""
+    cost = judged_cost(problem)
+    with np.errstate(all="ignore"):
+        scale = max(abs(plan.cost), _LEAST * cost.scale(plan, problem), np.finfo(float).tiny)
+        size = max(now.terms, scale)
         largest = max(1.0, float(np.abs(plan.xs).max()))
-        t = dynamics.dt * np.arange(plan.N + 1)
-        errors = {
+        t = problem.dynamics.dt * np.arange(plan.N + 1)
+        exact = {
             "start_state_error": (_largest(plan.xs[0] - problem.x0) / largest, "first state against the problem's x0"),
-            "stage_error": (_largest(missed) / largest, "each state against one stage from the last"),
-            "cost_error": (abs(cost.value(plan.xs, plan.us) - plan.cost) / scale, "the cost recomputed"),
-            "gradient_error": (abs(norm - plan.gradient_norm) / max(terms, scale), "the norm of Eq. 19 recomputed"),
+            "stage_error": (_largest(now.missed) / largest, "each state against one stage from the last"),
+            "cost_error": (abs(now.cost - plan.cost) / scale, "the cost recomputed"),
             "time_error": (_largest(plan.t - t) / problem.duration, "the knots against n dt"),
         }
-        measured = [Measured(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in errors.items()]
-        measured.append(_gains(plan, A, B, quadratic, moves))
+        measured = [Measured(n, float(e), "", BOUND, f"{note}, relative") for n, (e, note) in exact.items()]
+        gradient = abs(now.gradient_norm - plan.gradient_norm) / size
+        gains = _gain_error(plan.K, now.sweep)
+        known = gradient <= BOUND and gains <= GAIN_BOUND
+        moved = (0.0, 0.0) if known else _moved(plan, problem, now, size)
+    bounds = [max(bound, min(_MARGIN * by, _MOST)) for bound, by in zip((BOUND, GAIN_BOUND), moved, strict=True)]
+    why = "; the bound is what rounding makes of it here"
+    note = "the norm of Eq. 19 recomputed, relative" + (why if bounds[0] > BOUND else "")
+    measured.insert(3, Measured("gradient_error", float(gradient), "", bounds[0], note))
+    note = "the gains against the last Riccati sweep (Eq. 31-33), relative" + (why if bounds[1] > GAIN_BOUND else "")
+    if now.sweep is None:
+        note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
+    measured.append(Measured("gain_error", float(gains), "", bounds[1], note))
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
     measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
-    measured += limit_violations(problem, plan.xs, plan.us, "of the plan")
+    measured += limit_violations(problem, plan.xs, plan.us, "at the plan's knots")
     return Section("plan", tuple(measured))
 
 
-def _gains(plan: Plan, A: np.ndarray, B: np.ndarray, quadratic: Quadratic, moves: lq.Bounds | None) -> Measured:
-    """The gains against a Riccati sweep along the plan."""
-    name, sweep = "gain_error", None
-    if np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite:
-        sweep = lq.riccati(A, B, quadratic, bounds=moves)
+def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
+    """Whether the solve converged, and whether another step of it would still lower the cost."""
+    ended = 0.0 if plan.success else 1.0
+    measured = [Measured("not_converged", ended, "", 0.0, plan.message)]
+    if now.sweep is not None:
+        scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem))
+        left = 100.0 * max(0.0, -now.sweep.value) / scale
+        note = "of the cost: what one more step of SLQ promises"
+        measured.append(Measured("decrease_left", left, "%", COST_BOUND, note))
+    return Section("optimal", tuple(measured))
+
+
+def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[float, float]:
+    """By how much errors in the last digits of states and controls move the gradient's norm and the gains, relative."""
+    rng, gradient, gains = np.random.default_rng(0), 0.0, 0.0
+    for _ in range(2):
+        xs, us = (x * (1.0 + _LAST_DIGITS * rng.uniform(-1.0, 1.0, x.shape)) for x in (plan.xs, plan.us))
+        if problem.bounds is not None:
+            at_bound = (plan.us <= problem.bounds[0]) | (plan.us >= problem.bounds[1])
+            us = np.where(at_bound, plan.us, us)
+        other = recomputed(plan, problem, xs, us)
+        gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
+        if now.sweep is not None:
+            gains = max(gains, _gain_error(now.sweep.K, other.sweep))
+    return gradient, gains
+
+
+def _gain_error(K: np.ndarray, sweep: lq.Sweep | None) -> float:
+    """Of gains (N, nu, ndx), relative to the largest of a sweep's; those of no sweep need only be finite."""
     if sweep is None:
-        note = "R + B'PB is not positive definite along the plan: its gains are those of a regularised model"
-        return Measured(name, 0.0 if np.isfinite(plan.K).all() else np.inf, "", GAIN_BOUND, note)
-    error = _largest(plan.K - sweep.K) / max(_largest(sweep.K), np.finfo(float).tiny)
-    return Measured(name, error, "", GAIN_BOUND, "the gains against the last Riccati sweep (Eq. 31-33), relative")
+        return 0.0 if np.isfinite(K).all() else np.inf
+    return _largest(K - sweep.K) / max(_largest(sweep.K), np.finfo(float).tiny)
 
 
 def _largest(values: np.ndarray) -> float:

@@ -23,7 +23,7 @@ from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.replaying import Replay
 from planner.proof.same_step import advancing
-from planner.proof.scales import COST_BOUND, cost_scale
+from planner.proof.scales import COST_BOUND, judged_cost
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
@@ -78,7 +78,7 @@ class Order:
 
 def order(problem: Problem, run: Replay) -> Order:
     """Replay a plan open loop at halved steps, in the model of its refined replay."""
-    plan = run.plan
+    plan, cost = run.plan, judged_cost(problem)
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
@@ -103,8 +103,8 @@ def order(problem: Problem, run: Replay) -> Order:
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, nominal=nominal,
         observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
         cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
-        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
-        scale=cost_scale(plan, problem),
+        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=cost(problem, plan.xs, plan.us),
+        scale=cost.scale(plan, problem),
     )  # fmt: skip
 
 
@@ -144,4 +144,4 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tup
     with curves_acting(twin, model):
         for n, x in enumerate(advance(problem.x0, plan.us, substeps), 1):
             xs[n] = x
-    return xs[-1], problem.cost.value(xs, plan.us)
+    return xs[-1], judged_cost(problem)(problem, xs, plan.us)

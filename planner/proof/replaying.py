@@ -95,12 +95,16 @@ class Replay:
         return self.plan.space.difference(self.xs, self.plan_xs)
 
     @property
+    def stage_controls(self) -> np.ndarray:
+        """(N, nu) the mean control of each stage."""
+        return self.ctrl.reshape(self.plan.N, self.substeps, -1).mean(axis=1)
+
+    @property
     def cost(self) -> float:
         """J of the simulated trajectory at the knots, with each stage's mean control; NaN without a problem."""
         if self.plan.problem is None:
             return math.nan
-        us = self.ctrl.reshape(self.plan.N, self.substeps, -1).mean(axis=1)
-        return self.plan.problem.cost.value(self.xs[:: self.substeps], us)
+        return self.plan.problem.cost.value(self.xs[:: self.substeps], self.stage_controls)
 
 
 def replay(

@@ -1,37 +1,93 @@
-"""Bounds and scales of the errors of a replay, and how far a motion is outside of its problem's limits."""
+"""Scales of the errors of a replay: what one per cent is, of a coordinate's motion and of a cost.
+
+A coordinate's error is judged beside its own range of motion along the plan. A coordinate that hardly moves is judged
+beside a tenth of the largest range of its unit, since a simulator's error comes from the machine's whole motion.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.measured import Measured
-from planner.problem.costs.terms import Quadratic
+from planner.model.coordinates import coordinates_of
+from planner.problem.goals import goals_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
-KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
-STATE_BOUND = 1e-2  # end state, in rad, m, rad/s, m/s: what the general rules ask
+SHARE = 0.01  # of a range of motion
+OF_LARGEST = 0.1  # of the largest range of the same unit, for what hardly moves
+LEAST_RANGE = 1e-3  # rad, m, rad/s, m/s, for a machine that stands still
 COST_BOUND = 1.0  # %
 
-
-def cost_of_deviation(quadratic: Quadratic) -> float:
-    """The cost of every state off by STATE_BOUND: a cost far below that is as good as zero."""
-    weights = np.abs(np.diagonal(quadratic.Q, axis1=1, axis2=2))
-    return float(0.5 * STATE_BOUND**2 * weights.sum())
+KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
+WORDS = {"rad": "angle", "m": "distance", "rad/s": "angular_velocity", "m/s": "velocity", "in": "position", "in/s": "rate",
+         "": "state"}  # fmt: skip
 
 
-def cost_scale(plan: Plan, problem: Problem) -> float:
-    """The cost that errors are relative to: the plan's, or that of a deviation where the plan's is about zero."""
-    return max(abs(plan.cost), cost_of_deviation(problem.cost.quadratize(plan.xs, plan.us)), np.finfo(float).tiny)
+def path_bounds(plan: Plan) -> np.ndarray:
+    """(ndx,) the largest error of each coordinate that passes, in its unit."""
+    own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
+    units = np.array([one.unit for one in coordinates_of(plan.problem and plan.problem.dynamics)])
+    largest = np.array([own[units == unit].max() for unit in units])
+    return SHARE * np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
+
+
+def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:
+    """Units of a problem's coordinates: the quantity in a word, the unit, the components (k,) and their names."""
+    coordinates = coordinates_of(problem.dynamics)
+    for unit in dict.fromkeys(one.unit for one in coordinates):
+        which = np.array([i for i, one in enumerate(coordinates) if one.unit == unit])
+        yield word_of(unit), unit, which, [coordinates[i].name for i in which]
+
+
+def word_of(unit: str) -> str:
+    """A quantity in a word for a key, by its unit."""
+    return WORDS.get(unit, f"state_{unit.replace('/', '_per_')}")
+
+
+class JudgedCost(NamedTuple):
+    """The part of a problem's cost whose error is judged."""
+
+    name: str  # "cost", or "running cost" where what remains at the end is a penalty on goals that are judged
+    final: tuple[Any, ...]  # the terms whose final part is left out
+
+    def __call__(self, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float:
+        """Its value on a trajectory xs (N+1, nx), us (N, nu)."""
+        if not np.isfinite(xs).all():
+            return np.inf
+        return float(problem.cost.value(xs, us)) - self.of_end(xs[-1])
+
+    def of_end(self, x: np.ndarray) -> float:
+        """The part that is left out, of an end x (nx,)."""
+        return float(sum(term.final_cost(x) for term in self.final))
+
+    def scale(self, plan: Plan, problem: Problem) -> float:
+        """What errors are relative to: its value on the plan, or that of an error at its bound where it is smaller."""
+        quadratic = problem.cost.quadratize(plan.xs, plan.us)
+        weights = np.abs(np.diagonal(quadratic.Q[:-1] if self.final else quadratic.Q, axis1=1, axis2=2))
+        of_errors = 0.5 * float(np.sum(weights @ path_bounds(plan) ** 2))
+        return max(abs(self(problem, plan.xs, plan.us)), of_errors, np.finfo(float).tiny)
+
+
+def judged_cost(problem: Problem) -> JudgedCost:
+    """The running cost where the final part is a penalty on what the goal judges, else the whole cost."""
+    own_rule = problem.requirements is not None and problem.requirements.goal is not None
+    judged = own_rule or any(np.isfinite(goal.tolerance) for goal in goals_of(problem))
+    terms = getattr(problem.cost, "costs", (problem.cost,))
+    final = tuple(term for term in terms if judged and hasattr(term, "final_cost"))
+    return JudgedCost("running cost" if final else "cost", final)
 
 
 def limit_violations(
-    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, judged: bool = True
+    problem: Problem, xs: np.ndarray, us: np.ndarray | None, whose: str, tolerances: np.ndarray | None = None
 ) -> list[Measured]:
     """The largest violation of each kind of limit; nothing where there are none.
 
-    Of states (N+1, nx) at the knots and, where they are asked about, controls (N, nu); notes say `whose` they are.
-    What is not judged is shown without bounds.
+    Of states at the knots (N+1, nx), or of a replay (N k + 1, nx), and of controls (N, nu), where they are asked about;
+    notes say `whose` they are. Ranges of states are judged by the limits' own tolerance, or by `tolerances` (ndx,).
     """
     measured = []
     if problem.bounds is not None and us is not None:
@@ -39,16 +95,20 @@ def limit_violations(
         outside = float(np.maximum(lower - us, us - upper).max())
         active = int(np.sum((us <= lower) | (us >= upper)))
         note = f"largest, {whose}; {active} of {us.size} controls at a bound"
-        measured.append(Measured("control_violation", max(outside, 0.0), "", 0.0 if judged else None, note))
-    if problem.ranges is not None and problem.limits is not None:
-        beyond, tolerance = problem.ranges.beyond(xs), problem.limits.tolerance
-        kinds = [name.split()[0] for name in problem.ranges.names]
-        for kind, word in KINDS.items():
-            which = [h for h, own in enumerate(kinds) if own == kind]
-            if which:
-                finite = np.isfinite(beyond).all()
-                worst = which[int(beyond[:, which].max(axis=0).argmax())] if finite else which[0]
-                note = f"largest at the knots, {whose}: {problem.ranges.names[worst]}"
-                value = float(beyond[:, which].max())
-                measured.append(Measured(f"{word}_violation", value, "", tolerance if judged else None, note))
+        measured.append(Measured("control_violation", max(outside, 0.0), "", 0.0, note))
+    ranges, limits = problem.ranges, problem.limits
+    if ranges is None or limits is None:
+        return measured
+    beyond = ranges.beyond(xs)
+    allowed = np.full(len(ranges.names), limits.tolerance)
+    if tolerances is not None:
+        allowed = np.maximum(allowed, tolerances[ranges.component])
+    kinds = [name.split()[0] for name in ranges.names]
+    for kind, word in KINDS.items():
+        which = [h for h, own in enumerate(kinds) if own == kind]
+        if which:
+            most = beyond[:, which].max(axis=0)
+            worst = which[int(np.argmax(np.where(np.isfinite(most), most / allowed[which], np.inf)))]
+            value, note = float(beyond[:, worst].max()), f"largest, {whose}: {ranges.names[worst]}"
+            measured.append(Measured(f"{word}_violation", value, "", float(allowed[worst]), note))
     return measured

@@ -1,66 +1,73 @@
 """Steps 3 and 4 of a proof: whether MuJoCo at a refined step repeats the plan, and whether it gets to the goal.
 
-Both by the machine's own rules or by the general ones.
+Errors are told by unit, each that of the coordinate which is nearest to its bound. The whole path is judged, at every
+step of the simulator. A machine's own rules (Requirements) come first and take the place of the end's and the cost's.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from planner.base.measured import Measured, Section
-from planner.model.mechanism import Mechanism
 from planner.problem.costs.tracking import TrackingCost
+from planner.problem.goals import Goal, goals_of
 from planner.problem.problem import Problem
 from planner.proof.replaying import Replay
-from planner.proof.scales import COST_BOUND, STATE_BOUND, cost_scale, limit_violations
+from planner.proof.scales import COST_BOUND, by_unit, judged_cost, limit_violations, path_bounds, word_of
 
 _NO_RANGES = "of joints, controls and forces: a plan knows none, MuJoCo holds them"
-_LARGEST = "largest component, rad, m, rad/s, m/s"
 
 
 def tracking(run: Replay, problem: Problem) -> Section:
     """Compare one replay with the plan."""
+    path = path_errors(run, problem)
     common = (
         Measured("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
         Measured("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
-        *limit_violations(problem, run.xs[:: run.substeps], _controls(run), "of the replay", judged=False),
-    )  # fmt: skip
+        *limit_violations(problem, run.xs, _controls(run), "of the replay", path_bounds(run.plan)),
+    )
     if problem.requirements is not None and problem.requirements.tracking is not None:
         section = problem.requirements.tracking(run)
-        return replace(section, measured=(*section.measured, *common))
-    error = np.abs(run.error)
+        return replace(section, measured=(*section.measured, *path, *common))
+    return Section(run.title, (*path, cost_error(run, problem), *common))
+
+
+def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
+    """The errors at the end and over the path by unit, each of the coordinate that is nearest to its bound."""
+    error, bounds, measured = np.abs(run.error), path_bounds(run.plan), []
+    for part, along in (("end", error[-1:]), ("path", error)):
+        for word, unit, which, names in by_unit(problem):
+            most = along[:, which].max(axis=0)
+            share = np.where(np.isfinite(most), most / bounds[which], np.inf)
+            worst = int(np.argmax(share))
+            value, bound = float(most[worst]), float(bounds[which[worst]])
+            when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
+            note = f"of {names[worst]}{when}; the bound is 1 % of its range of motion"
+            measured.append(Measured(f"{part}_{word}_error", value, unit, bound, note))
+    return tuple(measured)
+
+
+def cost_error(run: Replay, problem: Problem) -> Measured:
+    """The cost that MuJoCo reaches beside the plan's, in % of the plan's."""
+    cost, plan = judged_cost(problem), run.plan
+    planned, scale = cost(problem, plan.xs, plan.us), cost.scale(plan, problem)
     with np.errstate(all="ignore"):
-        cost = 100.0 * abs(run.cost - run.plan.cost) / cost_scale(run.plan, problem)
-    judged = (
-        Measured("end_state_error", float(error[-1].max()), "", STATE_BOUND, _LARGEST),
-        Measured("cost_error", cost, "%", COST_BOUND, "cost reached in MuJoCo against the plan's"),
-    )
-    return Section(run.title, (*judged, *common, *_along_the_path(error, problem)))
+        reached = cost(problem, run.xs[:: run.substeps], run.stage_controls)
+        error = 100.0 * abs(reached - planned) / scale
+    note = f"{cost.name}: {reached:.5g} in MuJoCo, {planned:.5g} planned"
+    if cost.final:
+        note += "; what the end costs is judged as the goal"
+    if scale > abs(planned):
+        note += f"; relative to {scale:.3g}, what errors at their bounds cost"
+    return Measured("cost_error", error, "%", COST_BOUND, note)
 
 
 def _controls(run: Replay) -> np.ndarray | None:
     """(N, nu) the controls at the knots, where they are of the plan's machine."""
     return run.ctrl[:: run.substeps] if run.ctrl.shape[1] == run.plan.us.shape[1] else None
-
-
-def _along_the_path(error: np.ndarray, problem: Problem) -> tuple[Measured, ...]:
-    """The largest errors over the whole replay, by kind where the plan's states are a mechanism's."""
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
-        return (Measured("largest_state_error", float(error.max()), "", None, "over the path, largest component"),)
-    turns, nv = np.any(mechanism.S[:, :3] != 0.0, axis=1), mechanism.nv
-    kinds = {
-        "largest_angle_error": (error[:, :nv][:, turns], "rad"),
-        "largest_distance_error": (error[:, :nv][:, ~turns], "m"),
-        "largest_angular_velocity_error": (error[:, nv : 2 * nv][:, turns], "rad/s"),
-        "largest_velocity_error": (error[:, nv : 2 * nv][:, ~turns], "m/s"),
-    }
-    return tuple(
-        Measured(name, float(values.max()), unit, None, "over the path") for name, (values, unit) in kinds.items()
-        if values.size
-    )  # fmt: skip
 
 
 def costs_with_goals(problem: Problem) -> list[TrackingCost]:
@@ -70,17 +77,28 @@ def costs_with_goals(problem: Problem) -> list[TrackingCost]:
 
 
 def goal(run: Replay, problem: Problem) -> Section:
-    """Judge one replay's end by the machine's own rule, or show how far from the cost's goal it is."""
+    """Judge where the plan and its replay end: by every goal of the cost, or by the machine's own rule."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
-    wanted = costs_with_goals(problem)
-    if not wanted:
-        return Section("goal", not_applicable="the problem states no goal apart from its cost")
+    goals = goals_of(problem, run.plan.xs)
+    if not goals:
+        return Section("goal", not_applicable="no goal was asked for")
+    ends = {"planned": run.plan.xs[-1:], "replayed": run.xs[-1:]}
+    return Section("goal", tuple(one for who, x in ends.items() for one in misses(who, x, goals)))
 
-    def distance(x: np.ndarray) -> float:
-        errors = (np.abs(run.plan.space.difference(x, c.x_ref[-1]))[np.any(c.Q[-1], axis=0)].max() for c in wanted)
-        return float(max(errors))
 
-    note = "largest component that the cost's final weight acts on, against its reference; shown, not judged"
-    errors = {"planned_goal_error": run.plan.xs[-1], "replayed_goal_error": run.xs[-1]}
-    return Section("goal", tuple(Measured(name, distance(x), "", None, note) for name, x in errors.items()))
+def misses(who: str, x: np.ndarray, goals: tuple[Goal, ...]) -> list[Measured]:
+    """How far an end x (1, nx) is from goals, by unit: of each the one that is nearest to its tolerance."""
+    measured = []
+    for unit in dict.fromkeys(one.unit for one in goals):
+        judged = [one for one in goals if one.unit == unit and math.isfinite(one.tolerance)]
+        of_unit = judged or [one for one in goals if one.unit == unit]
+        values = [float(one.missed(x)[0]) for one in of_unit]
+        scales = [value / one.tolerance if judged else value for value, one in zip(values, of_unit, strict=True)]
+        worst = int(np.argmax(np.where(np.isfinite(scales), scales, np.inf)))
+        most = of_unit[worst]
+        whose = "the plan's end" if who == "planned" else "MuJoCo's end"
+        note = f"{whose} from the goal, {most.name}" + ("" if judged else "; a soft goal is not judged")
+        bound = most.tolerance if judged else None
+        measured.append(Measured(f"{who}_{word_of(unit)}_miss", values[worst], unit, bound, note))
+    return measured

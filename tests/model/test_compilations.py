@@ -10,7 +10,7 @@ from planner.contact import ContactLaw
 from planner.model.mjcf import survey
 from planner.model.mjcf.text import edited
 from planner.proof.replaying import reached_by_plan
-from planner.proof.verdict import prove
+from planner.proof.steps import prove
 
 ARM = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody>

@@ -38,7 +38,7 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
-from planner.cases.problem_file.arrival import check_departure, judge_arrival
+from planner.cases.problem_file.arrival import check_departure
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED
 from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
@@ -54,7 +54,7 @@ from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.guess import holding_controls
 from planner.problem.limits import Limits
-from planner.problem.problem import Problem, Requirements
+from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
@@ -177,15 +177,15 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     prescribed = _prescribed(table, mechanism)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
     cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
-    check_departure(x0, cost, table["tolerance"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
-        requirements=Requirements(goal=lambda replay: judge_arrival(replay, cost, table["tolerance"])),
+        tolerance=table["tolerance"],
     )  # fmt: skip
+    check_departure(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

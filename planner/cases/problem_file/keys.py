@@ -21,7 +21,8 @@ KEYS = {
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
     "seed": "of the first guesses after the first",
-    "tolerance": "how far from the goal passes: rad, m, rad/s, m/s, where final weights are above 0",
+    "tolerance": "how far from the goal passes: a number in rad, m, rad/s, m/s, or a table by position, velocity and "
+    "joint; 'soft' for no check; by default 2 % of the way",
     "title": "shown in pictures",
     "weights": "table, below",
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
@@ -60,7 +61,7 @@ GROUND = {
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
     "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
-    "starts": 1, "seed": 0, "tolerance": 0.1, "title": "",
+    "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip
 DEFAULT_WEIGHTS: dict[str, Any] = {
     "effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0,

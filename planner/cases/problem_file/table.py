@@ -11,6 +11,7 @@ from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import read_text
 from planner.cases.problem_file.keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
+from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
 from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
@@ -57,7 +58,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     table = table | {
         "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
         "seed": count("seed", table["seed"], least=0),
-        "tolerance": number("tolerance", table["tolerance"], above=0.0),
+        "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
         "guess": choice("guess", table["guess"], ("hold", "zero")),
     }  # fmt: skip
     if not isinstance(table["title"], str):

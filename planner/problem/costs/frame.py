@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,12 @@ import numpy as np
 from planner.base.arguments import array, numbers, shown
 from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Frame
 from planner.model.space import conjugate, log_jacobian, log_quaternion, product
 from planner.problem.costs.terms import Quadratic, Term, per_stage
 from planner.problem.costs.tracking import mechanism_and_step
+from planner.problem.costs.wanted import Wanted
 
 
 class FrameCost(Term):
@@ -47,6 +51,7 @@ class FrameCost(Term):
         if not isinstance(frame, (str, Frame)):
             raise PlannerError(f"frame is {shown(frame)}, expected a Frame or the name of a site or body.")
         self.frame = self.mechanism.frame(frame) if isinstance(frame, str) else frame
+        self._name = frame if isinstance(frame, str) else "the frame"
         self.space = self.mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
         self.N: int | None = None  # any horizon, unless something is given per stage
@@ -63,6 +68,8 @@ class FrameCost(Term):
             self._weights("position", position, position_weight, final_position_weight, dt),
             self._weights("orientation", orientation, orientation_weight, final_orientation_weight, dt),
         ]
+        # (2,) whether the end asks for a position and for an orientation; what is only weighed on the way is no goal
+        self._asked = (final_position_weight is not None, final_orientation_weight is not None)
         self._running, self._final = (_side_by_side(*parts) for parts in zip(*weights, strict=True))
 
     def resampled(self, parts: int, ratio: float) -> FrameCost:
@@ -114,14 +121,34 @@ class FrameCost(Term):
         weights[-1] = self._final[0]
         stages = np.flatnonzero(weights.any(axis=1))
         q = xs[stages, : self.mechanism.nq]
-        T = frame_pose(self.mechanism, q, self.frame)
-        target, turned = self._position, self._orientation
-        r = np.empty((len(stages), 6))
-        r[:, :3] = T[:, :3, 3] - (target if len(target) == 1 else target[stages])
-        r[:, 3:] = log_quaternion(
-            product(conjugate(turned if len(turned) == 1 else turned[stages]), quaternion_of(T[:, :3, :3]))
-        )
+        target, turned = (one if len(one) == 1 else one[stages] for one in (self._position, self._orientation))
+        r = self._residual(q, target, turned)
         return stages, r, weights[stages], q
+
+    def wanted(self, _: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+        """The frame's position and orientation at the end, each where it has a final weight of its own."""
+        parts = (("position", "m", slice(0, 3)), ("orientation", "rad", slice(3, 6)))
+        return tuple(
+            Wanted(f"{what} of {self._name}", unit, partial(self._missed, part))
+            for (what, unit, part), asked in zip(parts, self._asked, strict=True)
+            if asked and self._final[0, part].any()
+        )
+
+    def _missed(self, part: slice, xs: np.ndarray) -> np.ndarray:
+        """(K,) m or rad, the length of the residual along the axes that are weighed."""
+        r = self._residual(xs[:, : self.mechanism.nq], self._position[-1], self._orientation[-1])
+        return np.linalg.norm(r[:, part] * (self._final[0, part] > 0.0), axis=1)
+
+    def final_cost(self, x: np.ndarray) -> float:
+        """The part of the value that the end x (nx,) has."""
+        r = self._residual(x[None, : self.mechanism.nq], self._position[-1], self._orientation[-1])
+        return 0.5 * float(np.sum(self._final * r**2))
+
+    def _residual(self, q: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+        """(n, 6) of configurations q (n, nq) from a position and a quaternion, or from one for each."""
+        T = frame_pose(self.mechanism, q, self.frame)
+        turned = log_quaternion(product(conjugate(orientation), quaternion_of(T[:, :3, :3])))
+        return np.concatenate([T[:, :3, 3] - position, turned], axis=1)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +24,12 @@ from planner.base.errors import PlannerError
 from planner.dynamics.contacts import ramp
 from planner.dynamics.kinematics import jacobian_derivatives, points_of
 from planner.kernels.tree.penalty_table import HEIGHT, PARALLEL, TINY, VELOCITY
+from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Frame
 from planner.problem.costs.penalty_measures import PenaltyArrays, measures_of, resampled
 from planner.problem.costs.terms import Quadratic, Term
 from planner.problem.costs.tracking import mechanism_and_step
+from planner.problem.costs.wanted import Wanted
 
 
 class PenaltyCost(Term):
@@ -54,6 +58,8 @@ class PenaltyCost(Term):
         if not isinstance(terms, Sequence):
             raise PlannerError(f"terms is {shown(terms)}, expected a list of Height, Distance, Gap and Velocity.")
         self.names = tuple(str(term) for term in terms)
+        # (T,) whether a term asks something of the end; without a final weight of its own it only goes on until there
+        self._asked = [getattr(term, "final_weight", None) is not None for term in terms]
         self.measures = measures_of(self.mechanism, self.N, terms, dt)
 
     def values(self, xs: np.ndarray) -> np.ndarray:
@@ -65,6 +71,25 @@ class PenaltyCost(Term):
         for t in range(len(self.names)):
             values[:, t] = _measured(self.measures, t, velocities if t in fast else places).value
         return values
+
+    def wanted(self, _: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+        """The terms with a final weight of their own."""
+        weighed = np.flatnonzero(np.logical_and(self._asked, self.measures.weight[:, -1] > 0.0))
+        units = ["m/s" if kind == VELOCITY else "m" for kind in self.measures.kind]
+        return tuple(Wanted(self.names[t], units[t], partial(self._missed, t)) for t in weighed)
+
+    def _missed(self, t: int, xs: np.ndarray) -> np.ndarray:
+        return np.abs(self._at_end(xs)[t])
+
+    def final_cost(self, x: np.ndarray) -> float:
+        """The part of the value that the end x (nx,) has."""
+        return 0.5 * float(self.measures.weight[:, -1] @ self._at_end(x[None])[:, 0] ** 2)
+
+    def _at_end(self, xs: np.ndarray) -> np.ndarray:
+        """(T, K) residuals of states (K, nx), each as the end."""
+        last, m = copy(self), self.measures
+        last.measures = replace(m, world=m.world[:, -1:], bound=m.bound[:, -1:], weight=m.weight[:, -1:])
+        return _ramped(last.measures, last.values(xs).T)[0]
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, shown
 from planner.base.errors import PlannerError
+from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, euclidean
 from planner.problem.costs.terms import Cost, Quadratic, Term, per_stage
+from planner.problem.costs.wanted import Wanted
 from planner.problem.costs.weights import diagonal, matrices, places
 
 
@@ -170,6 +174,19 @@ class TrackingCost(Term):
                 "resampled(parts, ratio) and with_effort(weight)."
             )
         return TrackingCost(Q, R, x_ref, u_ref, self.space)
+
+    def wanted(self, coordinates: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+        """The reference at the end, in every component that the final weight acts on."""
+        weighed = np.flatnonzero(np.any(self.Q[-1], axis=0))
+        return tuple(Wanted(*coordinates[i], partial(self._missed, i)) for i in weighed.tolist())
+
+    def _missed(self, i: int, xs: np.ndarray) -> np.ndarray:
+        return np.abs(self.space.difference(xs, self.x_ref[-1])[..., i])
+
+    def final_cost(self, x: np.ndarray) -> float:
+        """The part of the value that the end x (nx,) has."""
+        e = self.space.difference(x, self.x_ref[-1])
+        return 0.5 * float(e @ self.Q[-1] @ e)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""

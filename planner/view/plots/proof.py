@@ -16,7 +16,6 @@ from planner.proof import Proof
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbed import Perturbed
-from planner.proof.scales import STATE_BOUND
 from planner.view.plots.style import (
     DASHED,
     INK,
@@ -46,9 +45,7 @@ _LINEAR = 1e3  # a fan with larger deviations is drawn on a symmetric log scale
 def draw_proof(proof: Proof) -> Figure:
     """The figure of a proof's measurements."""
     plan, rollouts = proof.replay.plan, proof.monte_carlo
-    own_rules = getattr(getattr(plan.problem, "requirements", None), "tracking", None) is not None
-    bound = None if own_rules else STATE_BOUND  # on the end state's error
-    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors, bound=bound)]
+    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors)]
     if proof.convergence is not None:
         panels.append(partial(_draw_order, order=proof.convergence))
     if rollouts is not None and rollouts.done:
@@ -61,7 +58,7 @@ def draw_proof(proof: Proof) -> Figure:
     return figure
 
 
-def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
+def _draw_growth(axes: Axes, errors: Growth) -> None:
     dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", ERROR, "time (s)")
     drawn = []
     for mode, colour in MODE_COLOURS.items():
@@ -78,12 +75,10 @@ def _draw_growth(axes: Axes, errors: Growth, bound: float | None) -> None:
         say(axes, "no error above zero at any knot")
         return
     axes.set_yscale("log")
-    if bound is not None:
-        axes.axhline(bound, color=RED, lw=0.9, label=f"bound at the end, {bound:g}", zorder=1)
     values = np.concatenate(drawn)
     top = min(float(np.nanmax(values)), _HIGHEST)
     bottom = max(float(np.nanmin(values)), top / 10.0**_DECADES)
-    bottom, top = min(bottom, bound or bottom), 2.0 * max(top, bound or top)
+    top *= 2.0
     axes.set_ylim(bottom / max(3.0, (top / bottom) ** 0.35), top)  # room for the legend
     axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none", ncols=2)
 

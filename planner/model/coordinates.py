@@ -1,0 +1,58 @@
+"""Coordinates: a name and a unit for every component of a machine's deviation, so that errors can be told apart."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.space import space_of
+
+ANGLE, LENGTH = "rad", "m"
+RATES = ("rad/s", "m/s")
+
+
+class Coordinate(NamedTuple):
+    """One component of a deviation dx."""
+
+    name: str  # "elbow", "velocity of elbow", "base x"; "x[3]" where nothing is known
+    unit: str  # "rad", "m", "rad/s", "m/s", another unit of the machine's own, or "" for an unknown one
+
+    @property
+    def is_rate(self) -> bool:
+        """Whether it is a velocity."""
+        return self.unit.endswith("/s")
+
+
+def coordinates_of(dynamics: Any) -> tuple[Coordinate, ...]:
+    """The coordinates (ndx,) of a dynamics' deviations: its own `coordinates`, else those of its mechanism.
+
+    Components that neither tells of are called by their number, without a unit.
+    """
+    own = getattr(dynamics, "coordinates", None)
+    mechanism = getattr(dynamics, "mechanism", None)
+    known: tuple[Coordinate, ...] = ()
+    if own is not None:
+        known = tuple(Coordinate(*one) for one in own)
+    elif isinstance(mechanism, Mechanism):
+        known = coordinates_of_mechanism(mechanism)
+    return (*known, *(Coordinate(f"x[{i}]", "") for i in range(len(known), space_of(dynamics).ndx)))
+
+
+def coordinates_of_mechanism(mechanism: Mechanism) -> tuple[Coordinate, ...]:
+    """Positions (nv,), velocities (nv,), then activations (na,)."""
+    turns = np.any(mechanism.S[:, :3] != 0.0, axis=1)
+    positions = []
+    for j, (name, links) in enumerate(zip(mechanism.joint_names, mechanism.joint_links, strict=True)):
+        name = name or f"joint {j}"
+        for i in range(links.start, links.stop):
+            single = mechanism.kind[i] == SCREW and links.stop - links.start == 1
+            axis = "" if single else f" {'xyz'[(i - links.start) % 3]}"
+            turn = " rotation about" if axis and turns[i] else ""
+            positions.append(Coordinate(f"{name}{turn}{axis}", ANGLE if turns[i] else LENGTH))
+    rates = [Coordinate(f"velocity of {name}", f"{unit}/s") for name, unit in positions]
+    actuators = mechanism.actuators
+    active = np.flatnonzero(actuators.dynamics != DIRECT)
+    names = [actuators.names[a] or f"actuator {a}" for a in active]
+    return (*positions, *rates, *(Coordinate(f"activation of {name}", "") for name in names))

@@ -1,0 +1,57 @@
+"""Wanted: one thing that the end of a cost asks for; and the tolerance that a problem states for such things."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import number, shown
+from planner.base.errors import PlannerError
+
+SOFT = "soft"  # the word for an infinite tolerance in files, which know no infinity
+
+
+class Wanted(NamedTuple):
+    """One thing that a term with a final weight asks of the end.
+
+    A term of a cost says it by `wanted(coordinates) -> tuple of Wanted`, with the planner.model.coordinates.Coordinate
+    of every component of a deviation, and its price by `final_cost(x) -> float`.
+    """
+
+    name: str  # of the coordinate, or of what is placed: "position of hand"
+    unit: str
+    missed: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it
+
+
+def checked_tolerance(value: Any) -> float | dict[str, float] | None:
+    """A problem's tolerance: a number above 0, "soft" or infinity for no check, or a table of these by name.
+
+    Raises:
+        PlannerError: It is something else.
+    """
+    if value is None:
+        return None
+    if isinstance(value, Mapping):
+        return {str(name): _one(f"the tolerance of {shown(name)}", one) for name, one in value.items()}
+    return _one("tolerance", value)
+
+
+def stored_tolerance(tolerance: float | Mapping[str, float] | None) -> Any:
+    """A checked tolerance as JSON values, which know no infinity."""
+    if isinstance(tolerance, Mapping):
+        return {name: stored_tolerance(one) for name, one in tolerance.items()}
+    return SOFT if tolerance == np.inf else tolerance
+
+
+def _one(name: str, value: Any) -> float:
+    if value == SOFT or (isinstance(value, float) and value == np.inf):
+        return float("inf")
+    try:
+        return number(name, value, above=0.0)
+    except PlannerError:
+        raise PlannerError(
+            f"{name} is {shown(value)}, expected a number above 0, 'soft' for a goal that is not judged, or a table "
+            "such as {position = 0.02, velocity = 0.1}."
+        ) from None

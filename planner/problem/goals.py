@@ -1,0 +1,104 @@
+"""Goals: what the end of a problem's cost asks for, in its own units, and how far from it passes.
+
+Every term of a cost with a final weight asks for something: a TrackingCost for joint positions and velocities, a
+FrameCost for a place of the hand. A goal passes within the problem's `tolerance`, else within 2 % of its way (of a
+velocity: of its peak along the plan), but never less than LEAST: nobody measures a robot better than that by eye.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice
+from planner.model.coordinates import coordinates_of
+from planner.problem.costs.wanted import Wanted
+from planner.problem.problem import Problem
+
+SHARE = 0.02  # of the way, or of a velocity's peak
+LEAST = {"rad": 0.02, "m": 5e-3, "rad/s": 0.1, "m/s": 0.05}  # by unit; 0 for others
+KINDS = ("position", "velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """One thing that the end of a cost asks for.
+
+    Attributes:
+        name: The coordinate or the frame, "elbow" or "position of hand".
+        unit: "rad", "m", "rad/s", "m/s", or another one of the machine's own.
+        tolerance: The largest miss that passes; infinite for a goal that is soft.
+        missed: States (K, nx) -> (K,) how far they are from it.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    missed: Callable[[np.ndarray], np.ndarray]
+
+
+def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]:
+    """The goals of a problem; empty where its cost has no final weight.
+
+    Args:
+        problem: With any cost.
+        xs: (N+1, nx) a plan's states, whose peak velocities are the scale of goals for velocities.
+
+    Raises:
+        PlannerError: The problem's tolerance names no goal of it.
+    """
+    wanted = wanted_of(problem)
+    asked = _asked(problem.tolerance, [one.name for one in wanted])
+    goals = []
+    for one in wanted:
+        kind = KINDS[one.unit.endswith("/s")]
+        given = asked.get(one.name, asked.get(kind))
+        tolerance = _usual(one, problem.x0, xs) if given is None else given
+        goals.append(Goal(one.name, one.unit, tolerance, one.missed))
+    return tuple(goals)
+
+
+def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
+    """What the terms of a problem's cost ask of its end, without tolerances."""
+    coordinates = coordinates_of(problem.dynamics)
+    return tuple(one for term in _terms(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
+
+
+def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
+    """The terms with a final part that do not say what they ask for, by their type: a user's own costs."""
+    found = []
+    for term in _terms(problem.cost):
+        if not hasattr(term, "wanted"):
+            model = term.quadratize(xs, us)
+            if np.any(model.Q[-1]) or np.any(model.q[-1]):
+                found.append(type(term).__name__)
+    return tuple(found)
+
+
+def _terms(cost: Any) -> tuple[Any, ...]:
+    return getattr(cost, "costs", (cost,))
+
+
+def _nothing(_: Any) -> tuple[Wanted, ...]:
+    return ()
+
+
+def _usual(one: Wanted, x0: np.ndarray, xs: np.ndarray | None) -> float:
+    """The tolerance of a goal for which the problem states none."""
+    of_path = one.unit not in ("rad", "m")  # an unknown unit may be a velocity
+    states = x0[None] if xs is None or not of_path else np.concatenate([x0[None], xs])
+    scale = float(np.max(one.missed(states), initial=0.0, where=np.isfinite(one.missed(states))))
+    return max(SHARE * scale, LEAST.get(one.unit, 1e-6))
+
+
+def _asked(tolerance: Any, names: list[str]) -> dict[str, float]:
+    """Tolerances by the name of a goal, or by one of KINDS."""
+    if tolerance is None:
+        return {}
+    if isinstance(tolerance, Mapping):
+        known = [*KINDS, *dict.fromkeys(names)]
+        return {choice("a goal in tolerance", name, known): value for name, value in tolerance.items()}
+    return dict.fromkeys(KINDS, tolerance)

@@ -1,0 +1,191 @@
+"""prove(): an independent engine judges a plan step by step, every number beside its bound.
+
+The steps are in prove(), a line each. PASS needs the plan's own numbers, the models' parity and the same step (0, 1, 2,
+where they apply), a motion that MuJoCo repeats and that ends at the goal (3, 4) in the same mode, the user's own file,
+and a solve that converged. Open loop is tried first, and needs the order too: a cost that a smaller step changes was
+never the plan's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arguments import count, number, shown
+from planner.base.errors import PlannerError
+from planner.base.measured import Section
+from planner.model.twin import Twin
+from planner.problem.goals import unjudged_ends, wanted_of
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.compiled_twin import another_model
+from planner.proof.consistency import consistency, optimality, recomputed
+from planner.proof.growth import growth
+from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
+from planner.proof.model_parity import parity_in
+from planner.proof.order import order
+from planner.proof.perturbation import Perturbation
+from planner.proof.perturbed import Trials, perturbed
+from planner.proof.replaying import Replay, replay_in
+from planner.proof.rollouts import MODES
+from planner.proof.same_step import same_step
+from planner.proof.tracking import goal, tracking
+from planner.proof.verdict import Proof
+
+ROLLOUTS = 512
+
+
+@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+def prove(
+    plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
+    perturbation: Perturbation | None = None, hold_seconds: float = 0.0, optimal: bool = True,
+    budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+) -> Proof:  # fmt: skip
+    """Replay a plan in MuJoCo at a refined step, open loop and with its gains, and judge it.
+
+    Args:
+        plan: A plan of a problem with a twin.
+        mjcf: Another MJCF, a path or the XML text, in place of the plan's own; it must have the same states. What the
+            plan's mechanism took out of its file is taken out of this one too.
+        twin: Another model and other maps in place of the plan's own.
+        seed: Of the random states of parity and of the perturbations.
+        rollouts: Of step 5; 0 leaves it out.
+        perturbation: The errors of step 5; by default Perturbation.usual(plan.problem).
+        hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
+        optimal: Whether PASS needs a solve that converged; False judges feasibility alone.
+        budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
+        partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
+        progress: Called with the rollouts done and their number.
+
+    Raises:
+        PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
+    """
+    if not isinstance(plan, Plan):
+        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+    problem = plan.problem
+    if problem is None:
+        raise PlannerError(
+            "the plan comes without its problem, which is its maker's own Python: expected prove() of a plan just "
+            "solved, or load_plan(path, problem=...)."
+        )
+    count("seed", seed, least=0)
+    count("rollouts", rollouts, least=0)
+    number("hold_seconds", hold_seconds, least=0.0)
+    twin = twin or plan.twin
+    if twin is None:
+        raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
+    compiled = another_model(problem, twin, mjcf)
+    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback") for mode in MODES}
+    now = recomputed(plan, problem, plan.xs, plan.us)
+    required = {
+        # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
+        "plan": consistency(plan, problem, now),
+        # Step 1: the plan's dynamics and MuJoCo's, at random states where the two models are the same.
+        "parity": parity_in(compiled, problem, seed),
+        # Step 2: MuJoCo with the plan's own integrator and step: proves the transcription, nothing else.
+        "same_step": same_step(plan, problem, compiled),
+    }
+    errors = growth(plan, problem, runs)
+    convergence = order(problem, runs["open-loop"])
+    steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
+    judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
+    sound = all(section.passed for section in required.values())
+    mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
+    seen = mode or "open-loop"
+    converged = optimality(plan, problem, now)
+    passed = mode is not None and (converged.passed or not optimal)
+    sections = {
+        **required,
+        # Whether the solve converged, and whether one more step of it would still lower the cost.
+        "optimality": converged,
+        # Step 3: MuJoCo at a refined step, open loop and with the plan's gains; beside it how errors grow along the
+        # plan, the replay error that this predicts, what halving MuJoCo's step changes, and the cost at a step of zero.
+        "refined_open_loop": steps["open-loop"][0],
+        "refined_feedback": steps["feedback"][0],
+        "growth": errors.section,
+        "order": convergence.section,
+        # Step 4: whether the replay gets where the cost wanted it, and whether the machine stays where it is asked to.
+        "goal": steps[seen][1],
+        "hold": Section("hold", not_applicable="it was not asked for"),
+        # Step 5: how often it still arrives with other masses, friction, starts, noise and delay.
+        "perturbed": Section("perturbed", not_applicable="no rollouts were asked for"),
+    }
+    asked = {
+        "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
+        "another_model": compiled.twin is not plan.twin,
+    }  # fmt: skip
+    proof = Proof(
+        verdict="PASS" if passed else "FAIL", mode=mode,
+        reason=_reason(passed, (*required.values(), *judged[seen], converged), steps[seen], runs[seen]),
+        sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
+        not_checked=_not_checked(plan, problem),
+    )  # fmt: skip
+    if hold_seconds:
+        proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
+    if not rollouts:
+        return proof
+    return with_rollouts(
+        proof, rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial, progress=progress
+    )
+
+
+def with_rollouts(
+    proof: Proof, rollouts: int = ROLLOUTS, *, seed: int = 0, perturbation: Perturbation | None = None,
+    budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+) -> Proof:  # fmt: skip
+    """A proof with step 5 added; the arguments are those of prove()."""
+    run, trials = proof.replay, Trials(rollouts, seed, perturbation)
+    found = perturbed(run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress)
+    asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(found.perturbation)}
+    return replace(proof, sections=proof.sections | {"perturbed": found.section}, monte_carlo=found, asked=asked)
+
+
+def _held(proof: Proof, held: Held) -> Proof:
+    """The proof with the hold step added: a machine that was to stay at the goal and does not, fails."""
+    section = hold_section(held)
+    proof = replace(proof, sections=proof.sections | {"hold": section}, held=held)
+    if section.passed or not proof.passed:
+        return proof
+    plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
+    miss = float(np.abs(plan.space.difference(proof.replays["feedback"].xs[-1], held.hold.x_goal)).max())
+    reason = (
+        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends {miss:.2g} from the goal (largest "
+        "component), too far for the regulator; larger final weights end nearer."
+    )
+    return replace(proof, verdict="FAIL", mode=None, reason=reason)
+
+
+def _not_checked(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """What the verdict says nothing of."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return ()
+    unjudged = unjudged_ends(problem, plan.xs, plan.us)
+    phrases = [f"the end of {name} was not judged" for name in unjudged]
+    if not unjudged and not wanted_of(problem):
+        phrases.append("no goal was asked for")
+    return tuple(phrases)
+
+
+def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run: Replay) -> str:
+    """The verdict in a sentence: how the plan passed, or which step failed and by how much."""
+    if not passed:
+        broken = next(section for section in judged if section.failures)
+        more = "".join(f" {sentence}" for sentence in (*run.warnings, *run.reached))
+        if broken.title == "parity":  # the first term that differs makes the later ones differ
+            return f"{broken.title}: {broken.failures[0]}, {broken.failures[0].note}.{more}"
+        if broken.title == "plan" and run.plan.changed:
+            return f"plan: {broken.failures[-1].note}.{more}"
+        if broken.title == "optimal":
+            why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
+            return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
+        failures = "; ".join(map(str, broken.failures))
+        if run.reached and broken.title != "plan":  # what was reached is why the rest differs
+            return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
+        return f"{broken.title}: {failures}.{more}"
+    measured = [one for section in steps for one in section.measured if one.bound]
+    worst = max(measured, key=lambda one: one.value / (one.bound or 1.0))
+    how = "with the plan's gains" if run.feedback else "open loop"
+    return f"MuJoCo repeats the plan {how} at a step of {run.timestep:.3g} s; nearest to its bound: {worst}."
