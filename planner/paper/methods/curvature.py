@@ -12,15 +12,19 @@ eigenvalues (Sylvester's law of inertia), so that of the whole Hessian (N nu, N 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.base.errors import PlannerError
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers import lq
+from planner.solvers.slq import solve
 
 STEP = 1e-4  # of the differences, times 1 + |x| or |u|: their error is about 1e-8
 ROUNDING = 1e-6  # of the size of a block's terms: an eigenvalue this little below zero may be the differences'
+DONE = 1e-13  # decrease promised, relative to J, at which a point counts as stationary
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,3 +102,17 @@ def hamiltonian_hessians(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tu
         if j < ndx:
             Q[:, j] = (up_end - down_end) / (2.0 * step[-1])
     return 0.5 * (H + H.swapaxes(1, 2)), 0.5 * (Q + Q.T)
+
+
+def minimum_near(problem: Problem, us: np.ndarray, most: int = 300) -> tuple[Plan, Curvature]:
+    """The stationary point that a solve's end us (N, nu) is near to, by at most so many more iterations, and its Hessian.
+
+    Newton's where the machine has second derivatives. The end itself is off it by what its solve left undone, and on a
+    steep slope beside a minimum the Hessian may still be indefinite.
+    """
+    near = replace(problem, us=us)
+    try:
+        plan = solve(near, hessian="exact", max_iterations=most, decrease_tolerance=DONE, gain_tolerance=0.0)
+    except PlannerError:  # contacts and stops have none
+        plan = solve(near, max_iterations=most, decrease_tolerance=DONE, gain_tolerance=0.0)
+    return plan, curvature(problem, plan.xs, plan.us)
