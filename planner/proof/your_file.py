@@ -25,7 +25,7 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven, in_order
-from planner.model.mjcf.left_out import pairs_by_name
+from planner.model.mjcf.left_out import names_of
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import compile_model, named
 from planner.model.twin import Twin
@@ -73,7 +73,7 @@ def your_file(
         PlannerError: The plan cannot be replayed.
         ModelError: MuJoCo refuses the file, or it is of another machine.
     """
-    edited, twin = mjcf is not None or twin is not None, twin or plan.twin
+    twin = twin or plan.twin
     if twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
@@ -85,19 +85,18 @@ def your_file(
     else:
         run = replay_in(compiled, plan, feedback=True)
         shown = _open_loop(run)
-    unknown = _unknown_pairs(run.compiled, problem, edited)
-    section = Section(TITLE, (*_measured(run, problem, goals, unknown), *shown))
+    section = Section(TITLE, (*_measured(run, problem, goals), *shown))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
     again = replay_in(run.compiled, plan, feedback=True, integrator=own)
-    other = Section(TITLE, (*_measured(again, problem, goals, unknown), *_open_loop(again)))
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(again)))
     return (other, again) if other.passed else (section, run)
 
 
-def _measured(run: Replay, problem: Problem, goals: Sequence[Goal], unknown: set[frozenset[int]]) -> list[Measured]:
+def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Measured]:
     """Everything that is judged and shown of a replay with gains."""
-    touching, overlaps = _touches(run, unknown)
+    touching, overlaps = _touches(run, problem)
     sentences = {
         "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
         "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
@@ -151,20 +150,15 @@ def _same_model(one: Twin, other: Twin) -> bool:
     return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
 
 
-def _unknown_pairs(compiled: CompiledTwin, problem: Problem, edited: bool) -> set[frozenset[int]]:
-    """The pairs of geoms of a compiled file of which the plan knows nothing."""
-    found = lacking(problem, compiled)
-    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism) or not (edited or found.pairs):
-        return set()
-    return {frozenset(pair) for key, pair in pairs_by_name(compiled.model).items() if key not in found.known}
-
-
-def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list[str]]:
-    """Sentences about unknown pairs that touch, and about those that do at the start and go no deeper."""
+def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
+    """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+        return wrong, overlaps  # nobody can tell what other dynamics know
+    known = lacking(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
     for touch in run.touches:
-        if frozenset(touch.geoms) not in unknown or touch.deepest <= GRAZE * scale:
+        if names_of(model, touch.geoms) in known or touch.deepest <= GRAZE * scale:
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
         if touch.at_start <= GRAZE * scale:
