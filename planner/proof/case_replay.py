@@ -47,7 +47,7 @@ def replay_case(
                 w[i] = np.nan
                 break
             data.ctrl[:] = ctrl[i]
-            with rollouts.curves(batch):
+            with rollouts.curves(batch, [data]):
                 recorder.step(i, data)
             w[i + 1] = state_of(data)
             if not np.all(np.abs(w[i + 1]) < RUNAWAY):
@@ -55,7 +55,7 @@ def replay_case(
                 break
         warnings = warnings_of(data)
         if np.isfinite(w[M]).all():
-            with rollouts.curves(batch):
+            with rollouts.curves(batch, [data]):
                 recorder.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
