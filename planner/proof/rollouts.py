@@ -169,26 +169,28 @@ class Rollouts:
         xs = np.empty((K, len(at), self.plan.xs.shape[1]))
         xs[:, 0] = self.x_of(batch.start)
         states = np.empty((K, n, len(self._row)))
-        for i in range(0, self.steps, n):
-            if time.monotonic() > deadline:
-                raise OutOfTime
-            if self.steps - i < n:
-                n = self.steps - i
-                states = np.empty((K, n, len(self._row)))
-            with np.errstate(all="ignore"):  # of one about to explode
-                ctrl = commands(i, n, row[:, 1 : 1 + nw])
-            with self.curves(batch, self._data):
+        with self.curves(batch, self._data):
+            for i in range(0, self.steps, n):
+                if time.monotonic() > deadline:
+                    raise OutOfTime
+                if self.steps - i < n:
+                    n = self.steps - i
+                    states = np.empty((K, n, len(self._row)))
+                with np.errstate(all="ignore"):  # of one about to explode
+                    ctrl = commands(i, n, row[:, 1 : 1 + nw])
                 self._pool.rollout(
                     batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
                 )
-            row[:] = states[:, -1]
-            # MuJoCo stops a simulation that explodes, and its time with it.
-            sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)
-            here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
-            if here.start < here.stop:
-                xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
-            if not sound.all():
-                row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
+                row[:] = states[:, -1]
+                # MuJoCo stops a simulation that explodes, and its time with it.
+                sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (
+                    np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step
+                )
+                here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
+                if here.start < here.stop:
+                    xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
+                if not sound.all():
+                    row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
         return xs
 
     def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:
