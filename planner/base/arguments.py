@@ -14,11 +14,11 @@ from planner.base.errors import PlannerError
 
 LONGEST_HORIZON = 1_000_000  # stages; gains and models of more do not fit into memory
 _LARGEST_COUNT = 2**63 - 1  # largest integer of the kernels
-_LONGEST_TEXT = 200
+_LONGEST_TEXT = 100
 
 
 def shown(value: Any) -> str:
-    """A value for a message: its repr in one line, cut to 200 characters."""
+    """A value for a message: its repr in one line, cut to 100 characters."""
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # Python does not print integers of more than 4300 digits
@@ -77,7 +77,8 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
 
 def did_you_mean(value: Any, known: Collection[str]) -> str:
     """A sentence that suggests the nearest known name, with a space before it; "" where none is near."""
-    near = difflib.get_close_matches(value, list(known), n=1) if isinstance(value, str) else []
+    short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search takes the square of its length
+    near = difflib.get_close_matches(value, list(known), n=1) if short else []
     return f" Did you mean {near[0]!r}?" if near else ""
 
 

@@ -7,6 +7,7 @@ under a hidden name beside its place and moved there by os.replace, which is ato
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import shutil
 import stat
@@ -23,6 +24,8 @@ TEXT_LIMIT = 64 * 2**20  # bytes of an XML or TOML file
 ASSET_LIMIT = 512 * 2**20  # bytes of a mesh, a texture or a height field
 
 _HIDDEN = ".planner-"  # prefix of the names of unfinished files and folders
+_LOCK = f"{_HIDDEN}lock"
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # of file systems that have none
 _FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
 
 # Errors of the device, which come without a file name.
@@ -130,6 +133,45 @@ def open_folder(folder: Path, outputs: Iterable[str]) -> tuple[Path, list[Path]]
 
 
 @contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Hold a folder, so that the files of two processes do not mix; the system lets it go when a process is killed.
+
+    Raises:
+        FileError: Another process holds it, or it cannot be written.
+    """
+    lock = folder / _LOCK
+    try:
+        handle = _locked(lock)
+    except BlockingIOError:
+        reason = "another planner is writing into it; wait for its end or choose another folder"
+        raise FileError(f"cannot write {_shown(folder)}: {reason}.") from None
+    except OSError as error:
+        raise file_error(error, folder, expected="folder") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
+
+
+def _locked(path: Path) -> int:
+    """Handle of a file that this process alone has locked."""
+    while True:
+        handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                return handle
+            os.close(handle)
+            raise
+        if os.fstat(handle).st_nlink:
+            return handle
+        os.close(handle)  # whoever held it has removed it since it was opened
+
+
+@contextmanager
 def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a hidden folder inside `path`; on success its files move to `path`, one after the other.
 
@@ -142,8 +184,11 @@ def staged_folder(path: PathLike, outputs: Iterable[str] = ()) -> Iterator[Path]
     folder, outputs = Path(path), tuple(outputs)
     staging, created = open_folder(folder, outputs)
     try:
+        with held(folder):  # another writer is found out before any work
+            pass
         yield staging
-        _publish(staging, folder, outputs)
+        with held(folder):
+            _publish(staging, folder, outputs)
     except BaseException as error:
         complaint = None
         if isinstance(error, OSError) and _concerns(error, staging, folder):

@@ -21,6 +21,7 @@ The paper reports 3 iterations for y = 1 to 166 for y = 50; `planner paper hoppe
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -153,23 +154,25 @@ def _appearance(height: float) -> Appearance:
 
 def _requirements(dynamics: HopperDynamics, height: float) -> Requirements:
     """The rules of the proof for this machine."""
-    offset = 0.5 * dynamics.smoothing
-
-    def equal_states(rng: np.random.Generator, K: int) -> np.ndarray:
-        # In flight, and in stance beyond the smoothing, both springs are the same; in between they differ by design.
-        # The rate of the leg is random because it must have no effect on the mass.
-        y, dy, dleg = rng.uniform(-20.0, 60.0, K), rng.uniform(-200.0, 200.0, K), rng.uniform(-200.0, 200.0, K)
-        stretch, stance = rng.uniform(0.1, 10.0, K), rng.random(K) < 0.5
-        act = y - offset + np.where(stance, dynamics.smoothing + stretch, -stretch)
-        return np.stack([y, np.where(stance, y, act), dy, dleg, act], axis=1)
-
     return Requirements(
-        equal_states=equal_states, rates=dynamics.rates, start="start",
+        equal_states=partial(equal_states, smoothing=dynamics.smoothing), rates=dynamics.rates, start="start",
         no_same_step="the twin's foot and contact need a step of their own: no step of MuJoCo is the plan's stage",
-        tracking=lambda replay: judge_tracking(replay, height, dynamics.smoothing),
-        goal=lambda replay: judge_goal(replay, height, dynamics.gravity),
-        success=lambda ends: arrived(ends, height, dynamics.gravity),
+        tracking=partial(judge_tracking, goal=height, smoothing=dynamics.smoothing),
+        goal=partial(judge_goal, goal=height, gravity=dynamics.gravity),
+        success=partial(arrived, goal=height, gravity=dynamics.gravity),
     )  # fmt: skip
+
+
+def equal_states(rng: np.random.Generator, K: int, smoothing: float) -> np.ndarray:
+    """Random simulator states (K, 5) at which twin and plan accelerate alike.
+
+    In flight, and in stance beyond the smoothing, both springs are the same; in between they differ by design. The
+    rate of the leg is random because it must have no effect on the mass.
+    """
+    y, dy, dleg = rng.uniform(-20.0, 60.0, K), rng.uniform(-200.0, 200.0, K), rng.uniform(-200.0, 200.0, K)
+    stretch, stance = rng.uniform(0.1, 10.0, K), rng.random(K) < 0.5
+    act = y - 0.5 * smoothing + np.where(stance, smoothing + stretch, -stretch)
+    return np.stack([y, np.where(stance, y, act), dy, dleg, act], axis=1)
 
 
 def arrived(ends: np.ndarray, goal: float, gravity: float) -> np.ndarray:

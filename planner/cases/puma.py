@@ -24,6 +24,7 @@ Heavy loads need a first guess near their lift: planner.paper.largest_payload ap
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -124,7 +125,7 @@ def puma(
     return Problem(
         dynamics, cost, x0=start, us=us, twin=Twin.of(mechanism), appearance=_appearance(payload),
         recipe=Recipe("puma", parameters, puma),
-        requirements=Requirements(goal=lambda replay: judge_lift(replay, goal, limits)),
+        requirements=Requirements(goal=partial(judge_lift, goal=goal, limits=limits)),
         limits=Limits(control=bounds, velocity=speed_limit) if limited else None,
     )  # fmt: skip
 

@@ -8,12 +8,16 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner.base.jsonable import finite
-from planner.problem.plan import Iteration, Start
-from planner.solvers.free_time import Tried
-from planner.solvers.periodic import Pass
+
+if TYPE_CHECKING:
+    from planner.problem.plan import Iteration, Start
+    from planner.solvers.free_time import Tried
+    from planner.solvers.periodic import Pass
+
+_LONGEST = 1000  # characters of a sentence that quotes what it was given
 
 
 def shown(value: object) -> str:
@@ -23,8 +27,15 @@ def shown(value: object) -> str:
     return "" if value is None else f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
+def _escaped(one: str) -> str:
+    return one.encode("unicode_escape").decode()
+
+
 class Console:
-    """Output of a command: text, or one JSON document at the end (`as_json`); `quiet` prints no progress."""
+    """Output of a command: text, or one JSON document at the end (`as_json`); `quiet` prints no progress.
+
+    Characters that a terminal does not print are escaped here: names in a file must not move its cursor.
+    """
 
     def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
         self.as_json, self.quiet = as_json, quiet
@@ -38,6 +49,7 @@ class Console:
         if stream is None or (result and self.lost):
             return
         try:
+            text = "".join(one if one.isprintable() or one in "\n\r\t" else _escaped(one) for one in text)
             print(text, file=stream, end=end, flush=True)
         except OSError as error:
             # The buffered rest would fail again at exit.
@@ -56,7 +68,10 @@ class Console:
 
     def complain(self, text: str) -> None:
         """Print an error, one sentence."""
-        self._print(f"planner: {text}", result=False)
+        if len(text) > _LONGEST:
+            text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+        line = "".join(_escaped(one) if one in "\n\r" else one for one in text)
+        self._print(f"planner: {line}", result=False)
 
     def document(self, content: dict[str, Any]) -> None:
         """Print the JSON document, only with --json."""

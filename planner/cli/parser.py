@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NoReturn, get_args, get_type_hints
 
-from planner.base.arguments import choice
+from planner.base.arguments import choice, shown
 from planner.base.errors import PlannerError
 from planner.cases import CASES
 from planner.cases.problem_file import keys as problem_keys
 from planner.dynamics import INTEGRATORS
 from planner.paper.studies.catalogue import STUDIES
 from planner.problem.objective import OBJECTIVES
+from planner.proof.engines import ENGINES
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 
 PROBLEM_FILE = "PROBLEM.toml"
@@ -36,6 +37,11 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        if arg_strings == ["--"] and action.option_strings:  # argparse would drop it, and then miss it
+            raise argparse.ArgumentError(action, "expected another value than '--'")
+        return super()._get_values(action, arg_strings)  # type: ignore[misc]
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None:
@@ -61,7 +67,7 @@ def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]
         try:
             return parse(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}") from None
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not {expected}") from None
 
     return convert
 
@@ -208,6 +214,8 @@ def build() -> argparse.ArgumentParser:
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
         {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),
+         "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
+                      "help": f"Also repeat the plan in {' or '.join(ENGINES)}, where installed; repeat it for both."},
          "--out": _takes("FILE", "Write the proof to this JSON file.")}, _PROOF, _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
@@ -269,4 +277,4 @@ def parse(argv: list[str]) -> argparse.Namespace:
     near = difflib.get_close_matches(word.split("=")[0], known, n=1)
     hint = f"Did you mean {near[0]}?" if near else f"See {where} --help."
     kind = "flag" if word.startswith("-") else "argument"
-    raise PlannerError(f"{where!r} has no {kind} {word!r}. {hint}")
+    raise PlannerError(f"{where!r} has no {kind} {shown(word)}. {hint}")

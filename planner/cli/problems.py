@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from planner import cases
-from planner.base.arguments import count, number
+from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
@@ -77,7 +77,7 @@ def objective_of(text: str) -> dict[str, float]:
         try:
             weights[name.strip()] = float(value)
         except ValueError:
-            raise PlannerError(f"--objective has {word!r}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
+            raise PlannerError(f"--objective has {shown(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2.") from None
     return weights_of(weights)
 
 
@@ -86,7 +86,7 @@ def durations_of(text: str) -> list[float]:
     try:
         shortest, longest = map(float, text.split(","))
     except ValueError:
-        raise PlannerError(f"--durations is {text!r}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
+        raise PlannerError(f"--durations is {shown(text)}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
     return [shortest, longest]
 
 

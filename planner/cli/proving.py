@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import argparse
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from planner.base.arguments import choice, count
+from planner.base.arguments import shown as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.base.jsonable import json_text
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
 from planner.cli.results import plan_facts, show_proof
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.proof.case_replay import replay_case
 from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.engines.section import NOTES, another_engine, require
 from planner.proof.perturbation import Perturbation
 from planner.proof.replaying import Replay
 
@@ -26,9 +30,10 @@ from planner.proof.replaying import Replay
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
     plan = load_plan(arguments.plan)
+    digest = plan_digest(arguments.plan)
     if arguments.replay_case is not None:
-        for flag in ("mjcf", "out"):
-            if getattr(arguments, flag) is not None:
+        for flag in ("mjcf", "out", "engine"):
+            if getattr(arguments, flag):
                 raise PlannerError(
                     f"--{flag} is given with --replay-case, which shows a simulation in the plan's own model, "
                     "expected one of the two flags."
@@ -36,7 +41,9 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         return _show_rollout(plan, arguments, console)
     if arguments.out is not None and Path(arguments.out).suffix != ".json":
         raise PlannerError(f"cannot write the proof as {arguments.out!r}: expected a name ending in .json.")
-    perturbation = _perturbation(plan, arguments)
+    perturbation, engines = _perturbation(plan, arguments), dict.fromkeys(arguments.engine)
+    for name in engines:
+        require(name)
     # an unwritable file fails before the work
     with nullcontext() if arguments.out is None else write_atomically(arguments.out) as unfinished:
         proof = prove(
@@ -44,12 +51,18 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
             progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
+        sections = {name: another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed) for name in engines}
+        found = proof.to_dict() | {"engines": {name: section.to_dict() for name, section in sections.items()}}
         if unfinished is not None:
-            unfinished.write_text(json_text(proof.to_dict()), encoding="utf-8")
-    show_proof(proof, console)
+            unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
+    show_proof(replace(proof, sections=proof.sections | sections), console)  # shown: they are no part of the verdict
+    for section in sections.values():
+        for one in section.measured:
+            if one.name in NOTES and one.note:
+                console.say(f"{section.title}, {one.name.replace('_', ' ')}: {one.note}")
     if arguments.out is not None:
         console.say(arguments.out)
-    return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=proof.to_dict())
+    return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=found)
 
 
 def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
@@ -71,7 +84,7 @@ def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
         try:
             given[name] = float(value)
         except ValueError:
-            raise PlannerError(f"--perturb {name} is {value!r}, expected a number, e.g. {name}=0.05.") from None
+            raise PlannerError(f"--perturb {name} is {quoted(value)}, expected a number, e.g. {name}=0.05.") from None
     return Perturbation.usual(plan.problem, **given)
 
 

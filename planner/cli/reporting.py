@@ -9,6 +9,7 @@ from planner.base.files import staged_folder
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
 from planner.cli.results import OUTPUTS, draw_results, is_finite, show_proof, write_proof
+from planner.problem.archive import plan_digest
 from planner.proof import prove
 
 
@@ -21,7 +22,7 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
             progress = console.progress("perturbed simulations, margin included")
             proof = prove(plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold, progress=progress)
         plan.save(staged / "plan.npz")
-        write_proof(plan, proof, staged)
+        write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
         draw_results(plan, proof, staged, not arguments.no_video, console)
     if proof is not None:
         show_proof(proof, console)

@@ -32,10 +32,15 @@ def is_finite(plan: Plan) -> bool:
     return bool(np.isfinite(plan.xs).all() and np.isfinite(plan.cost))
 
 
-def write_proof(plan: Plan, proof: Proof | None, folder: Path, path: Sequence[Refinement] = ()) -> None:
-    """Write proof.json, also for a plan that was not replayed; `path` lists the refinements of the plan."""
+def write_proof(
+    plan: Plan, proof: Proof | None, folder: Path, digest: str, path: Sequence[Refinement] = ()
+) -> None:  # fmt: skip
+    """Write proof.json, also for a plan that was not replayed.
+
+    `digest` is that of the plan's file, and `path` lists the refinements of the plan.
+    """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
-    content = failed if proof is None else proof.to_dict()
+    content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
     write_json(folder / "proof.json", content)

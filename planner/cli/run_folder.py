@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.base.files import PathLike, file_error, open_folder, remove_empty, write_atomically
+from planner.base.files import PathLike, file_error, held, open_folder, remove_empty, write_atomically
 from planner.base.jsonable import finite, json_text
 
 MARK = ".planner-unfinished.json"
@@ -59,18 +59,19 @@ def run_folder(path: PathLike, outputs: Iterable[str], asked: dict[str, Any]) ->
     An exception leaves finished files; without any, created folders are removed again.
 
     Raises:
-        FileError: The folder cannot be written.
+        FileError: The folder cannot be written, or another run is writing into it.
     """
     place = Path(path)
     run = hashlib.sha256(json.dumps(finite(asked), sort_keys=True).encode()).hexdigest()
     folder = RunFolder(place, tuple(outputs), run)
     probe, created = open_folder(place, folder.outputs)
-    probe.rmdir()
-    mark = _mark(place / MARK)
-    if mark.get("run") == run and (place / folder.outputs[0]).is_file():
-        folder.began, folder.notes = True, mark.get("notes", {})
     try:
-        yield folder
+        probe.rmdir()
+        with held(place):
+            mark = _mark(place / MARK)
+            if mark.get("run") == run and (place / folder.outputs[0]).is_file():
+                folder.began, folder.notes = True, mark.get("notes", {})
+            yield folder
     except OSError as error:
         if error.filename is None or Path(error.filename).parent != place:
             raise

@@ -18,6 +18,7 @@ from planner.cli import results
 from planner.cli.console import Console
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
@@ -79,19 +80,21 @@ def _run(
         console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
+    digest = plan_digest(folder.path / "plan.npz")
     results.show_plan(plan, seconds, console)
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
         plan, proof, path = _refined(plan, proof, arguments, console)
         if path:
             folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
-    results.write_proof(plan, proof, folder.path, path)  # without the rollouts, which may be interrupted
+            digest = plan_digest(folder.path / "plan.npz")
+    results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     if proof is not None and arguments.rollouts:
         proof = with_rollouts(
             proof, arguments.rollouts, budget=BUDGET, partial=folder.path / ROLLOUTS,
             progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
-        results.write_proof(plan, proof, folder.path, path)
+        results.write_proof(plan, proof, folder.path, digest, path)
     if proof is not None:
         results.show_proof(proof, console)
     note = results.draw_results(

@@ -89,6 +89,11 @@ class BodyPlace:
         self.J = self._at(self._arms, 0) - self._at(self._arms, 1)
         self.v = np.einsum("kaj,kj->ka", self.J, qd)
 
+    @property
+    def crossing(self) -> np.ndarray:
+        """(K,) sine of the angle between the axes, by which the closest points are sharp; 0 where one is a sphere."""
+        return np.linalg.norm(np.cross(*self._axes), axis=1)
+
     def _at(self, arms: list[np.ndarray], k: int) -> np.ndarray:
         """(K, 3, nv) Jacobian of the point of part k that is at its arm from its middle."""
         return self._at_middle[k] + np.cross(self._angular[k], arms[k][:, :, None], axis=1)

@@ -19,6 +19,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.dynamics import kinematics
 from planner.dynamics.contact_places import BodyPlace
+from planner.model.contact.between_bodies import BodyContact
 from planner.model.contact.laws import Contact, ContactLaw, Law, slide_direction
 from planner.model.joint_curves import curve_torque_derivatives, curve_torques
 from planner.model.mechanism import Frame, Mechanism
@@ -44,7 +45,7 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
         PlannerError: A wrong shape or a number that is not finite.
     """
     q, qd, single = _states(mechanism, q, qd)
-    places = [_Place(mechanism, contact, q, qd) for contact in mechanism.contacts]
+    places = [PlanePlace(mechanism, contact, q, qd) for contact in mechanism.contacts]
     return _forces(places, q, single)
 
 
@@ -55,7 +56,7 @@ def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     return _forces(places, q, single)
 
 
-def _forces(places: Sequence[_Place | BodyPlace], q: np.ndarray, single: bool) -> ContactForces:
+def _forces(places: Sequence[PlanePlace | BodyPlace], q: np.ndarray, single: bool) -> ContactForces:
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
@@ -70,7 +71,7 @@ def contact_jacobians(mechanism: Mechanism, q: Any) -> np.ndarray:
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
     J = np.zeros((len(q), len(mechanism.contacts), 3, mechanism.nv))
     for k, contact in enumerate(mechanism.contacts):
-        J[:, k] = _Place(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
+        J[:, k] = PlanePlace(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
     return J[0] if single else J
 
 
@@ -81,8 +82,8 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     for place in _places(mechanism, q, qd):
         tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
     for stop in mechanism.stops:
-        e, opening = _stop_state(mechanism, stop, q, qd)
-        tau[:, stop.dof] -= stop.side * _one_sided(stop.law, e, opening)[0]
+        e, opening = stop_state(mechanism, stop, q, qd)
+        tau[:, stop.dof] -= stop.side * one_sided(stop.law, e, opening)[0]
     return tau[0] if single else tau
 
 
@@ -100,8 +101,8 @@ def generalized_force_derivatives(mechanism: Mechanism, q: Any, qd: Any) -> tupl
         by_q += np.einsum("kaji,ka->kji", dJ, f) + np.swapaxes(J, 1, 2) @ df
         by_qd += np.swapaxes(J, 1, 2) @ f_v @ J
     for stop in mechanism.stops:
-        e, opening = _stop_state(mechanism, stop, q, qd)
-        _, by_e, by_opening = _one_sided(stop.law, e, opening)
+        e, opening = stop_state(mechanism, stop, q, qd)
+        _, by_e, by_opening = one_sided(stop.law, e, opening)
         by_q[:, stop.dof, stop.dof] -= by_e
         by_qd[:, stop.dof, stop.dof] += by_opening
     return (by_q[0], by_qd[0]) if single else (by_q, by_qd)
@@ -114,14 +115,19 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
     return np.atleast_2d(q), np.atleast_2d(qd), single
 
 
-def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[_Place | BodyPlace]:
-    return [
-        *(_Place(mechanism, contact, q, qd) for contact in mechanism.contacts),
-        *(BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts),
-    ]
+def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlanePlace | BodyPlace]:
+    return [place_of(mechanism, contact, q, qd) for contact in (*mechanism.contacts, *mechanism.body_contacts)]
 
 
-class _Place:
+def place_of(
+    mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
+) -> PlanePlace | BodyPlace:
+    """Where a contact is at K states, q (K, nq) and qd (K, nv)."""
+    kind = PlanePlace if isinstance(contact, Contact) else BodyPlace
+    return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
+
+
+class PlanePlace:
     """Where a contact is at K states: as BodyPlace, for a sphere and a plane."""
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
@@ -150,7 +156,7 @@ class _Place:
         return de, np.zeros_like(darm), dJ + np.cross(self.angular[:, :, :, None], darm[:, :, None, :], axis=1)
 
 
-def _stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far beyond a stop, and how fast back."""
     e = stop.side * (q[:, mechanism.q_address[stop.dof]] - stop.end) + stop.law.lift
     return e, -stop.side * qd[:, stop.dof]
@@ -180,14 +186,14 @@ def _raw(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.n
     )
 
 
-def _one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def one_sided(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The force of the law, and its derivatives by e and v_n."""
     g, by_e, by_opening = _raw(law, e, opening)
     force, slope = ramp(g, float(law.force_ramp or 0.0))
     return force, slope * by_e, slope * by_opening
 
 
-def _force(place: _Place | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _force(place: PlanePlace | BodyPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force (K, 3), and its derivatives by the penetration (K, 3) and by the relative velocity (K, 3, 3)."""
     return contact_force(place.contact.law, place.n, place.e, place.v)
 

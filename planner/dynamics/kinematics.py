@@ -16,7 +16,7 @@ from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import hat
 
 
-def _places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def link_places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
     model, nv = kernel_model(b.mechanism), b.mechanism.nv
     records = np.empty((b.K, nv, 18))
@@ -55,7 +55,7 @@ def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
         PlannerError: A wrong shape or a number that is not finite.
     """
     b = Batch(mechanism, q=q)
-    T = _places(b)[0]
+    T = link_places(b)[0]
     poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
     return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
 
@@ -77,7 +77,7 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
     if f.link < 0:
         return b.out(np.tile(f.T, (b.K, 1, 1)))
-    return b.out(_places(b)[0][:, f.link] @ f.T)
+    return b.out(link_places(b)[0][:, f.link] @ f.T)
 
 
 def _moving(mechanism: Mechanism, link: int) -> list[int]:
@@ -100,7 +100,7 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
     b, f = Batch(mechanism, q=q), _framed(mechanism, frame)
-    T, screws, origin = _places(b)
+    T, screws, origin = link_places(b)
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
         p = (T[:, f.link] @ f.T)[:, :3, 3] - origin[:, f.link]
@@ -123,7 +123,7 @@ def points_of(
         moving: Whether Jacobians are wanted; else they are empty.
     """
     b = Batch(mechanism, q=q)
-    T, screws, origin = _places(b)
+    T, screws, origin = link_places(b)
     T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
     T = T[:, links]
     places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]

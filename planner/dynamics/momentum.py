@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, shown
+from planner.base.arguments import shown
 from planner.base.errors import PlannerError
-from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.model.mechanism import Frame, Mechanism
+from planner.dynamics.batch import Batch
+from planner.dynamics.kinematics import link_places, points_of
+from planner.model.mechanism import Mechanism
 
 
 def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
@@ -28,9 +29,9 @@ def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
     """
-    q = np.asarray(q, dtype=float)
-    weighed = [m * frame_pose(mechanism, q, centre)[..., :3, 3] for _, m, centre in _massive(mechanism)]
-    return np.sum(weighed, axis=0) / mechanism.mass.sum()
+    masses, offsets, links = _massive(mechanism)
+    places, _ = points_of(mechanism, q, links, offsets, moving=False)
+    return np.einsum("l,...li->...i", masses, places) / masses.sum()
 
 
 def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
@@ -44,31 +45,28 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape, a number that is not finite, or a machine without mass.
     """
-    q = np.asarray(q, dtype=float)
-    qd = array("qd", qd, (*q.shape[:-1], mechanism.nv))
-    links = _massive(mechanism)
-    total = mechanism.mass.sum()
-    places, speeds, spins = [], [], []
-    for link, _, centre in links:
-        T, V = frame_pose(mechanism, q, centre), np.einsum("...ij,...j->...i", jacobian(mechanism, q, centre), qd)
-        places.append(T[..., :3, 3])
-        speeds.append(V[..., :3])
-        own = np.einsum("...ji,...j->...i", T[..., :3, :3], V[..., 3:])  # the turning in the link's own axes
-        spins.append(np.einsum("...ij,jk,...k->...i", T[..., :3, :3], mechanism.inertia[link], own))
-    masses = np.array([m for _, m, _ in links]).reshape(-1, *[1] * q.ndim)
-    c, v = (np.sum(masses * values, axis=0) / total for values in (places, speeds))
-    return np.sum(spins, axis=0) + np.sum(masses * np.cross(np.array(places) - c, np.array(speeds) - v), axis=0)
+    masses, offsets, links = _massive(mechanism)
+    b = Batch(mechanism, q=q, qd=qd)
+    T, screws, origin = link_places(b)
+    twists = screws * b["qd"][:, :, None]  # of each link, relative to the one that carries it
+    for i, parent in enumerate(mechanism.parent):
+        if parent >= 0:
+            twists[:, i] += twists[:, parent]
+    T, origin, spin, moving = T[:, links], origin[:, links], twists[:, links, :3], twists[:, links, 3:]
+    R = T[..., :3, :3]
+    places = np.einsum("klij,lj->kli", R, offsets) + T[..., :3, 3]
+    speeds = moving + np.cross(spin, places - origin)
+    own = np.einsum("klji,klj->kli", R, spin)  # the turning in the link's own axes
+    spins = np.einsum("klij,ljm,klm->ki", R, mechanism.inertia[links], own)
+    c, v = (np.einsum("l,kli->ki", masses, values)[:, None] / masses.sum() for values in (places, speeds))
+    return b.out(spins + np.einsum("l,kli->ki", masses, np.cross(places - c, speeds - v)))
 
 
-def _massive(mechanism: Mechanism) -> list[tuple[int, float, Frame]]:
-    """The links with mass: which, kg, and a frame at the centre of mass in the link's axes."""
+def _massive(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The links with mass: kg (L,), centre of mass (L, 3) in the link's frame, and which (L,)."""
     if not isinstance(mechanism, Mechanism):
         raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
-    found = []
-    for link in np.flatnonzero(mechanism.mass > 0.0):
-        T = np.eye(4)
-        T[:3, 3] = mechanism.com[link]
-        found.append((int(link), float(mechanism.mass[link]), Frame(int(link), T)))
-    if not found:
+    links = np.flatnonzero(mechanism.mass > 0.0)
+    if not len(links):
         raise PlannerError("the mechanism has no mass, expected at least one link that has.")
-    return found
+    return mechanism.mass[links], mechanism.com[links], links

@@ -51,23 +51,34 @@ class RigidBodyDynamics:
         if not isinstance(prescribed, (str, Collection)):
             raise PlannerError(f"prescribed is {shown(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
-        driven = np.zeros(mechanism.nv, dtype=bool)
-        for name in self.prescribed:
-            driven[mechanism.joint(name)] = True
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
-        self._model = Model(mechanism, driven)
+        self._make_tables()
         self.nu = self._model.nu
         if self.nu == 0:
             raise PlannerError("the model has no actuators, expected at least one <actuator> or a prescribed joint.")
         self._code = INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
-        self._steps = local()
         used = ("tree search", "tree structured" if self.structured else "tree dense")
         self.kernels = tuple(variant(name, self._model) for name in used)
         self.penalised_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "penalties")
         self.second_order_kernels = ("tree second order", "costates")
+
+    def _make_tables(self) -> None:
+        """The kernels' table of the mechanism, and a place for the scratch of each thread."""
+        driven = np.zeros(self.mechanism.nv, dtype=bool)
+        for name in self.prescribed:
+            driven[self.mechanism.joint(name)] = True
+        self._model, self._steps = Model(self.mechanism, driven), local()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the tables: they hold addresses, which are of this object in this process alone."""
+        return {name: part for name, part in vars(self).items() if name not in ("_model", "_steps")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._make_tables()
 
     def __repr__(self) -> str:
         n = len(self.mechanism.joint_names)

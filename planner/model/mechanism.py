@@ -27,6 +27,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -170,6 +171,14 @@ class Mechanism:
                 actuator = self.actuators.names[int(wrong[0][0])]
                 raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
         self._check_contacts()
+        self._protect()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._protect()  # NumPy copies and pickles arrays without that
+
+    def _protect(self) -> None:
+        """Make all arrays read-only."""
         frames = (*self.bodies, *self.sites.values())
         parts = [*vars(self).values(), *vars(self.actuators).values(), *(frame.T for frame in frames)]
         for value in (*parts, *self.keyframes.values()):

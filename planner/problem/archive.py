@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import FileError, ModelError
-from planner.base.files import printable, write_atomically
+from planner.base.files import printable, read_input, write_atomically
 from planner.base.jsonable import finite
 from planner.model.mjcf.bounds import check_stored
 from planner.model.space import StateSpace
@@ -213,6 +213,11 @@ def changed(arrays: dict[str, np.ndarray], meta: dict[str, Any], written: dict[s
     now = digests(arrays, meta)
     names = dict.fromkeys([*written, *now])
     return tuple(_WORDS.get(name, name) for name in names if written.get(name) != now.get(name))
+
+
+def plan_digest(path: Path) -> str:
+    """The digest of a plan's file, which its proof is stored with."""
+    return digest_of(read_input(path, "the plan"))
 
 
 def digest_of(content: bytes) -> str:

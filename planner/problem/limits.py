@@ -258,8 +258,9 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [_plain(part) for part in value]
-    if isinstance(value, (float, int, np.number)) and not isinstance(value, bool):
-        return (value.item() if isinstance(value, np.number) else value) if np.isfinite(value) else None
+    value = value.item() if isinstance(value, np.number) else value
+    if isinstance(value, float) and not np.isfinite(value):  # an int may be larger than any float
+        return None
     return value
 
 

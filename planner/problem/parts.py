@@ -6,6 +6,7 @@ no file holds.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,7 @@ def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | 
         what = f"without {', '.join(missing)}" if missing else "without a model"
         raise PlannerError(f"its problem is {what}, expected {NAME} with {', '.join(ARRAYS)} and a model.")
     mechanism: Mechanism = read(twin.planned, assets=twin.assets).with_curves(twin.curves)
+    mechanism = replace(mechanism, original=twin.original)
     prescribed = facts.get("prescribed", [])
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)

@@ -55,6 +55,7 @@ class Status(StrEnum):
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
         "give what must come back a larger final weight."
     )
+    GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
 
 
@@ -189,8 +190,8 @@ class Plan(Built):
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
 
-    def within_bounds(self, n: int, u: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, put back within the problem's bounds."""
+    def within_bounds(self, n: int | np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), put back within the problem's bounds."""
         bounds = None if self.problem is None else self.problem.bounds
         return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
 

@@ -8,5 +8,8 @@ from planner.proof.refinement import refine as refine
 from planner.proof.replaying import Replay as Replay
 from planner.proof.replaying import proven_cost as proven_cost
 from planner.proof.replaying import replay as replay
+from planner.proof.sampled_gains import Sampling as Sampling
+from planner.proof.sampled_gains import sampling_of as sampling_of
+from planner.proof.slowest_rate import slowest_rate as slowest_rate
 from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof

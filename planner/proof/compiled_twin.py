@@ -6,11 +6,14 @@ Steps, integrators and flags are options of the compiled model, so each use sets
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+
+import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
@@ -18,6 +21,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.driven import as_driven
 from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.left_out import left_out
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import Survey, compile_model
 from planner.model.mjcf.text import is_text, model_tree
@@ -28,8 +32,13 @@ from planner.problem.problem import Problem
 class CompiledTwin:
     """A twin whose text is compiled when its model is first asked for, and never again."""
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: Twin, unused: Collection[int] = ()) -> None:
         self.twin = twin  # the text and the maps between its state and the plan's
+        self.unused = frozenset(unused)  # actuators that the plan does not have: their controls stay 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the model: a copy compiles the text when it is asked for it."""
+        return {name: part for name, part in vars(self).items() if name != "model"}
 
     @cached_property
     def model(self) -> Any:
@@ -42,19 +51,39 @@ class CompiledTwin:
     def check(self, nu: int) -> None:
         """Raise ModelError unless the model has the states that the twin maps, and nu controls."""
         model, nw = self.model, self.twin.to_x.shape[1]
-        have = (model.nq + model.nv + model.na, model.nu)
+        have = (model.nq + model.nv + model.na, len(self.controls))
         if have != (nw, nu):
             raise ModelError(
                 f"the model has nq + nv + na = {have[0]} states and {have[1]} controls, expected {nw} and {nu}: "
                 "it is not the machine that the plan was made for."
             )
 
+    @cached_property
+    def controls(self) -> np.ndarray:
+        """(nu,) where MuJoCo's ctrl has the plan's controls."""
+        return np.array([i for i in range(self.model.nu) if i not in self.unused], dtype=np.int64)
+
+    def commands(self, us: np.ndarray) -> np.ndarray:
+        """MuJoCo's ctrl (..., model.nu) of a plan's controls (..., nu)."""
+        if not self.unused:
+            return us
+        ctrl = np.zeros((*us.shape[:-1], self.model.nu))
+        ctrl[..., self.controls] = us
+        return ctrl
+
     def copy(self) -> Any:
         """A model of the caller's own, to be changed."""
         return copy.copy(self.model)
 
+    def changed(self, change: Callable[[Any], object]) -> CompiledTwin:
+        """The same twin with a model that `change` has changed, which its text knows nothing of."""
+        other, model = CompiledTwin(self.twin, self.unused), self.copy()
+        change(model)
+        other.__dict__["model"] = model  # where the cached property keeps it
+        return other
+
     def stepping(self, timestep: float, integrator: str = "RK4") -> Any:
-        """A copy that takes steps of `timestep` s with MuJoCo's "RK4" or "EULER", and goes on when it runs away."""
+        """A copy that takes steps of `timestep` s with one of MuJoCo's integrators, and goes on when it runs away."""
         mujoco, model = load_mujoco(), self.copy()
         model.opt.timestep = timestep
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
@@ -88,11 +117,12 @@ def another_model(problem: Problem, twin: Twin, mjcf: str | Path | None) -> Comp
 
 def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
     """The twin without the elements that were taken out of the mechanism's file."""
-    if not mechanism.ignored:
+    if not mechanism.original:
         return compiled
-    survey, ignored = Survey(compiled.model), mechanism.ignored
+    survey = Survey(compiled.model)
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=True)]
-    kinds = {one.kind for one in found if one.phrase in ignored or one.kind in ignored}
+    lacks = left_out(mechanism.original, mechanism.mjcf, mechanism.assets).kinds
+    kinds = lacks & {one.kind for one in found}
     if not kinds:
         return compiled
     root = ElementTree.fromstring(compiled.twin.mjcf)

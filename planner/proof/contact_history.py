@@ -8,7 +8,7 @@ several steps, so that memory stays within bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,11 @@ from planner.model.mjcf.survey import named
 
 MOST_SAMPLES = 20_000  # 10 MB of arrays where a dozen pairs of shapes touch
 MOST_PAIRS = 32  # with a force of their own; a heap of blocks has hundreds
+_AT_ONCE = 4096  # contacts that are summed up together: one by one they would take longer than MuJoCo's steps
+_CONTACT = np.dtype(
+    [("step", int), ("geoms", int, 2), ("point", float, 3), ("frame", float, 9), ("wrench", float, 6),
+     ("depth", float)]
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,15 @@ class ContactHistory:
         return cls((), np.zeros(0), np.zeros((0, 0, 3)), np.zeros((0, 0, 3)))
 
 
+class Touch(NamedTuple):
+    """The contact of two geoms over a simulation; depths count from where force begins, in units of length."""
+
+    geoms: tuple[int, int]
+    first: int  # step
+    at_start: float  # depth at step 0; 0 where they do not touch there
+    deepest: float  # over all steps
+
+
 class ContactRecorder:
     """Records the contacts of a simulation, step by step."""
 
@@ -49,11 +63,37 @@ class ContactRecorder:
         self._mujoco, self._model = load_mujoco(), model
         self.records = may_touch(model) if records is None else records  # whether there is anything to record
         self._each = -(-(steps + 1) // MOST_SAMPLES)  # steps per sample
-        # Of each pair of geoms, by sample: the force's impulse (3,), the normal force, and its moment (3,).
-        self._seen: dict[tuple[int, int], dict[int, np.ndarray]] = {}
-        self.force = np.zeros(steps + 1)  # sum of the normal contact forces
-        self.point = np.full((steps + 1, 3), np.nan)  # where it acts; NaN without contact
-        self.first: tuple[int, int, int] | None = None  # the two geoms of the first contact, and its step
+        # Of each pair of geoms (S, 7), by sample: the force's impulse (3,), the normal force, and its moment (3,).
+        self._seen: dict[tuple[int, int], np.ndarray] = {}
+        self._force = np.zeros(steps + 1)
+        self._point = np.full((steps + 1, 3), np.nan)
+        self._first: tuple[int, int, int] | None = None
+        self._touches: dict[tuple[int, int], Touch] = {}
+        self._waiting, self._filled = np.empty(_AT_ONCE if self.records else 0, _CONTACT), 0  # contacts to be summed up
+
+    @property
+    def force(self) -> np.ndarray:
+        """(M+1,) sum of the normal contact forces."""
+        self._sum_up()
+        return self._force
+
+    @property
+    def point(self) -> np.ndarray:
+        """(M+1, 3) where it acts; NaN without contact."""
+        self._sum_up()
+        return self._point
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """How deep each pair of geoms was in each other."""
+        self._sum_up()
+        return tuple(self._touches.values())
+
+    @property
+    def first(self) -> tuple[int, int, int] | None:
+        """The two geoms of the first contact, and its step."""
+        self._sum_up()
+        return self._first
 
     def look(self, i: int, data: Any) -> None:
         """Record the contacts of step i, by a forward pass at the state that `data` has."""
@@ -71,31 +111,79 @@ class ContactRecorder:
         mujoco.mj_checkVel(model, data)
         self.look(i, data)
         mujoco.mj_checkAcc(model, data)
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        kinds = mujoco.mjtIntegrator
+        if model.opt.integrator == kinds.mjINT_RK4:
             mujoco.mj_RungeKutta(model, data, 4)
-        else:
+        elif model.opt.integrator == kinds.mjINT_EULER:
             mujoco.mj_Euler(model, data)
+        else:
+            mujoco.mj_implicit(model, data)
 
     def _record(self, i: int, data: Any) -> None:
-        """The contacts that a forward pass has left in `data`."""
-        mujoco, model = self._mujoco, self._model
-        total, moment, wrench = 0.0, np.zeros(3), np.zeros(6)
-        for c in range(data.ncon):
-            contact = data.contact[c]
-            mujoco.mj_contactForce(model, data, c, wrench)
-            total += wrench[0]
-            moment += wrench[0] * contact.pos
-            one, other = (int(geom) for geom in contact.geom)
-            if self.first is None:
-                self.first = one, other, i
-            if wrench[0] > 0.0 and min(one, other) >= 0:  # a flex has no geom
-                self._add(i // self._each, one, other, contact.frame.reshape(3, 3).T @ wrench[:3], wrench[0], contact)
-        self.force[i] = total
-        if total > 0.0:
-            self.point[i] = moment / total
+        """Keep the contacts that a forward pass has left in `data`, to be summed up with others."""
+        count = data.ncon
+        if not count:
+            return
+        if self._filled + count > len(self._waiting):
+            self._sum_up()
+            self._waiting = self._waiting if count <= len(self._waiting) else np.empty(count, _CONTACT)
+        here, contact = self._waiting[self._filled : self._filled + count], data.contact
+        here["step"], here["geoms"], here["point"], here["frame"] = i, contact.geom, contact.pos, contact.frame
+        here["depth"] = contact.includemargin - contact.dist
+        for c, wrench in enumerate(here["wrench"]):
+            self._mujoco.mj_contactForce(self._model, data, c, wrench)
+        self._filled += count
+
+    def _sum_up(self) -> None:
+        """Add the contacts that wait to the sums; those of a step wait together."""
+        contacts, self._filled = self._waiting[: self._filled], 0
+        if not len(contacts):
+            return
+        if self._first is None:
+            (one, other), step = contacts["geoms"][0], contacts["step"][0]
+            self._first = int(one), int(other), int(step)
+        normal, points = contacts["wrench"][:, 0], contacts["point"]
+        at, which = np.unique(contacts["step"], return_inverse=True)
+        total = np.bincount(which, weights=normal)
+        moment = np.stack([np.bincount(which, weights=normal * column) for column in points.T], axis=1)
+        self._force[at], loaded = total, total > 0.0
+        self._point[at[loaded]] = moment[loaded] / total[loaded, None]
+        self._touch(contacts[(contacts["depth"] > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])
+        self._by_pairs(contacts[(normal > 0.0) & (contacts["geoms"].min(axis=1) >= 0)])  # a flex has no geom
+
+    def _touch(self, contacts: np.ndarray) -> None:
+        """Remember how deep pairs of geoms are in each other."""
+        pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
+        for k, (one, other) in enumerate(pairs.tolist()):
+            depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
+            before = self._touches.get((one, other), Touch((one, other), int(steps[0]), 0.0, 0.0))
+            start = max(before.at_start, float(np.max(depths, where=steps == 0, initial=0.0)))
+            self._touches[one, other] = before._replace(
+                at_start=start, deepest=max(before.deepest, float(depths.max()))
+            )
+
+    def _by_pairs(self, contacts: np.ndarray) -> None:
+        """Add contacts between geoms to the sums of their pairs."""
+        # A force is told of the shape whose body comes later in the model: of a foot, not of the belt or world below.
+        body, geoms = self._model.geom_bodyid, contacts["geoms"]
+        sign = np.where(body[geoms[:, 0]] > body[geoms[:, 1]], -1.0, 1.0)[:, None]
+        pairs = np.where(sign > 0.0, geoms[:, ::-1], geoms)
+        normal = contacts["wrench"][:, :1]
+        force = sign * np.einsum("cji,cj->ci", contacts["frame"].reshape(-1, 3, 3), contacts["wrench"][:, :3])
+        rows = np.concatenate([force, normal, normal * contacts["point"]], axis=1)
+        found, firsts, which = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+        for k in np.argsort(firsts):
+            pair = (int(found[k, 0]), int(found[k, 1]))
+            if pair not in self._seen:
+                if len(self._seen) >= MOST_PAIRS:
+                    continue
+                self._seen[pair] = np.zeros((-(-len(self._force) // self._each), 7))
+            own = which == k
+            np.add.at(self._seen[pair], contacts["step"][own] // self._each, rows[own])
 
     def history(self, t: np.ndarray) -> ContactHistory:
         """The history of all steps, at the times t (M+1,)."""
+        self._sum_up()
         names = tuple(f"{self._name(one)} on {self._name(other)}" for one, other in sorted(self._seen))
         if not names:
             return ContactHistory.none()
@@ -104,29 +192,20 @@ class ContactRecorder:
         steps = np.bincount(sample, minlength=S)
         forces, points = np.zeros((S, C, 3)), np.full((S, C, 3), np.nan)
         for c, pair in enumerate(sorted(self._seen)):
-            for s, sums in self._seen[pair].items():
-                forces[s, c] = sums[:3] / steps[s]
-                points[s, c] = sums[4:] / sums[3]
+            sums = self._seen[pair]
+            touching = sums[:, 3] > 0.0
+            forces[touching, c] = sums[touching, :3] / steps[touching, None]
+            points[touching, c] = sums[touching, 4:] / sums[touching, 3:4]
         return ContactHistory(names, np.bincount(sample, weights=t, minlength=S) / steps, forces, points)
 
     def sentence(self, timestep: float) -> str:
         """The first contact of a machine that was planned without any; "" for none."""
-        if self.first is None:
+        first = self.first
+        if first is None:
             return ""
-        one, other, i = self.first
+        one, other, i = first
         shapes = " and ".join(named(self._model, "geom", geom) for geom in (one, other))
         return f"{shapes} touch from t = {i * timestep:.4g} s, of which the plan knows nothing."
-
-    def _add(self, sample: int, one: int, other: int, force: np.ndarray, normal: float, contact: Any) -> None:
-        """A contact's force on `other`."""
-        # It is told of the shape whose body comes later in the model: of a foot, not of the belt or world under it.
-        body = self._model.geom_bodyid
-        if body[one] > body[other]:
-            one, other, force = other, one, -force
-        if (other, one) not in self._seen and len(self._seen) >= MOST_PAIRS:
-            return
-        sums = self._seen.setdefault((other, one), {}).setdefault(sample, np.zeros(7))
-        sums += (*force, normal, *(normal * contact.pos))
 
     def _name(self, geom: int) -> str:
         model = self._model

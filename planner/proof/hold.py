@@ -147,11 +147,12 @@ class Held:
 
 def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
     """MuJoCo goes on from the end of a replay, at its step and with its integrator, and a regulator holds the goal."""
-    steps = round(number("seconds", seconds, above=0.0) / replay.timestep)
-    if not 1 <= steps <= MOST_STEPS:
-        raise PlannerError(f"{seconds:g} s are {steps} steps of the replay, expected 1 to {MOST_STEPS}.")
+    steps = number("seconds", seconds, above=0.0) / replay.timestep
+    if not 0.5 < steps < MOST_STEPS + 0.5:  # infinite, perhaps
+        raise PlannerError(f"{seconds:g} s are {steps:.3g} steps of the replay, expected 1 to {MOST_STEPS}.")
     if hold.K.shape != (replay.ctrl.shape[1], replay.plan.space.ndx):
         raise PlannerError(f"the gains have shape {hold.K.shape}, expected those of the plan's machine.")
+    steps = round(steps)
     twin, model = replay.twin, replay.compiled.stepping(replay.timestep, replay.integrator)
     t, ctrl = replay.t[-1] + replay.timestep * np.arange(steps + 1), np.zeros((steps, model.nu))
     arrived = np.concatenate([replay.qpos[-1], replay.qvel[-1], replay.act[-1]])

@@ -23,6 +23,7 @@ from planner.problem.problem import Problem
 from planner.proof.simulation import set_state
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
+_LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # far beyond what any plan bears
 _MOST_KNOTS = 200  # of the plan are asked for its largest forces
 
 
@@ -54,7 +55,7 @@ class Perturbation:
         common_stiffness: The same of all joints' springs.
 
     Raises:
-        PlannerError: A number that is negative or not finite, or a factor that could reach zero.
+        PlannerError: A number that is negative, not finite or too large, or a factor that could reach zero.
     """
 
     mass: float = 0.05
@@ -72,7 +73,7 @@ class Perturbation:
 
     def __post_init__(self) -> None:
         for one in fields(self):
-            most = 0.99 if one.name in _FACTORS else None
+            most = 0.99 if one.name in _FACTORS else _LARGEST[one.name]
             value = number(f"Perturbation: {one.name}", getattr(self, one.name), least=0.0, most=most)
             object.__setattr__(self, one.name, value)
 

@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.survey import named
+from planner.model.mjcf.survey import disabled, field, named
 from planner.model.space import log_quaternion
 from planner.proof.simulation import set_state
 
 _ROUNDING = 1e-9  # as far beyond a range is still on it
+
+
+class Excess(NamedTuple):
+    """How far one quantity of a motion is beyond its range."""
+
+    name: str  # of the joint, actuator or tendon
+    what: str  # of it is beyond its range, for a sentence
+    unit: str
+    values: np.ndarray  # (S,)
+    range: np.ndarray  # (2,)
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """(S,) the excess; 0 within the range, and where the value is not a number."""
+        beyond = np.maximum(self.range[0] - self.values, self.values - self.range[1])
+        return np.where(beyond > _ROUNDING, beyond, 0.0)
+
+    def sentence(self, t: np.ndarray, least: float = 0.0) -> str:
+        """From when it is beyond its range by more than `least` and by how much, at the times t; "" where it is not."""
+        beyond = self.beyond
+        if not np.any(beyond > least):
+            return ""
+        since = t[np.argmax(beyond > least)]
+        return f"{self.name} {self.what} from t = {since:.4g} s, by up to {beyond.max():.3g} {self.unit}".rstrip() + "."
 
 
 def ranges_reached(
@@ -24,30 +48,53 @@ def ranges_reached(
     Times t (M+1,), states w (M+1, nw), controls (M, nu). A plan knows the ranges of `stopped` degrees of freedom, since
     it has their stops.
     """
-    steps = int(np.isfinite(w).all(axis=1).cumprod().sum())  # until it runs away, if it does
-    t, w, ctrl = t[:steps], w[:steps], ctrl[: min(steps, len(ctrl))]
-    found = []
-    for joint in np.flatnonzero(model.jnt_limited):
-        if int(model.jnt_dofadr[joint]) in stopped:
-            continue
-        value, limits, unit = _joint(model, joint, w)
-        beyond = _beyond(value, limits - np.array([-1.0, 1.0]) * model.jnt_margin[joint])
-        found += _sentence(named(model, "joint", int(joint)), "is outside its range", t, beyond, unit)
-    clamps = not model.opt.disableflags & load_mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL
-    for actuator in np.flatnonzero(model.actuator_ctrllimited) if clamps else ():
-        beyond = _beyond(ctrl[:, actuator], model.actuator_ctrlrange[actuator])
-        found += _asked(model, "actuator", actuator, "ctrlrange", t, beyond)
+    found = (*joints_in(model, w, stopped), *efforts_in(model, w, ctrl))
+    return tuple(filter(None, (one.sentence(t) for one in found)))
+
+
+def joints_in(model: Any, w: np.ndarray, stopped: Collection[int] = ()) -> Iterator[Excess]:
+    """The joints with a range along the states w (M+1, nw), but for degrees of freedom that are `stopped`."""
+    w = w[: _until_it_runs_away(w)]
+    for joint in () if disabled(model, "constraint", "limit") else np.flatnonzero(model.jnt_limited):
+        if int(model.jnt_dofadr[joint]) not in stopped:
+            value, limits, unit = _joint(model, joint, w)
+            within = limits - np.array([-1.0, 1.0]) * model.jnt_margin[joint]
+            yield Excess(named(model, "joint", int(joint)), "is outside its range", unit, value, within)
+
+
+def efforts_in(model: Any, w: np.ndarray, ctrl: np.ndarray) -> Iterator[Excess]:
+    """What actuators are asked for where it is clamped, along the states w (M+1, nw) and controls (M, nu)."""
+    steps = _until_it_runs_away(w)
+    w, ctrl = w[:steps], ctrl[: min(steps, len(ctrl))]
+
+    def asked(kind: str, index: Any, limit: str, values: np.ndarray, limits: np.ndarray) -> Excess:
+        return Excess(named(model, kind, int(index)), f"is asked for more than its {limit}", "", values, limits)
+
+    for actuator in () if disabled(model, "clampctrl") else np.flatnonzero(model.actuator_ctrllimited):
+        yield asked("actuator", actuator, "ctrlrange", ctrl[:, actuator], model.actuator_ctrlrange[actuator])
+    for actuator in np.flatnonzero(model.actuator_actlimited):
+        act = w[:, model.nq + model.nv + model.actuator_actadr[actuator]]
+        yield asked("actuator", actuator, "actrange", act, model.actuator_actrange[actuator])
     if np.any(model.actuator_forcelimited):
         forces, _ = _forces(model, w, ctrl, "actuator_forcelimited")
         for actuator in np.flatnonzero(model.actuator_forcelimited):
-            beyond = _beyond(forces[:, actuator], model.actuator_forcerange[actuator])
-            found += _asked(model, "actuator", actuator, "forcerange", t, beyond)
+            yield asked("actuator", actuator, "forcerange", forces[:, actuator], model.actuator_forcerange[actuator])
+    tendons = field(model, "tendon_actfrclimited", model.ntendon)
+    if np.any(tendons):
+        forces, _ = _forces(model, w, ctrl, "tendon_actfrclimited")
+        pulls = model.actuator_trntype == int(load_mujoco().mjtTrn.mjTRN_TENDON)
+        for tendon in np.flatnonzero(tendons):
+            total = forces[:, pulls & (model.actuator_trnid[:, 0] == tendon)].sum(axis=1)
+            yield asked("tendon", tendon, "actuatorfrcrange", total, model.tendon_actfrcrange[tendon])
     if np.any(model.jnt_actfrclimited):
         _, sums = _forces(model, w, ctrl, "jnt_actfrclimited")
         for joint in np.flatnonzero(model.jnt_actfrclimited):
-            beyond = _beyond(sums[:, model.jnt_dofadr[joint]], model.jnt_actfrcrange[joint])
-            found += _asked(model, "joint", joint, "actuatorfrcrange", t, beyond)
-    return tuple(found)
+            dof = model.jnt_dofadr[joint]
+            yield asked("joint", joint, "actuatorfrcrange", sums[:, dof], model.jnt_actfrcrange[joint])
+
+
+def _until_it_runs_away(w: np.ndarray) -> int:
+    return int(np.isfinite(w).all(axis=1).cumprod().sum())
 
 
 def _joint(model: Any, joint: Any, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
@@ -75,21 +122,3 @@ def _forces(model: Any, w: np.ndarray, ctrl: np.ndarray, limits: str) -> tuple[n
         mujoco.mj_fwdActuation(free, data)
         forces[i], sums[i] = data.actuator_force, data.qfrc_actuator
     return forces, sums
-
-
-def _beyond(value: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """The excess of a value over its limits; 0 within, and where it is not a number."""
-    beyond = np.maximum(limits[0] - value, value - limits[1])
-    return np.where(beyond > _ROUNDING, beyond, 0.0)
-
-
-def _asked(model: Any, kind: str, index: Any, limit: str, t: np.ndarray, beyond: np.ndarray) -> list[str]:
-    return _sentence(named(model, kind, int(index)), f"is asked for more than its {limit}", t, beyond)
-
-
-def _sentence(name: str, what: str, t: np.ndarray, beyond: np.ndarray, unit: str = "") -> list[str]:
-    if not np.any(beyond):
-        return []
-    return [
-        f"{name} {what} from t = {t[np.argmax(beyond > 0.0)]:.4g} s, by up to {beyond.max():.3g} {unit}".rstrip() + "."
-    ]

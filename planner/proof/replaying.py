@@ -20,9 +20,10 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactHistory, ContactRecorder
+from planner.proof.contact_history import ContactHistory, ContactRecorder, Touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.ranges import ranges_reached
+from planner.proof.sampled_gains import Gains, Sampling
 from planner.proof.simulation import MOST_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
@@ -50,6 +51,8 @@ class Replay:
         warnings: MuJoCo's complaints, one sentence each.
         reached: Ranges of joints and actuators that the motion reached, one sentence each.
         contacts: The force of each contact.
+        sampling: When the gains acted; None for ideal gains, at every simulator step.
+        touches: Which geoms touched, from when and how deep.
     """
 
     plan: Plan
@@ -69,6 +72,8 @@ class Replay:
     warnings: tuple[str, ...] = ()
     reached: tuple[str, ...] = ()
     contacts: ContactHistory = field(default_factory=ContactHistory.none)
+    sampling: Sampling | None = None
+    touches: tuple[Touch, ...] = ()
 
     def __repr__(self) -> str:
         mode = "feedback" if self.feedback else "open loop"
@@ -109,7 +114,7 @@ class Replay:
 
 def replay(
     plan: Plan, *, feedback: bool = False, twin: Twin | None = None, substeps: int | None = None,
-    integrator: str = "RK4",
+    integrator: str = "RK4", sampling: Sampling | None = None,
 ) -> Replay:  # fmt: skip
     """Replay a plan in MuJoCo at a refined step.
 
@@ -119,9 +124,11 @@ def replay(
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says.
+        sampling: When the gains act, as a controller applies them, in place of at every simulator step.
 
     Raises:
-        PlannerError: The plan has no twin or is not finite, or feedback without the problem to interpolate it.
+        PlannerError: The plan has no twin or is not finite, feedback without the problem to interpolate it, or a
+            sampling whose instants fall between the simulator's steps.
         ModelError: MuJoCo refuses the model, or it does not fit the plan.
     """
     if not isinstance(plan, Plan):
@@ -129,43 +136,57 @@ def replay(
     twin = twin or plan.twin
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
-    return replay_in(CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator)
+    return replay_in(
+        CompiledTwin(twin), plan, feedback=feedback, substeps=substeps, integrator=integrator, sampling=sampling
+    )
 
 
 @np.errstate(all="ignore")  # a motion may run away, and then it says so
 def replay_in(
-    compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None, integrator: str = "RK4"
-) -> Replay:
+    compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
+    integrator: str = "RK4", sampling: Sampling | None = None,
+) -> Replay:  # fmt: skip
     """replay() in a model that is compiled already."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt = problem.dynamics.dt
+    sampling = sampling if feedback else None
+    parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
         substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
+        substeps += -substeps % parts
     n = count("substeps", substeps)
+    if n % parts:
+        raise PlannerError(f"substeps is {n}, expected a multiple of {parts}: instants fall on ends of steps.")
     M = n * plan.N
     if M > MOST_STEPS:
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
-    plan_xs, ctrl, recorder = plan.between_knots(n), np.repeat(plan.us, n, axis=0), ContactRecorder(model, M)
+    plan_xs, recorder = plan.between_knots(n), ContactRecorder(model, M)
+    ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
+
+    gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:
-        asked = ctrl[i] + plan.K[i // n] @ plan.space.difference(twin.x_of(w), plan_xs[i])
-        return plan.within_bounds(i // n, asked)
+        assert gains is not None
+        return compiled.commands(gains(i, w))
 
     start = twin.sim_of(problem.x0)  # the problem's, not what the plan says of it
     with curves_acting(twin, model):
-        w, warnings = simulate(model, start, ctrl, control=with_gains if feedback else None, recorder=recorder, every=n)
+        w, warnings = simulate(
+            model, start, ctrl, control=with_gains if gains else None, held=gains.held if gains else 1,
+            recorder=recorder, every=n,
+        )  # fmt: skip
     t = model.opt.timestep * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
     surprise = "" if knows_contacts(plan) else recorder.sentence(model.opt.timestep)
     return Replay(
         plan=plan, compiled=compiled, feedback=feedback, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
-        ctrl=ctrl, xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force, contact_point=recorder.point,
-        substeps=n, warnings=warnings,
+        ctrl=ctrl[:, compiled.controls], xs=twin.x_of(w), plan_xs=plan_xs, contact_force=recorder.force,
+        contact_point=recorder.point, substeps=n, warnings=warnings,
         reached=(*ranges_reached(model, t, w, ctrl, stopped_dofs(plan)), *([surprise] if surprise else [])),
-        contacts=recorder.history(t),
+        contacts=recorder.history(t), sampling=sampling, touches=recorder.touches,
     )  # fmt: skip
 
 

@@ -18,13 +18,16 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
 SHARE = 0.01  # of a range of motion
+WITH_CONTACT = 0.05  # the same where the plan has contacts or stops, which it smooths and MuJoCo does not
 OF_LARGEST = 0.1  # of the largest range of the same unit, for what hardly moves
 LEAST_RANGE = 1e-3  # rad, m, rad/s, m/s, for a machine that stands still
 COST_BOUND = 1.0  # %
 
 KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
-WORDS = {"rad": "angle", "m": "distance", "rad/s": "angular_velocity", "m/s": "velocity", "in": "position", "in/s": "rate",
-         "": "state"}  # fmt: skip
+WORDS = {
+    "rad": "angle", "m": "distance", "rad/s": "angular_velocity", "m/s": "velocity", "in": "position", "in/s": "rate",
+    "": "state",
+}  # fmt: skip
 
 
 def path_bounds(plan: Plan) -> np.ndarray:
@@ -32,7 +35,14 @@ def path_bounds(plan: Plan) -> np.ndarray:
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem and plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
-    return SHARE * np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
+    share = WITH_CONTACT if touches(plan.problem) else SHARE
+    return share * np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
+
+
+def touches(problem: Problem | None) -> bool:
+    """Whether a plan's mechanism has contacts or stops of its own."""
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts or mechanism.stops)
 
 
 def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:

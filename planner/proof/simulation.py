@@ -21,7 +21,8 @@ _AT_ONCE = 50_000  # steps in C before Ctrl-C is heard
 
 def set_state(model: Any, data: Any, w: np.ndarray) -> None:
     """Put a state (nw,) into MuJoCo's data."""
-    data.qpos[:], data.qvel[:], data.act[:] = np.split(w, [model.nq, model.nq + model.nv])
+    nq, nv = model.nq, model.nv
+    data.qpos[:], data.qvel[:], data.act[:] = w[:nq], w[nq : nq + nv], w[nq + nv :]
 
 
 def state_of(data: Any) -> np.ndarray:
@@ -31,12 +32,13 @@ def state_of(data: Any) -> np.ndarray:
 
 def simulate(
     model: Any, w0: np.ndarray, ctrl: np.ndarray, *, control: Callable[[int, np.ndarray], np.ndarray] | None = None,
-    recorder: ContactRecorder | None = None, every: int = 1, start: float = 0.0,
+    held: int = 1, recorder: ContactRecorder | None = None, every: int = 1, start: float = 0.0,
 ) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
     """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and complaints, one sentence each.
 
-    `control` gives the control (nu,) at a step and its state, which is written into ctrl. Every `every` steps the
-    simulation is ended if it has run away: its states are NaN from there. `start` is the time of w0 for sentences, s.
+    `control` is asked every `held` steps, at a step and its state, for the controls (nu,) or (held, nu) that are to act
+    until it is asked again, which are written into ctrl. Every `every` steps the simulation is ended if it has run
+    away: its states are NaN from there. `start` is the time of w0 for sentences, s.
     """
     recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
@@ -46,8 +48,8 @@ def simulate(
     set_state(model, data, w0)
     nq, nv = model.nq, model.nv
     for i in range(len(ctrl)):
-        if control is not None:
-            ctrl[i] = control(i, w[i])
+        if control is not None and i % held == 0:
+            ctrl[i : i + held] = control(i, w[i])
         data.ctrl[:] = ctrl[i]
         recorder.step(i, data)
         row = w[i + 1]

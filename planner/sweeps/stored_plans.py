@@ -1,7 +1,8 @@
 """check(): prove stored plans again and compare with the stored numbers, a regression test of the user's plans.
 
 The numbers of plan.npz are in proof.json, those of any other NAME.npz in NAME.proof.json. That file also holds seed,
-rollouts and perturbation of the proof, so that the same is measured again.
+rollouts and perturbation of the proof, so that the same is measured again, and the digest of the plan's file: numbers
+of another plan are not compared.
 
     regressed   the verdict or mode got worse, a number fails the bound that it passed, or got worse by more than
                 the tolerance
@@ -17,11 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from planner.base.arguments import number
+from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
+from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
 from planner.proof.perturbation import Perturbation
@@ -29,6 +31,7 @@ from planner.proof.perturbation import Perturbation
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
 _OF_BOUND = 1e-3  # smaller changes relative to the bound do not count
+MOST_ROLLOUTS = 1_000_000
 _RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
 
 
@@ -142,17 +145,23 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
     file = stored_proof(path)
     try:
         plan = load_plan(path)
+        digest = plan_digest(path)
         stored = _read(file) if file.exists() else None
+        if stored is not None and stored.get("plan_digest", digest) != digest:
+            if not update:
+                wanted = f"expected that of this {path.name}; --update replaces it"
+                raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
+            stored = None
         proof = _proved_as(plan, stored)
     except PlannerError as error:
         return Checked(path, problem=str(error))
-    now = proof.to_dict()
+    now = proof.to_dict() | {"plan_digest": digest}
     if stored is None:
         if not update:
             problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
             return Checked(path, problem=problem, proof=proof)
         write_json(file, now)
-        return Checked(path, proof=proof)
+        return Checked(path, proof=proof, updated=True)
     changes = tuple(_changes(stored, now, tolerance))
     if update and changes:
         write_json(file, now | ({"refinement": stored["refinement"]} if "refinement" in stored else {}))
@@ -164,7 +173,7 @@ def _read(file: Path) -> dict[str, Any]:
         stored = json.loads(read_text(file, "the proof"))
     except (ValueError, RecursionError):
         stored = None
-    if not isinstance(stored, dict) or "verdict" not in stored:
+    if not isinstance(stored, dict) or not isinstance(stored.get("verdict"), str):
         raise FileError(f"{file} is not a proof: expected the JSON of planner prove or planner run.")
     return stored
 
@@ -177,6 +186,7 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
             raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
+        count("the rollouts of its proof", wanted.get("rollouts", 0), least=0, most=MOST_ROLLOUTS)
     except (TypeError, AttributeError):
         raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
     return prove(plan, perturbation=perturbation, **wanted)
@@ -191,9 +201,16 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
         before = stored.get(step)
         if not (isinstance(section, dict) and "applicable" in section and isinstance(before, dict)):
             continue
-        new, old = section.get("figures", {}), before.get("figures", {})
+        new, old = section.get("figures", {}), _numbers(before.get("figures"))
         for name in {**old, **new}:
             yield from _change(step, name, old.get(name), new.get(name), tolerance)
+
+
+def _numbers(figures: Any) -> dict[str, dict[str, Any]]:
+    """The measured values of a stored section; what is none is as if it were not there."""
+    rows = figures.items() if isinstance(figures, dict) else ()
+    kinds = (int, float, type(None))
+    return {name: row for name, row in rows if isinstance(row, dict) and isinstance(row.get("value"), kinds)}
 
 
 def _change(step: str, name: str, old: Any, new: Any, tolerance: float) -> Iterator[Change]:

@@ -1,11 +1,6 @@
 """`planner run` from end to end: refined where the step was too coarse, and resumed where it was interrupted."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import pytest
 
@@ -13,7 +8,7 @@ import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
 from planner.cli import running as run_command
-from planner.cli.run_folder import MARK, ROLLOUTS, run_folder
+from planner.cli.run_folder import MARK, run_folder
 
 EULER = ["run", "two-link", "--integrator", "semi-implicit-euler", "--horizon", "100", "--no-video", "--quiet"]
 ARM = ["run", "two-link", "--horizon", "100", "--no-video", "--quiet"]
@@ -42,52 +37,6 @@ def test_not_refined_when_told_so(tmp_path, capsys):
     said = document(capsys)
     assert said["refinement"] == []
     assert said["proof"]["verdict"] == "FAIL"
-
-
-def start(words, cwd):
-    return subprocess.Popen(
-        [sys.executable, "-m", "planner", *words], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-
-
-def wait_for(file, child, seconds=120.0):
-    until = time.monotonic() + seconds
-    while not file.exists():
-        assert time.monotonic() < until
-        assert child.poll() is None, child.communicate()
-        time.sleep(0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_run_keeps_what_was_finished_and_is_resumed(tmp_path, kill):
-    """Killed among its rollouts: plan and proof are there, and the same command does the rest and no more."""
-    words = [*ARM, "--rollouts", "64", "--json", "--out", "o"]
-    folder = tmp_path / "o"
-    child = start(words, tmp_path)
-    wait_for(folder / ROLLOUTS, child)
-    os.kill(child.pid, kill)
-    child.communicate(timeout=60)
-    assert child.returncode != 0
-    assert (folder / MARK).is_file()
-    before = (folder / "plan.npz").read_bytes()
-    assert json.loads((folder / "proof.json").read_text())["verdict"] == "PASS"
-
-    done = start(words, tmp_path)
-    out, err = done.communicate(timeout=300)
-    assert done.returncode == 0, err
-    resumed = json.loads(out)
-    assert resumed["resumed"]
-    assert (folder / "plan.npz").read_bytes() == before
-    assert not (folder / MARK).exists()
-    assert not (folder / ROLLOUTS).exists()
-
-    whole = start([*words[:-1], "whole"], tmp_path)
-    out, err = whole.communicate(timeout=300)
-    assert whole.returncode == 0, err
-    fresh = json.loads(out)
-    assert not fresh["resumed"]
-    assert fresh["proof"]["monte_carlo"] == resumed["proof"]["monte_carlo"]  # as if it had never been interrupted
 
 
 def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkeypatch):
@@ -214,18 +163,3 @@ def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGHUP])
-def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
-    words = ["run", "hopper", "--height", "50", "--smoothing", "1e-4", "--horizon", "4000", "--integrator", "euler",
-             "--max-iterations", "1000000", "--no-video", "--out", "o"]  # fmt: skip
-    child = subprocess.Popen([sys.executable, "-m", "planner", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    assert child.stderr is not None
-    for line in child.stderr:
-        if line.strip().startswith("9 "):
-            break
-    child.send_signal(kill)
-    child.communicate(timeout=60)
-    assert child.returncode == 128 + kill
-    assert list(tmp_path.iterdir()) == []

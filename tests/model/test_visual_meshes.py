@@ -146,3 +146,11 @@ def test_the_file_of_a_plan_is_small(tmp_path):
     path = plan.save(tmp_path / "plan.npz")
     assert path.stat().st_size < LARGE
     assert planner.load_plan(path).twin.assets == machine.assets
+
+
+def test_a_mesh_that_a_primitive_is_fitted_to_stays_as_it_is():
+    """The box that touches has its size from the mesh, which is seen besides."""
+    fitted = '<geom name="fit" type="box" mesh="rod"/><geom name="tip"'
+    machine, stored, written = both(arm().replace('<geom name="tip"', fitted))
+    assert machine.assets["rod.obj"] == ROD
+    np.testing.assert_array_equal(stored.geom("fit").size, written.geom("fit").size)

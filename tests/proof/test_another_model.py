@@ -6,6 +6,7 @@ from mechanisms import OBJ
 
 import planner
 from planner.__main__ import main
+from planner.cases.problem_file import load
 from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
@@ -46,7 +47,7 @@ def height(twin):
 
 @pytest.fixture
 def plan(tmp_path):
-    problem = planner.cases.problem_file.load(folder(tmp_path / "own", 1) / "problem.toml").problem
+    problem = load(folder(tmp_path / "own", 1) / "problem.toml").problem
     return planner.solve(problem)
 
 
@@ -86,3 +87,27 @@ def test_no_other_model(plan):
         with pytest.raises(planner.ModelError):
             with_model(plan.twin, wrong)
     assert isinstance(plan.twin, Twin)
+
+
+STIFF = """
+<mujoco><option gravity="0 0 -9.81"/><worldbody>
+  <geom name="wall" type="box" size="0.05 0.3 0.3" pos="0.3 0 0.2"/>
+  <body><joint name="hinge" axis="0 -1 0" damping="0.05" frictionloss="0.2"/>
+    <geom name="arm" type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/></body>
+</worldbody><actuator><motor name="motor" joint="hinge"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize("stored", [False, True], ids=["just solved", "from its file"])
+def test_what_the_plan_left_out_is_left_out_of_the_other_model(tmp_path, stored):
+    """Friction loss and contacts: whether the plan was just solved or read from its file."""
+    mechanism = planner.Mechanism.from_mjcf(STIFF, ignore=("frictionloss",), contacts="off")
+    dynamics = planner.RigidBodyDynamics(mechanism, 0.02)
+    goal = np.array([1.0, 0.0])
+    cost = planner.TrackingCost.joints(dynamics, goal, 50, effort=0.1, final_position=100.0, final_velocity=10.0)
+    plan = planner.solve(planner.Problem(dynamics, cost, np.zeros(2)))
+    if stored:
+        plan = planner.load_plan(plan.save(tmp_path / "plan.npz"))
+    proof = planner.prove(plan, mjcf=STIFF, rollouts=0)
+    assert proof.parity.passed, proof.parity.failures
+    assert proof.passed, proof.reason

@@ -8,7 +8,7 @@ import pytest
 import planner
 from planner import Problem, cases
 from planner.proof.growth import FACTOR, SMALL
-from planner.proof.order import ORDER_BOUND, _observed
+from planner.proof.order import ORDER_BOUND, _level, _observed
 
 
 def proof_of(problem, **options):
@@ -84,6 +84,15 @@ def test_the_extrapolated_cost_is_that_of_a_far_finer_replay(proofs):
     fine = planner.replay(plan, substeps=64).cost
     assert abs(order.extrapolated_cost - fine) <= 10.0 * order.cost_uncertainty + 1e-9
     assert abs(order.costs[0] - plan.cost) < 1e-6 * plan.cost  # MuJoCo's RK4 at the plan's step is the plan's
+
+
+def test_the_replay_itself_is_one_of_the_halved_steps():
+    """A hopper's order is about its refined step: that replay is not run again, and its bits are those of another."""
+    plan = planner.solve(cases.hopper(horizon=50, height=5.0))
+    run = planner.replay(plan)
+    own, again = (_level(one, plan.problem, "rk4", run.substeps) for one in (run, replace(run, integrator="EULER")))
+    np.testing.assert_array_equal(own[0], again[0])
+    assert own[1] == again[1]
 
 
 def test_semi_implicit_euler_is_of_first_order():

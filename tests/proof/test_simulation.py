@@ -5,7 +5,7 @@ import pytest
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import compile_model
-from planner.proof import simulation
+from planner.proof import contact_history, simulation
 from planner.proof.contact_history import ContactRecorder
 from planner.proof.simulation import simulate
 
@@ -14,6 +14,14 @@ ARM = """
   <body><joint axis="0 1 0" range="-20 20" limited="true"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/>
     <body pos=".5 0 0"><joint axis="0 1 0"/><geom size=".05" pos=".3 0 0"/></body></body>{floor}
 </worldbody><actuator><general joint="{joint}" dyntype="filter" dynprm="0.1"/></actuator></mujoco>
+"""
+PILE = """
+<mujoco><worldbody>
+  <geom name="floor" type="plane" size="2 2 1"/>
+  <body pos="0 0 .11"><freejoint/><geom name="left" size=".1"/></body>
+  <body pos="1 0 .13"><freejoint/><geom name="right" size=".1"/></body>
+  <body pos="0 0.01 .33"><freejoint/><geom name="top" size=".1"/></body>
+</worldbody></mujoco>
 """
 FLOOR = '<geom type="plane" pos="0 0 -.4" size="2 2 1"/>'
 
@@ -35,7 +43,7 @@ def test_all_steps_at_once_are_those_one_by_one(monkeypatch, integrator):
     assert not warnings
 
 
-@pytest.mark.parametrize("integrator", ["RK4", "Euler"])
+@pytest.mark.parametrize("integrator", ["RK4", "Euler", "implicit", "implicitfast"])
 def test_recording_contacts_changes_no_step(integrator):
     arm, ctrl = model(integrator, FLOOR), np.random.default_rng(0).normal(size=(600, 1))
     recorder = ContactRecorder(arm, len(ctrl))
@@ -43,6 +51,58 @@ def test_recording_contacts_changes_no_step(integrator):
     plain, _ = simulate(arm, np.zeros(5), ctrl)
     np.testing.assert_array_equal(watched, plain)
     assert recorder.force.max() > 0.0
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 4096])
+def test_contacts_are_summed_up_as_one_by_one(monkeypatch, at_once):
+    """Two balls fall on a floor, a third falls on one of them and off it: the sums of a plain loop over contacts."""
+    monkeypatch.setattr(contact_history, "_AT_ONCE", at_once)
+    monkeypatch.setattr(contact_history, "MOST_SAMPLES", 100)
+    pile, steps = compile_model(PILE), 450
+    recorder, data, w = ContactRecorder(pile, steps), load_mujoco().MjData(pile), np.zeros(6)
+    force, moment, pairs, first = np.zeros(steps), np.zeros((steps, 3)), {}, None
+    each, names = 5, [pile.geom(k).name for k in range(pile.ngeom)]
+    for i in range(steps):
+        recorder.look(i, data)
+        for c in range(data.ncon):
+            contact = data.contact[c]
+            load_mujoco().mj_contactForce(pile, data, c, w)
+            one, other = contact.geom
+            first = first or (one, other, i)
+            force[i] += w[0]
+            moment[i] += w[0] * contact.pos
+            sums = pairs.setdefault(f"{names[other]} on {names[one]}", np.zeros((91, 7)))  # the later on the earlier
+            sums[i // each] += [*(contact.frame.reshape(3, 3).T @ w[:3]), w[0], *(w[0] * contact.pos)]
+        load_mujoco().mj_step(pile, data)
+    touching = force > 0.0
+    np.testing.assert_allclose(recorder.force[:-1], force, rtol=1e-12)
+    expected = moment[touching] / force[touching, None]
+    np.testing.assert_allclose(recorder.point[:-1][touching], expected, rtol=1e-12, atol=1e-15)
+    assert np.isnan(recorder.point[:-1][~touching]).all()
+    assert recorder.first == first
+    history = recorder.history(pile.opt.timestep * np.arange(steps + 1))
+    assert sorted(history.names) == sorted(pairs)
+    assert {"left on floor", "right on floor", "top on left"} <= {*pairs}
+    for c, name in enumerate(history.names):
+        count = np.array([each] * 90 + [1])[:, None]
+        np.testing.assert_allclose(history.forces[:, c], pairs[name][:, :3] / count, rtol=1e-9, atol=1e-12)
+        felt = pairs[name][:, 3] > 0.0
+        expected = pairs[name][felt, 4:] / pairs[name][felt, 3:4]
+        np.testing.assert_allclose(history.points[felt, c], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_controls_may_be_asked_for_several_steps_at_a_time():
+    arm, asked = model("Euler"), []
+
+    def control(i, w):
+        asked.append(i)
+        return np.arange(i, min(i + 3, 10))[:, None]
+
+    ctrl = np.zeros((10, 1))
+    states, _ = simulate(arm, np.zeros(5), ctrl, control=control, held=3)
+    assert asked == [0, 3, 6, 9]
+    np.testing.assert_array_equal(ctrl[:, 0], np.arange(10))
+    np.testing.assert_array_equal(states, simulate(arm, np.zeros(5), ctrl)[0])
 
 
 def test_a_runaway_ends_in_nan_and_a_sentence():

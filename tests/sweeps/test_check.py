@@ -111,3 +111,20 @@ def test_wrong_paths_and_tolerances_are_refused_in_one_sentence(tmp_path, capsys
         said = capsys.readouterr().err
         assert words in said
         assert said.count("\n") == 1
+
+
+def test_a_proof_of_another_plan_is_not_compared(tmp_path, capsys):
+    one, other = tmp_path / "one", tmp_path / "other"
+    for folder, horizon in ((one, 40), (other, 44)):
+        folder.mkdir()
+        plan = planner.solve(planner.cases.two_link(horizon=horizon)).save(folder / "plan.npz")
+        words = ["prove", str(plan), "--rollouts", "0", "--quiet", "--out", str(folder / "proof.json")]
+        assert main(words) in (0, 1)
+    assert main(["check", str(tmp_path), "--quiet"]) == 0
+    shutil.copy(one / "proof.json", other / "proof.json")
+    capsys.readouterr()
+    assert main(["check", str(tmp_path), "--quiet"]) == 1
+    said = capsys.readouterr().out
+    assert "proof.json is the proof of another plan file" in said
+    assert main(["check", str(tmp_path), "--quiet", "--update"]) == 0
+    assert main(["check", str(tmp_path), "--quiet"]) == 0

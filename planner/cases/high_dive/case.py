@@ -23,6 +23,7 @@ flight.py describes how the first guess gets the number of turns.
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,7 +116,7 @@ def high_dive(
         dynamics, dive.cost(dynamics, N), x0=dive.start, us=dive.first_controls(dynamics, N),
         twin=Twin.of(diver.mechanism), appearance=_appearance(dive), recipe=Recipe("high-dive", parameters, high_dive),
         requirements=Requirements(
-            goal=lambda replay: judge_entry(replay, dive.entry()), success=lambda ends: enters(ends, dive.entry())
+            goal=partial(judge_entry, entry=dive.entry()), success=partial(enters, entry=dive.entry())
         ),
     )  # fmt: skip
 

@@ -135,9 +135,9 @@ def human_step(
         decrease_tolerance=TOLERANCE[phase], gain_tolerance=TOLERANCE[phase],
         periodic=closing(step) if phase == "gait" else None,
         requirements=Requirements(
-            tracking=lambda run: judge_tracking(step, run),
-            goal=lambda run: judge_step(step, run, promised=promised, closes=phase == "gait"),
-            follows=lambda xs, plan_xs, knots: follows(step, xs, plan_xs, knots, clear=promised),
+            tracking=partial(judge_tracking, step),
+            goal=partial(judge_step, step, promised=promised, closes=phase == "gait"),
+            follows=partial(follows, step, clear=promised),
             perturbation=PATIENT,
         ),
     )  # fmt: skip

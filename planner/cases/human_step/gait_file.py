@@ -51,6 +51,7 @@ ALSO = {
 UNITS = {"deg": 1.0, "rad": math.degrees(1.0)}
 LEAST_ROWS = 20  # thirteen coefficients, and some more to check the fit
 WIDEST_GAP = 1.0 / (2 * HARMONICS)  # of the cycle: rows farther apart do not determine the harmonics
+LARGEST = 1e6  # of any number, s, percent or degrees
 LARGEST_RADIANS, LEAST_DEGREES = 3.0, 5.0  # of the largest angle of a walk; a value in between may be either
 LARGEST_JUMP = 5.0  # deg, between end and beginning of a cycle: the difference of two strides
 LARGEST_MISFIT = 3.0  # deg rms, of a column from its series; the higher harmonics of a walk are below one
@@ -126,9 +127,10 @@ def _numbers(rows: list[list[str]], header: list[str], columns: list[int], what:
                 table[i, j] = float(word)
             except ValueError:
                 table[i, j] = math.nan
-            if not math.isfinite(table[i, j]):
+            if not abs(table[i, j]) <= LARGEST:
                 raise FileError(
-                    f"{what} has {word[:40]!r} in row {i + 1} of {header[column]}, expected a finite number."
+                    f"{what} has {word[:40]!r} in row {i + 1} of {header[column][:40]}, expected a number of at most "
+                    f"{LARGEST:g}."
                 )
     return table
 

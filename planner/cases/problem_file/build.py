@@ -111,7 +111,8 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     if twin is None:
         raise PlannerError("its model is missing.")
     table = with_defaults(table, "the plan")
-    return _problem(table, _mechanism(twin.planned, table, twin.assets), "the plan")
+    mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
+    return _problem(table, mechanism, "the plan")
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -165,10 +166,10 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}.")
-    x0 = _state("start", table["start"], mechanism, mechanism.home)
+    x0 = state_of("start", table["start"], mechanism, mechanism.home)
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
-    goal = _state("goal", table["goal"], mechanism, at_rest)
+    goal = state_of("goal", table["goal"], mechanism, at_rest)
     if not isinstance(table["settle"], bool):
         raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
     if table["settle"]:
@@ -221,8 +222,8 @@ def _states_of(mechanism: Mechanism) -> str:
     return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
 
 
-def _state(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
-    """The state (nx,) of a keyframe, of positions, of positions and velocities, or of `base` with joints changed."""
+def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
+    """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed."""
     nq, nv = mechanism.nq, mechanism.nv
     x = base.copy()
     if isinstance(value, str):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import read_text
+from planner.base.files import printable, read_text
 from planner.cases.problem_file.keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
@@ -17,10 +18,22 @@ from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.solvers.multistart import MOST_STARTS
 
+LONGEST = 2**20  # characters; guesses and weights are short, models are files of their own
+MOST_DOTS = 20
+_PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)"""
+_DEEP = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{{MOST_DOTS}}}", re.M)
+"""A dotted key of many parts, which takes tomllib the square of their number."""
+
 
 def read_table(path: Path) -> dict[str, Any]:
     """The file's table; FileError where it cannot be read."""
     text = read_text(path, "the problem file")
+    if len(text) > LONGEST:
+        raise FileError(f"{printable(path)} has {len(text)} characters, expected a table of at most {LONGEST}.")
+    if _DEEP.search(text):
+        raise FileError(
+            f"{printable(path)} has a key of more than {MOST_DOTS} parts, expected some of KEY or TABLE.KEY."
+        )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -49,7 +62,7 @@ def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None
     for key in table:
         if key not in keys:
             hint = did_you_mean(key, keys)
-            raise PlannerError(f"{where} has the key {key!r}, expected some of: {', '.join(keys)}.{hint}")
+            raise PlannerError(f"{where} has the key {shown(key)}, expected some of: {', '.join(keys)}.{hint}")
 
 
 def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:

@@ -79,13 +79,13 @@ def check_stored(text: str, files: dict[str, bytes]) -> None:
     """Raise ModelError unless a text from a plan stands alone: nothing but the plan's own files may be read for it."""
     root = parsed(text, "its model")
     check_copies(root, files)  # before the walk: no model attaches itself
-    carried, models = _by_name(files), [root]
+    carried, models = by_name(files), [root]
     seen: set[str] = set()
     while models:
         model = models.pop()
         for element in model.iter():
             for key, file in element.items():
-                if key.startswith("file") and file and (element.tag == "include" or _base(file) not in carried):
+                if key.startswith("file") and file and (element.tag == "include" or base(file) not in carried):
                     raise ModelError(f"its model names the file {file!r} that the plan does not carry.")
         for file, content in _attached(model, files):
             if file not in seen:
@@ -119,9 +119,9 @@ def _count(element: ElementTree.Element) -> int:
 
 def _attached(root: ElementTree.Element, files: dict[str, bytes]) -> Iterator[tuple[str, bytes]]:
     """Name and content of the models that a model names, as far as they are there."""
-    carried = _by_name(files)
+    carried = by_name(files)
     for element in root.iter("model"):
-        file = _base(element.get("file", ""))
+        file = base(element.get("file", ""))
         if file in carried:
             yield file, carried[file]
 
@@ -134,10 +134,11 @@ def _part(file: str, content: bytes) -> ElementTree.Element:
     return parsed(text, f"the attached model {file!r}")
 
 
-def _by_name(files: dict[str, bytes]) -> dict[str, bytes]:
-    return {_base(name): content for name, content in files.items()}
+def by_name(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Files by the names by which MuJoCo finds them in memory."""
+    return {base(name): content for name, content in files.items()}
 
 
-def _base(file: str) -> str:
+def base(file: str) -> str:
     """The name by which MuJoCo finds a file in memory: without its folder, in lower case."""
     return re.split(r"[/\\]", file)[-1].lower()

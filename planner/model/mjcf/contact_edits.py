@@ -56,7 +56,7 @@ def give_law(root: ElementTree.Element, survey: Survey, law: ContactLaw) -> list
 
 
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
-    """Edit the XML so that its contacts keep their force when its bodies have other inertias.
+    """Edit the XML so that its contacts keep their force when its bodies have other inertias, or their time constant.
 
     `weights` (nbody,) are body_invweight0[:, 0] of the model with the other inertias, 1/kg. What touches between two
     bodies that no force moves, `still` (nbody,), is excluded.
@@ -71,13 +71,18 @@ def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, sti
             continue
         ratio = float(np.sum(weights[bodies]) / np.sum(model.body_invweight0[bodies, 0]))
         numbers = {
-            "friction": pair.friction, "solref": ratio * pair.solref, "solreffriction": ratio * pair.solreffriction,
-            "solimp": pair.solimp,
+            "friction": pair.friction, "solref": _scaled(ratio, pair.solref),
+            "solreffriction": _scaled(ratio, pair.solreffriction), "solimp": pair.solimp,
         }  # fmt: skip
         law = {name: written(*values) for name, values in numbers.items()}
         geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
         extent = {"condim": str(pair.condim), "margin": written(pair.margin), "gap": "0"}
         ElementTree.SubElement(section, "pair", {**geoms, **law, **extent})
+
+
+def _scaled(ratio: float, solref: np.ndarray) -> np.ndarray:
+    """The numbers for other inertias; a time constant and a damping ratio are the same for all."""
+    return solref if solref[0] > 0.0 else ratio * solref
 
 
 def _in_place_of_pairs(root: ElementTree.Element) -> ElementTree.Element:

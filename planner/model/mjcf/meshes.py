@@ -67,7 +67,12 @@ def _only_seen(root: ElementTree.Element, model: Any) -> set[int]:
         still = not (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired)
         return plain and still and int(model.geom_bodyid[geom]) in bodies
 
-    return {mesh for mesh, uses in geoms.items() if all(map(seen, uses))}
+    # A primitive may be fitted to a mesh too: it has its size from it, and the compiled model does not say so.
+    named = [geom.get("mesh") for world in root.iterfind("worldbody") for geom in world.iter("geom")]
+    return {
+        mesh for mesh, uses in geoms.items()
+        if all(map(seen, uses)) and named.count(model.mesh(mesh).name) == len(uses)
+    }  # fmt: skip
 
 
 def _coarse_obj(model: Any, index: int) -> bytes:

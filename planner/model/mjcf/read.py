@@ -30,6 +30,16 @@ from planner.model.mjcf.survey import Survey, compile_model, disabled, field, po
 from planner.model.mjcf.text import model_tree
 from planner.model.space import unit
 
+MOST_PHRASES = 30  # in one sentence
+MOST_DOFS = 1000  # gains of a stage have as many rows as columns, and a plan has hundreds of stages
+LARGEST = 1e15
+"""Of the compiled numbers that a plan computes with, in SI units: their products must not overflow."""
+_NUMBERS = (
+    "qpos0", "qpos_spring", "body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness",
+    "dof_armature", "dof_damping", "actuator_gear", "actuator_gainprm", "actuator_biasprm", "geom_pos", "site_pos",
+    "key_qpos", "key_qvel", "key_act", "wrap_prm",
+)  # fmt: skip
+
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
@@ -45,7 +55,7 @@ def read(
     out = {*ignored, *(["contacts"] if off else [])}
     name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
 
-    root, files = model_tree(model, assets)
+    root, files = model_tree(model, assets, stored=assets is not None)
     survey = Survey(compile_model(root, files, name))
     if coarsen_visual_meshes(root, files, survey.model):
         survey = Survey(compile_model(root, files, name))
@@ -69,11 +79,12 @@ def _refuse(found: list[Refusal], name: str) -> None:
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
+    more = f" and {len(found) - MOST_PHRASES} more" if len(found) > MOST_PHRASES else ""
     options = [repr(kind) for kind in kinds if kind in KINDS]
     ways = [f"ignore=({', '.join(options)}{',' if len(options) == 1 else ''})"] if options else []
     ways += ["contacts='off'"] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
-    what = ", ".join(refusal.phrase for refusal in found)
+    what = ", ".join(refusal.phrase for refusal in found[:MOST_PHRASES]) + more
     if firm:
         advice = f"nothing takes a {' or '.join(firm)} out"
         raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
@@ -89,6 +100,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
     model = survey.model
     if model.nv == 0:
         raise ModelError(f"{name} has no joints, expected at least one.")
+    _check_sizes(model, name)
     links, poses = survey.carriers
     screws = _screws(model)
     parent = np.array(model.dof_parentid, dtype=np.int64)
@@ -129,6 +141,19 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
         mjcf=text, assets=files, ignored=ignored,
     )  # fmt: skip
+
+
+def _check_sizes(model: Any, name: str) -> None:
+    """Raise ModelError for more degrees of freedom or larger numbers than the plan's arithmetic has room for."""
+    if model.nv > MOST_DOFS:
+        raise ModelError(f"{name} has {model.nv} degrees of freedom, expected at most {MOST_DOFS}.")
+    for field_name in _NUMBERS:
+        values = np.abs(field(model, field_name, 0))
+        if not np.all(values <= LARGEST):
+            largest = values[~(values <= LARGEST)][0]
+            raise ModelError(f"{name} has {largest:g} in {field_name}, expected numbers of at most {LARGEST:g}.")
+    if not np.all(np.abs(model.opt.gravity) <= LARGEST):
+        raise ModelError(f"the gravity of {name} is {model.opt.gravity}, expected numbers of at most {LARGEST:g}.")
 
 
 def _names(model: Any, kind: str, count: int) -> tuple[str, ...]:

@@ -15,20 +15,18 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.bounded import compiled
+
+MOST_TOUCHING = 5000  # geoms: a table of all pairs of them has some 100 MB
+MOST_PAIRS = 100_000
 
 
 def compile_model(
     mjcf: str | ElementTree.Element, assets: dict[str, bytes] | None = None, name: str = "the model"
 ) -> Any:
     """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel."""
-    mujoco = load_mujoco()
     text = mjcf if isinstance(mjcf, str) else ElementTree.tostring(mjcf, encoding="unicode")
-    try:
-        return mujoco.MjModel.from_xml_string(text, assets or {})
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split()) or "it does not say why"
-        stop = "" if reason.endswith((".", "!", "?")) else "."
-        raise ModelError(f"MuJoCo refuses {name}: {reason}{stop}") from None
+    return compiled(text, assets or {}, name)
 
 
 def named(model: Any, kind: str, index: int) -> str:
@@ -124,21 +122,32 @@ def contact_pairs(model: Any) -> list[tuple[int, int]]:
     """The pairs of geoms that MuJoCo would test for contact, wherever they are: its own filters, without positions."""
     if disabled(model, "contact", "constraint"):
         return []
-    weld = model.body_weldid[model.geom_bodyid]
+    touching = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    if len(touching) > MOST_TOUCHING:
+        raise ModelError(
+            f"the model has {len(touching)} geoms that may touch, expected at most {MOST_TOUCHING}: "
+            "set contype and conaffinity of the others to 0."
+        )
+    bodies = model.geom_bodyid[touching]
+    weld = model.body_weldid[bodies]
     above = model.body_weldid[model.body_parentid[weld]]
-    masks, others = model.geom_contype, model.geom_conaffinity
+    masks, others = model.geom_contype[touching], model.geom_conaffinity[touching]
     may = (masks[:, None] & others) | (others[:, None] & masks) != 0
     may &= weld[:, None] != weld
     if not disabled(model, "filterparent"):
         family = (weld[:, None] == above) | (above[:, None] == weld)
         may &= ~(family & (weld[:, None] != 0) & (weld != 0))
     for signature in model.exclude_signature:
-        first = model.geom_bodyid == signature >> 16
-        second = model.geom_bodyid == signature & 0xFFFF
+        first = bodies == signature >> 16
+        second = bodies == signature & 0xFFFF
         may &= ~(np.outer(first, second) | np.outer(second, first))
-    pairs = {(int(i), int(j)) for i, j in np.argwhere(np.triu(may, 1))}
+    may = np.triu(may, 1)
+    if (count := np.count_nonzero(may)) > MOST_PAIRS:
+        raise ModelError(f"the model has {count} pairs of geoms that may touch, expected at most {MOST_PAIRS}.")
+    pairs = {(int(i), int(j)) for i, j in touching[np.argwhere(may)]}
+    rests = model.body_weldid[model.geom_bodyid] == 0
     explicit = zip(model.pair_geom1, model.pair_geom2, strict=True)
-    return sorted(pairs | {(int(i), int(j)) for i, j in explicit if weld[i] or weld[j]})
+    return sorted(pairs | {(int(i), int(j)) for i, j in explicit if not (rests[i] and rests[j])})
 
 
 def _combined(model: Any, a: int, b: int) -> Pair:

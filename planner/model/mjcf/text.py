@@ -11,9 +11,10 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from planner.base.arguments import shown
 from planner.base.errors import ModelError
 from planner.base.files import printable, read_input, read_text
-from planner.model.mjcf.bounds import MOST_PARENTS, Budget, check_copies, check_levels, parsed
+from planner.model.mjcf.bounds import MOST_PARENTS, Budget, base, by_name, check_copies, check_levels, parsed
 
 # In the wheel mjcf/ lies inside the package, in a checkout beside it.
 _FOLDERS = (Path(__file__).parents[2] / "mjcf", Path(__file__).parents[3] / "mjcf")
@@ -39,19 +40,22 @@ def model_text(path: str | Path) -> str:
 
 
 def model_tree(
-    model: str | Path, assets: dict[str, bytes] | None = None
+    model: str | Path, assets: dict[str, bytes] | None = None, *, stored: bool = False
 ) -> tuple[ElementTree.Element, dict[str, bytes]]:
     """A model that stands alone: its XML with includes resolved and the files it names, by the name it uses.
 
-    Files are sought in `assets` first; those that a text names, then from the working directory. The compiler's folders
-    (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
+    Files are sought in `assets` first; those that a text names, then from the working directory. The model of a
+    `stored` plan names only assets, by whatever folder, as MuJoCo finds them: nothing is read from disk for it. The
+    compiler's folders (meshdir, texturedir, assetdir) are gone: every file has a name without a folder.
     """
     if isinstance(model, str) and not model.strip():
         raise ModelError("the model is an empty text, expected MJCF or the path of a file.")
     if not isinstance(model, (str, os.PathLike)):
         raise ModelError(f"the model is a {type(model).__name__}, expected MJCF text or the path of a file.")
     files: dict[str, bytes] = {}
-    root = _standing_alone(*_read(model, Budget(), ()), assets or {}, files)
+    root, reading = _read(model, Budget(), ())
+    reading.stored = by_name(assets or {}) if stored else None
+    root = _standing_alone(root, reading, assets or {}, files)
     check_copies(root, files)
     return root, files
 
@@ -65,6 +69,7 @@ class _Reading:
     parents: tuple[Path, ...]  # The files of the models that attach it, and its own
     # The folder of the file that an element was included from.
     origins: dict[ElementTree.Element, Path] = field(default_factory=dict)
+    stored: dict[str, bytes] | None = None  # All files of a stored model, by the names that MuJoCo knows them by
 
 
 def _read(
@@ -152,7 +157,9 @@ def _standing_alone(
             sought = [reading.folder / ("" if element.tag == "model" else below) / file]
             sought += [reading.origins[element] / file] if element in reading.origins else []
             where = next((path for path in sought if os.path.isfile(path)), sought[0])
-            content = assets.get(file)
+            content = assets.get(file) if reading.stored is None else reading.stored.get(base(file))
+            if content is None and reading.stored is not None:
+                raise ModelError(f"the model names the file {shown(file)}, expected one that is stored with it.")
             if content is None and element.tag == "model":  # a model of its own, to be attached
                 part = _standing_alone(*_read(where, reading.budget, reading.parents), assets, files)
                 content = ElementTree.tostring(part)

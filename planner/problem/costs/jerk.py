@@ -33,8 +33,9 @@ from planner.base.arguments import array, number, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.driven import heavy_joints, twin_of
+from planner.model.mjcf.driven import driven, heavy_joints, in_order, twin_of
 from planner.model.mjcf.read import read
+from planner.model.mjcf.survey import compile_model
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Quadratic, Term, extended_cost
 from planner.problem.problem import Problem
@@ -217,12 +218,22 @@ def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
     if isinstance(joints, str) or not isinstance(joints, Collection) or not joints:
         raise PlannerError(f"joints is {shown(joints)}, expected names of at least one joint.")
     twin = twin_of(mechanism, joints)
-    root = ElementTree.fromstring(twin.mjcf)
-    motors = root.findall("actuator")[-1]  # the section that twin_of added
+    machine = read(_integrating(twin.mjcf), assets=twin.assets).with_curves(twin.curves)
+    if not mechanism.original:
+        return machine
+    given = compile_model(mechanism.original, mechanism.assets)
+    original = driven(mechanism.original, mechanism.assets, given, in_order(mechanism, joints))
+    return replace(machine, original=_integrating(original))
+
+
+def _integrating(text: str) -> str:
+    """The text of a driven twin whose motors are told the rates of their accelerations."""
+    root = ElementTree.fromstring(text)
+    motors = root.findall("actuator")[-1]  # the section that was added last
     for motor in motors:
         motor.tag = "general"
         motor.attrib.update(dyntype="integrator", gainprm="1", biastype="none", actlimited="false")
     for key in root.iterfind("keyframe/key"):
         if "act" in key.attrib:
             key.set("act", " ".join([key.attrib["act"], *["0"] * len(motors)]))
-    return read(ElementTree.tostring(root, encoding="unicode"), assets=twin.assets).with_curves(twin.curves)
+    return ElementTree.tostring(root, encoding="unicode")

@@ -76,7 +76,7 @@ class PenaltyCost(Term):
         """The terms with a final weight of their own."""
         weighed = np.flatnonzero(np.logical_and(self._asked, self.measures.weight[:, -1] > 0.0))
         units = ["m/s" if kind == VELOCITY else "m" for kind in self.measures.kind]
-        return tuple(Wanted(self.names[t], units[t], partial(self._missed, t)) for t in weighed)
+        return tuple(Wanted(self.names[t], units[t], partial(self._missed, t)) for t in weighed.tolist())
 
     def _missed(self, t: int, xs: np.ndarray) -> np.ndarray:
         return np.abs(self._at_end(xs)[t])

@@ -1,0 +1,196 @@
+"""A plan of anybody's: controls, or joint positions to be followed, from a CSV file, for a proof.
+
+    time, shoulder, elbow          a header with `time` (s) and the names of actuators, or of joints
+    0.00, 1.2, -0.3                rows at equal times
+    0.01, 1.3, -0.2
+
+Columns named as actuators are controls, each row held until the next one's time; actuators without a column get zero.
+Columns named as joints (with `position of ` before the name where an actuator is called the same) are positions to be
+followed from the first row's time to the last one's: controls come from inverse dynamics of a spline through them, and
+the gains from an LQR about the motion. What the model has and a plan cannot have is left out of the planned machine;
+the proof says so, and replays the file as it is.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import LONGEST_HORIZON
+from planner.base.errors import FileError, ModelError, PlannerError
+from planner.base.files import printable, read_text
+from planner.cases.problem_file.build import state_of
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.refuse import KINDS
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.guess import follow, rolled
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.solvers import lq
+
+TIME, POSITION = "time", "position of "
+EVEN = 0.01  # relative, of the spacing of times
+_PER_SIZE = 0.01  # weight of a control of the motion's largest size, beside 1 of a radian and of a radian per second
+_EFFORT = 1e-6  # of controls that nobody optimized: the cost is only shown
+
+
+def plan_of_controls(
+    path: str | Path, model: str | Path, *, start: Any = None, goal: Any = None, tolerance: Any = None
+) -> Plan:
+    """The plan whose controls are in a CSV file, of the machine in an MJCF file.
+
+    Args:
+        path: The CSV file.
+        model: The MJCF file.
+        start: A keyframe, numbers, or positions by joint; by default the model's own, at rest, or the file's first row.
+        goal: The same, for the proof to judge the end by; None for none.
+        tolerance: How far from the goal passes, as of Problem.
+
+    Returns:
+        A plan with the status GIVEN: feasibility can be proved, optimality cannot.
+
+    Raises:
+        PlannerError: The file or the model cannot be used.
+    """
+    header, table = _table(Path(path))
+    mechanism = _readable(model)
+    if mechanism.nu == 0:
+        raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
+    dt = _spacing(table[:, 0], path)
+    actuators, joints = _columns(header[1:], mechanism, path)
+    dynamics = RigidBodyDynamics(mechanism, dt)
+    x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
+    if joints:
+        xs, us, K = _followed(dynamics, table[:, 1:], joints, x0 if start is not None else None)
+    else:
+        us = np.zeros((len(table), mechanism.nu))
+        us[:, actuators] = table[:, 1:]
+        xs, K = rolled(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
+    if not np.isfinite(xs).all():
+        raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
+    return _planned(dynamics, xs, us, K, goal, tolerance)
+
+
+def _planned(
+    dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any, tolerance: Any
+) -> Plan:
+    mechanism, N = dynamics.mechanism, len(us)
+    Q = np.zeros((N + 1, dynamics.ndx, dynamics.ndx))
+    R = np.tile(_EFFORT * dynamics.dt * np.eye(dynamics.nu), (N, 1, 1))
+    x_ref = xs.copy()
+    if goal is not None:
+        at_rest = xs[-1].copy()
+        at_rest[mechanism.nq :] = 0.0
+        x_ref[-1], Q[N] = state_of("goal", goal, mechanism, at_rest), np.eye(dynamics.ndx)
+        Q[N, 2 * mechanism.nv :] = 0.0
+    cost = TrackingCost(Q, R, x_ref, 0.0, dynamics.space)
+    problem = Problem(dynamics, cost, xs[0], us=us, tolerance=tolerance)
+    A, B = dynamics.linearize(xs, us)
+    norm = float(np.linalg.norm(lq.gradient(A, B, cost.quadratize(xs, us))))
+    return Plan(
+        t=dynamics.dt * np.arange(N + 1), xs=xs, us=us, K=K, cost=cost.value(xs, us), gradient_norm=norm,
+        status=Status.GIVEN, history=(), problem=problem, twin=problem.twin,
+    )  # fmt: skip
+
+
+def _readable(model: str | Path) -> Mechanism:
+    """The machine without what a plan cannot have; contacts are kept where they are modelled."""
+    try:
+        return Mechanism.from_mjcf(model, ignore=KINDS)
+    except ModelError as error:
+        if "contacts" not in str(error):
+            raise
+        return Mechanism.from_mjcf(model, ignore=KINDS, contacts="off")
+
+
+def _table(path: Path) -> tuple[list[str], np.ndarray]:
+    what = f"the controls {printable(path)}"
+    try:
+        rows = [row for row in csv.reader(io.StringIO(read_text(path, "the controls")), skipinitialspace=True) if row]
+    except csv.Error as error:
+        raise FileError(f"{what} are no CSV: {error}.") from None
+    header = [name.strip() for name in rows[0]] if rows else []
+    if len(header) < 2 or header[0].lower() != TIME:
+        begin = ", ".join(header)[:80]
+        raise FileError(f"{what} begin with {begin!r}, expected a header: time, then names of actuators or joints.")
+    if not 2 <= len(rows) - 1 <= LONGEST_HORIZON:
+        raise FileError(f"{what} have {len(rows) - 1} rows below the header, expected 2 to {LONGEST_HORIZON}.")
+    table = np.full((len(rows) - 1, len(header)), np.nan)
+    for i, row in enumerate(rows[1:]):
+        for j in range(len(header)):
+            word = row[j].strip() if j < len(row) else ""
+            with suppress(ValueError):
+                table[i, j] = float(word)
+            if not np.isfinite(table[i, j]):
+                raise FileError(f"{what} have {word[:40]!r} in row {i + 1} of {header[j]}, expected a finite number.")
+    return header, table
+
+
+def _spacing(times: np.ndarray, path: str | Path) -> float:
+    steps = np.diff(times)
+    dt = float(np.mean(steps))
+    if not (dt > 0.0 and np.all(np.abs(steps - dt) <= EVEN * dt)):
+        raise FileError(
+            f"the times of {path} are {steps.min():.4g} to {steps.max():.4g} s apart, expected rows at equal times; "
+            "resample them."
+        )
+    return dt
+
+
+def _columns(names: list[str], mechanism: Mechanism, path: str | Path) -> tuple[list[int], list[int]]:
+    """The actuators that columns drive, or the joints that they are positions of; one of the two is empty."""
+    actuators = {name: a for a, name in enumerate(mechanism.actuators.names) if name}
+    joints = {name: j for j, name in enumerate(mechanism.joint_names) if name}
+    if len(set(names)) == len(names):
+        if all(name in actuators for name in names):
+            return [actuators[name] for name in names], []
+        stems = [name.removeprefix(POSITION) for name in names]
+        if set(stems) == set(joints):
+            return [], [joints[name] for name in stems]
+        if not actuators and len(names) == mechanism.nu:
+            return list(range(mechanism.nu)), []
+    raise FileError(
+        f"{path} has the columns {', '.join(names)[:120]}, expected each once: actuators "
+        f"({', '.join(actuators) or 'none has a name'}), or all joints ({', '.join(joints) or 'none has a name'})."
+    )
+
+
+def _followed(
+    dynamics: RigidBodyDynamics, positions: np.ndarray, joints: list[int], x0: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (N+1, nx), controls (N, nu) and gains (N, nu, ndx) along columns of positions (N+1, nv)."""
+    from scipy.interpolate import make_interp_spline
+
+    mechanism, dt, N = dynamics.mechanism, dynamics.dt, len(positions) - 1
+    if not np.all(mechanism.kind == SCREW):
+        raise PlannerError("the model has ball or free joints, expected hinges and slides to follow joint positions.")
+    if N < 6:
+        raise PlannerError(f"{N + 1} rows of positions are given, expected at least 7 to know accelerations.")
+    links = [mechanism.joint_links[j].start for j in joints]
+    q = np.empty_like(positions)
+    q[:, mechanism.q_address[links]] = positions
+    t = dt * np.arange(N + 1)
+    spline = make_interp_spline(t, q, k=5)
+    middle = t[:-1] + 0.5 * dt  # where a control that is held over a stage is best taken
+    us = follow(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
+    wanted = np.concatenate([q, spline(t, 1)], axis=1)
+    A, B = dynamics.linearize(wanted, us)
+    size = np.maximum(np.abs(us).max(axis=0), np.finfo(float).tiny)
+    weights = TrackingCost(
+        np.tile(dt * np.eye(dynamics.ndx), (N + 1, 1, 1)),
+        np.tile(dt * _PER_SIZE * np.diag(1.0 / size**2), (N, 1, 1)), wanted, us, dynamics.space,
+    )  # fmt: skip
+    sweep = lq.riccati(A, B, weights.quadratize(wanted, us))
+    assert sweep is not None  # R is positive definite, Q semidefinite
+    xs = np.empty_like(wanted)
+    xs[0] = wanted[0] if x0 is None else x0
+    for n in range(N):
+        us[n] += sweep.K[n] @ (xs[n] - wanted[n])
+        xs[n + 1] = dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+    return xs, us, sweep.K

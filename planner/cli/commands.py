@@ -1,0 +1,71 @@
+"""Run one command: what is wrong with the input is one sentence and exit code 2, an error of the planner itself 70."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+
+import numpy as np
+
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.base.versions import installed_versions
+from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
+from planner.cli.console import Console
+
+INTERNAL = 70  # EX_SOFTWARE of sysexits.h
+TRACEBACK = "PLANNER_TRACEBACK"
+"""Variable of the environment: set to anything, where an error of the planner itself was raised is printed."""
+
+_COMMANDS = {
+    "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+    "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
+    "paper": paper.paper, "warmup": compiling.warmup,
+}  # fmt: skip
+
+
+def command(words: list[str]) -> int:
+    """Run the command of a command line; returns the exit code."""
+    # A kill ends like an exception, so that hidden folders are removed.
+    for kill in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(kill, lambda number, _: sys.exit(128 + number))
+    console = Console(as_json="--json" in words, quiet="--quiet" in words)
+    with np.errstate(all="ignore"):  # a sentence says what is wrong
+        return _run(words, console)
+
+
+def _run(words: list[str], console: Console) -> int:
+    try:
+        arguments = parser.parse(words)
+        if arguments.version:
+            console.say("  ".join(f"{name} {version}" for name, version in installed_versions().items()))
+            return 0
+        if arguments.command is None:
+            parser.build().print_help()
+            return 0
+        code = _COMMANDS[arguments.command](arguments, console)
+        if console.lost:
+            console.complain(f"the results could not be printed: {console.lost}.")
+            return 2
+        return code
+    except PlannerError as error:
+        return _refuse(console, str(error), 2)
+    except MemoryError:
+        return _refuse(console, "there is not enough memory for this problem, expected a shorter horizon.", 2)
+    except KeyboardInterrupt:
+        return _refuse(console, "interrupted; nothing was written.", 130)
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            for line in traceback.format_exc().splitlines():
+                console.complain(line)
+        kind = f"{type(error).__name__}: {shown(str(error))}"
+        how = f"please report it, with the command and what {TRACEBACK}=1 makes it print"
+        return _refuse(console, f"this is an error of the planner itself ({kind}); {how}.", INTERNAL)
+
+
+def _refuse(console: Console, sentence: str, code: int) -> int:
+    console.complain(sentence)
+    console.document({"error": sentence, "exit_code": code})
+    return code

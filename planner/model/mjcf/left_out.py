@@ -1,0 +1,98 @@
+"""Find what the text of a plan's mechanism lacks of the file that it was read from.
+
+Two texts are compared as MuJoCo compiles them, so a plan that was just solved and the same plan from its file lack the
+same: both have both texts.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from planner.model.mjcf.refuse import Refusal, unmodelled
+from planner.model.mjcf.survey import compile_model, contact_pairs, named
+
+_OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
+_COUNTED = ("equality", "actuator", "mocap")  # the element is out, and not only something of it
+_PLURALS = {"equality": "equalities", "body": "bodies", "mocap": "mocap bodies"}
+
+GeomName = tuple[str, int] | str
+"""A geom by its name, or by its body and its place there: edits of a text keep both."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What a plan's model lacks of the user's file.
+
+    Attributes:
+        elements: What is not modelled and was taken out, but for contacts.
+        pairs: Pairs of geoms that may touch in the file alone, e.g. "geom 'arm' and geom 'wall'".
+        known: The pairs that the plan's model has.
+    """
+
+    elements: tuple[Refusal, ...] = ()
+    pairs: tuple[str, ...] = ()
+    known: frozenset[frozenset[GeomName]] = frozenset()
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The kinds of what was taken out, "contacts" only where all of them were."""
+        contacts = {"contacts"} if self.pairs and not self.known else set()
+        return frozenset({one.kind for one in self.elements} | contacts)
+
+    @property
+    def phrases(self) -> tuple[str, ...]:
+        """Short phrases with counts: "contacts of 12 pairs", "friction loss of 2 joints", "1 equality"."""
+        found = [f"contacts of {_counted(len(self.pairs), 'pair')}"] if self.pairs else []
+        for (head, noun), number in Counter(map(_words, self.elements)).items():
+            found.append(" of ".join(filter(None, (head, _counted(number, noun)))) if noun else head)
+        return tuple(found)
+
+
+def left_out(
+    original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None
+) -> LeftOut:
+    """Compare the text of a file as the user gave it with the text that a plan's mechanism was read from.
+
+    `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
+    model of a text that was not edited, where there is one already.
+    """
+    own = compiled if compiled is not None and not original else compile_model(planned, assets)
+    known = pairs_by_name(own) if contacts else {}
+    if not original:
+        given, elements = own, ()
+    else:
+        given = compile_model(original, assets)
+        elements = tuple(unmodelled(given))
+    pairs = pairs_by_name(given)
+    unknown = [pair for key, pair in pairs.items() if key not in known]
+    names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
+    return LeftOut(elements, names, frozenset(known))
+
+
+def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
+    """The pairs of geoms that may touch, by names that are the same in an edited text."""
+    return {frozenset(_name_of(model, geom) for geom in pair): pair for pair in contact_pairs(model)}
+
+
+def _name_of(model: Any, geom: int) -> GeomName:
+    name = model.geom(geom).name
+    if name and name != f"geom number {geom}":  # which is the name that an edit gives to one without
+        return name
+    body = int(model.geom_bodyid[geom])
+    return model.body(body).name or f"body number {body}", geom - int(model.body_geomadr[body])
+
+
+def _words(one: Refusal) -> tuple[str, str]:
+    """The head and the noun of a phrase about several elements of the same kind; the noun is "" for the model's own."""
+    if one.kind in _COUNTED:
+        return "", one.kind
+    head, of, element = one.phrase.partition(" of ")
+    if not of or one.kind == "sleep":
+        return one.phrase, ""
+    return _OF.get(one.kind, head), element.split()[0]
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun if number == 1 else _PLURALS.get(noun, noun + 's')}"

@@ -1,0 +1,263 @@
+"""Step 7 of a proof: the same plan on another ground, shown and never judged.
+
+MuJoCo computes the plan's own law of contact, since the model is given attributes with which it does. How much of the
+motion is owed to that law is seen by replays in which only the contacts are others:
+
+    default contact      solref, solimp, friction, dimension and cone as in a file that says nothing of contacts
+    half, double         of the stiffness, the damping, or the friction of every contact
+
+each open loop and with the plan's gains. Joint stops stay as they are. Where what touches is much lighter than what it
+carries (the hopper's foot), MuJoCo's default contact, whose force goes with that mass, would carry nothing: there the
+step does not apply.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.base.jsonable import finite
+from planner.base.measured import Measured, Section
+from planner.dynamics import kinematics
+from planner.model.contact.laws import Contact
+from planner.model.mechanism import Frame, Mechanism
+from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.replaying import Replay, replay_in
+from planner.proof.rigid_parity import turns
+from planner.proof.rollouts import MODES
+
+TITLE = "another ground"
+LIGHT = 0.01  # of the mass that hangs together with a body: lighter ones do not stand on MuJoCo's default contact
+PLAN = "planned contact"
+
+_KINDS = {"rad": "angle", "m": "distance"}
+_LOOKS, _LOOKS_PER_STAGE = 200, 4  # at a replay, to see what touches and where
+
+# MuJoCo's defaults, as a file has them that says nothing of contacts.
+SOLREF, SOLIMP, SLIDING, CONDIM = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0), 1.0, 3
+
+
+@dataclass(frozen=True)
+class GroundRow:
+    """What one ground makes of a plan.
+
+    Attributes:
+        ground: "planned contact", "default contact", "half stiffness" and so on.
+        mode: "open-loop" or "feedback".
+        end: Largest error of the end state by unit, against the plan.
+        path: The same over the whole path.
+        feet: Largest distance of what touches planes from where it is in the plan, m, over the path; NaN for none.
+        peak_force: Largest sum of normal forces, N.
+        warnings: MuJoCo's.
+    """
+
+    ground: str
+    mode: str
+    end: dict[str, float]
+    path: dict[str, float]
+    feet: float
+    peak_force: float
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class GroundTable:
+    """A plan on several grounds: a row for each ground and mode, or the reason why there are none."""
+
+    rows: tuple[GroundRow, ...] = ()
+    not_applicable: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The rows as JSON values, or the reason why there are none."""
+        if self.not_applicable:
+            return {"applicable": False, "reason": self.not_applicable}
+        return {"applicable": True, "rows": [finite(asdict(row)) for row in self.rows]}
+
+    @property
+    def section(self) -> Section:
+        """The rows as measured values without bounds."""
+        if self.not_applicable:
+            return Section(TITLE, not_applicable=self.not_applicable)
+        return Section(TITLE, tuple(one for row in self.rows for one in _measured(row)))
+
+
+def another_ground(
+    plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
+    runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
+) -> Section:  # fmt: skip
+    """Replay a plan on other grounds, open loop and with its gains; the arguments are those of ground_table()."""
+    return ground_table(plan, compiled, units=units, runs=runs, replay=replay).section
+
+
+@np.errstate(all="ignore")  # a motion may run away
+def ground_table(
+    plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
+    runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
+) -> GroundTable:  # fmt: skip
+    """Replay a plan on other grounds, open loop and with its gains.
+
+    Args:
+        plan: A plan of a problem with a twin.
+        compiled: The model, in which the plan's own contact acts.
+        units: (ndx,) of the components of a deviation; by default by the joints' kinds.
+        runs: The replays in that model by mode, where there are some already.
+        replay: replay(compiled, plan, feedback=...) in a model.
+    """
+
+    def run_in(changed: CompiledTwin) -> dict[str, Replay]:
+        return {mode: replay(changed, plan, feedback=mode == "feedback") for mode in MODES}
+
+    own = dict(runs) if runs is not None else run_in(compiled)
+    reason = _reason(compiled.model, own)
+    if reason:
+        return GroundTable(not_applicable=reason)
+    by_unit = _components(plan, units)
+    every = {PLAN: own, **{name: run_in(compiled.changed(change)) for name, change in GROUNDS.items()}}
+    return GroundTable(
+        tuple(_row(name, mode, run, by_unit) for name, these in every.items() for mode, run in these.items())
+    )
+
+
+def _reason(model: Any, runs: Mapping[str, Replay]) -> str:
+    """Why other grounds say nothing about these replays; "" where they do."""
+    touching = sorted({body for run in runs.values() for body in _touching(model, run)})
+    if not touching:
+        return "nothing touches"
+    for body in touching:
+        own = float(model.body_mass[model.body_weldid == body].sum())
+        carried = float(model.body_subtreemass[model.body_rootid[body]])
+        if own < LIGHT * carried:
+            name = model.body(body).name or f"body {body}"
+            return (
+                f"{name}, which touches, has {100.0 * own / carried:.2g} % of the mass that it carries, and MuJoCo's "
+                f"default contact is as weak as the mass of what touches: expected at least {100.0 * LIGHT:g} %"
+            )
+    return ""
+
+
+def _touching(model: Any, run: Replay) -> set[int]:
+    """The bodies that move and touch something in a replay."""
+    mujoco, found = load_mujoco(), set()
+    data, steps = mujoco.MjData(model), np.flatnonzero(run.contact_force > 0.0)
+    for i in steps[:: max(1, len(steps) // _LOOKS)]:
+        data.qpos[:] = run.qpos[i]
+        mujoco.mj_fwdPosition(model, data)
+        found |= {int(model.body_weldid[model.geom_bodyid[geom]]) for geom in np.ravel(data.contact.geom) if geom >= 0}
+    return found - {0}
+
+
+def _components(plan: Plan, units: Iterable[str] | None) -> dict[str, np.ndarray]:
+    """The components of a deviation by their unit."""
+    ndx = plan.K.shape[2]
+    if units is None:
+        mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+        units = [""] * ndx
+        if isinstance(mechanism, Mechanism):
+            kinds = ["rad" if angle else "m" for angle in turns(mechanism)]
+            units = [*kinds, *(f"{kind}/s" for kind in kinds), *[""] * mechanism.na]
+    every = np.array(list(units))
+    return {unit: np.flatnonzero(every == unit) for unit in dict.fromkeys(every.tolist())}
+
+
+def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> GroundRow:
+    error = np.nan_to_num(np.abs(run.error), nan=np.inf)  # of a motion that ran away
+    return GroundRow(
+        ground, mode, {unit: float(error[-1, which].max()) for unit, which in by_unit.items()},
+        {unit: float(error[:, which].max()) for unit, which in by_unit.items()},
+        _feet(run), float(np.nanmax(run.contact_force)), run.warnings,
+    )  # fmt: skip
+
+
+def _feet(run: Replay) -> float:
+    """The largest distance of the spheres that touch planes from where the plan has them, m."""
+    mechanism = getattr(getattr(run.plan.problem, "dynamics", None), "mechanism", None)
+    if not isinstance(mechanism, Mechanism) or not mechanism.contacts:
+        return np.nan
+    if not np.isfinite(run.xs).all():
+        return np.inf
+    rows = slice(None, None, max(1, run.substeps // _LOOKS_PER_STAGE))
+    qs = [xs[rows, : mechanism.nq] for xs in (run.xs, run.plan_xs)]
+    away = [kinematics.frame_pose(mechanism, qs[0], frame) - kinematics.frame_pose(mechanism, qs[1], frame)
+            for frame in map(_centre, mechanism.contacts)]  # fmt: skip
+    return max(float(np.linalg.norm(T[:, :3, 3], axis=1).max()) for T in away)
+
+
+def _centre(contact: Contact) -> Frame:
+    T = np.eye(4)
+    T[:3, 3] = contact.centre
+    return Frame(contact.link, T)
+
+
+def _measured(row: GroundRow) -> Iterator[Measured]:
+    """A row without its velocities, which the table has."""
+    note = " ".join((f"{row.ground}, {row.mode}; shown, not judged.", *row.warnings))
+    ground, mode = (re.sub(r"\W+", "_", part) for part in (row.ground, row.mode))
+    for where, errors in (("end", row.end), ("path", row.path)):
+        for unit, value in errors.items():
+            if not unit.endswith("/s"):
+                kind = f"{_KINDS[unit]}_" if unit in _KINDS else ""
+                yield Measured(f"{ground}_{where}_{kind}error_{mode}", value, unit, None, note)
+    if np.isfinite(row.feet) or np.isinf(row.feet):
+        yield Measured(f"{ground}_feet_error_{mode}", row.feet, "m", None, note)
+    yield Measured(f"{ground}_peak_force_{mode}", row.peak_force, "N", None, note)
+
+
+def _default(model: Any) -> None:
+    """Contacts as of a file that says nothing of them."""
+    bits, kinds = load_mujoco().mjtEnableBit, load_mujoco().mjtCone
+    for of in ("pair", "geom"):
+        getattr(model, f"{of}_solref")[:] = SOLREF
+        getattr(model, f"{of}_solimp")[:] = SOLIMP
+        getattr(model, f"{of}_margin")[:] = 0.0
+        getattr(model, f"{of}_gap")[:] = 0.0
+        getattr(model, f"{of}_friction")[:, 0] = SLIDING
+    model.pair_friction[:, 1] = SLIDING
+    model.pair_solreffriction[:] = 0.0
+    model.pair_dim[:] = model.geom_condim[:] = CONDIM
+    model.geom_priority[:] = 0
+    model.geom_solmix[:] = 1.0
+    model.opt.cone, model.opt.impratio = int(kinds.mjCONE_PYRAMIDAL), 1.0
+    model.opt.noslip_iterations = 0
+    model.opt.enableflags &= ~int(bits.mjENBL_OVERRIDE)
+    model.opt.disableflags &= ~int(load_mujoco().mjtDisableBit.mjDSBL_REFSAFE)
+
+
+def _stiffness(factor: float) -> Callable[[Any], None]:
+    def change(model: Any) -> None:
+        for solref in (model.pair_solref, model.geom_solref):
+            direct = solref[:, 0] <= 0.0
+            solref[direct, 0] *= factor
+            solref[~direct, 1] /= np.sqrt(factor)  # a damping ratio: the damping stays
+
+    return change
+
+
+def _damping(factor: float) -> Callable[[Any], None]:
+    def change(model: Any) -> None:
+        inherits = ~np.any(model.pair_solreffriction, axis=1)  # friction keeps its own
+        model.pair_solreffriction[inherits] = model.pair_solref[inherits]
+        for solref in (model.pair_solref, model.geom_solref):
+            direct = solref[:, 0] <= 0.0
+            solref[direct, 1] *= factor
+            solref[~direct] *= (1.0 / factor, factor)  # time constant and damping ratio: the stiffness stays
+
+    return change
+
+
+def _friction(factor: float) -> Callable[[Any], None]:
+    def change(model: Any) -> None:
+        model.pair_friction[:, :2] *= factor
+        model.geom_friction[:, 0] *= factor
+
+    return change
+
+
+GROUNDS: dict[str, Callable[[Any], None]] = {"default contact": _default}
+for _name, _change in (("stiffness", _stiffness), ("damping", _damping), ("friction", _friction)):
+    GROUNDS |= {f"half {_name}": _change(0.5), f"double {_name}": _change(2.0)}

@@ -1,0 +1,330 @@
+"""Parity of contacts and stops: coefficients of the plan's forces and of MuJoCo's, at states where a pair touches.
+
+The plan's law is plain outside its ramps (model.contact.laws), so each coefficient is a difference of forces:
+
+    stiffness     (f_n(e_2) - f_n(e_1)) / (e_2 - e_1)     pressed to two depths
+    surface       e_1 - f_n(e_1) / stiffness              where the force begins: 0 for the plan
+    damping       (f_n(closing) - f_n(at rest)) / speed   pressed to e_1
+    friction      f_t / f_n                               sliding three times as fast as what sticks
+    slip damping  f_t / |v_t|                             sliding at a thousandth of that
+
+Both sides get the same formulas at the same states. MuJoCo's forces are those that it computes while the machine does
+not accelerate: its inverse dynamics with qacc = 0. There each contact has its own force, whatever else touches. What
+accelerations add to it is the share A/R, A the inverse inertia that the contact feels and R MuJoCo's softness: it is
+measured too, since a force that follows accelerations is not the plan's, whatever it is at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.base.measured import Measured
+from planner.dynamics.contacts import contact_force, one_sided, stop_state
+from planner.dynamics.hopper import HopperDynamics
+from planner.model.contact.laws import Contact, Stop
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import driven_dofs
+from planner.model.mjcf.survey import Survey
+from planner.problem.problem import Problem
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.differences import joint_of
+from planner.proof.hopper_ground import hopper_ground
+from planner.proof.pressing import AnyContact, Pressing, beyond_ramps
+from planner.proof.rigid_parity import random_states
+from planner.proof.simulation import set_state
+from planner.proof.touching import Shapes, contact_name, force_between, shapes_of
+
+BOUND = 1.0  # %
+INERTIA_BOUND = 5.0  # %: a law is read from impedances up to 1e-3, where the share is A / 1000 R's own estimate of A
+STATES = 3  # of each contact
+_NEAR = 4  # states near the start and as many all over the space, from which contacts are pressed
+_CLOSING = 0.5  # of the spring's force: the damper's
+_FAST, _SLOW = 3.0, 1e-3  # of the speed at which friction slips
+_STUCK = 0.05  # of a velocity that is asked for: what cannot move so has no such coefficient
+_NOTHING = 1e-6  # of what would matter: a coefficient below it is none
+_REST = 1e-2  # rad or m: how deep stops are pressed, unless their ramps ask for more
+
+
+class Coefficient(NamedTuple):
+    """One coefficient of one pair, in MuJoCo and in the plan."""
+
+    kind: str
+    pair: str
+    theirs: float
+    ours: float
+    error: float  # relative
+    sentence: str = ""  # in place of the usual one
+
+    def __str__(self) -> str:
+        return self.sentence or (
+            f"{self.kind.replace('_', ' ')} of {self.pair} is {self.theirs:.4g}, the plan has {self.ours:.4g}"
+        )
+
+
+def compared(kind: str, pair: str, theirs: float, ours: float, matters: float) -> Coefficient:
+    """A coefficient's difference relative to the plan's, or to MuJoCo's where the plan has none.
+
+    `matters` is a size that would matter: a millionth of it is none.
+    """
+    least = _NOTHING * matters
+    scale = abs(ours) if abs(ours) > least else max(abs(theirs), least)
+    return Coefficient(kind, pair, theirs, ours, abs(theirs - ours) / scale if np.isfinite(theirs) else np.inf)
+
+
+@np.errstate(all="ignore")  # what is no number fails
+def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> tuple[Measured, ...]:
+    """Compare the coefficients of a plan's contacts and stops with those of MuJoCo's forces.
+
+    Args:
+        problem: The plan's.
+        compiled: The model, with the states of the plan's machine.
+        seed: Of the states.
+
+    Returns:
+        One measured number per coefficient, the largest difference in %, whose note names the pair; nothing where the
+        plan's dynamics have no contacts and stops.
+    """
+    dynamics = problem.dynamics
+    if isinstance(dynamics, HopperDynamics):
+        return _measured([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
+    mechanism = getattr(dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return ()
+    if not (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
+        return ()
+    bench = _Bench(mechanism, compiled, driven_dofs(dynamics))
+    found = [*bench.contacts(*_starts(problem, mechanism, seed)), *bench.stops(problem.x0)]
+    return _measured(found, seed, bench.unreached)
+
+
+def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None = None) -> tuple[Measured, ...]:
+    measured, pairs = [], {}
+    for one in found:
+        pairs.setdefault(one.kind, set()).add(one.pair)
+    for kind, names in pairs.items():
+        worst = max((one for one in found if one.kind == kind), key=lambda one: np.nan_to_num(one.error, nan=np.inf))
+        error, bound = (
+            100.0 * float(np.nan_to_num(worst.error, nan=np.inf)),
+            INERTIA_BOUND if kind == "contact_inertia" else BOUND,
+        )
+        note = f"largest of {len(names)}, at {worst.pair}" if error <= bound else str(worst)
+        note += f", at seeded states outside the ramps (seed {seed}), relative to the plan's"
+        measured.append(Measured(f"{kind}_error", error, "%", bound, note))
+    if unreached:
+        note = f"not compared, since no state that was tried brings them together: {', '.join(unreached)}"
+        measured.append(Measured("contacts_not_reached", float(len(unreached)), "", None, note))
+    return tuple(measured)
+
+
+def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """States (K, nx) from which contacts are pressed: the start and some near it, and some all over the space."""
+    rng, change = np.random.default_rng(seed), np.zeros((_NEAR, mechanism.space.ndx))
+    change[1:, : mechanism.nv] = 0.1 * rng.normal(size=(_NEAR - 1, mechanism.nv))
+    near = mechanism.space.integrate(np.tile(problem.x0, (_NEAR, 1)), change)
+    return near, random_states(mechanism, rng, _NEAR)
+
+
+class _Bench:
+    """A model that is held at rest while its contacts are pressed one after the other."""
+
+    def __init__(self, mechanism: Mechanism, compiled: CompiledTwin, fixed: np.ndarray) -> None:
+        self._mujoco = load_mujoco()
+        self._mechanism, self._twin, self._fixed = mechanism, compiled.twin, fixed
+        self._model = compiled.copy()
+        self._model.opt.enableflags &= ~int(self._mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
+        self._survey, self._data = Survey(compiled.model), self._mujoco.MjData(self._model)
+        self._seen: dict[tuple[int, int], str] = {}  # of each pair of geoms a part that was not reached, "" for none
+
+    @property
+    def unreached(self) -> list[str]:
+        """The pairs of which no part was pressed: nowhere near the states that were tried do they touch."""
+        return [name for name in self._seen.values() if name]
+
+    def _hold(self, x: np.ndarray, qacc: np.ndarray | None = None) -> None:
+        """Let MuJoCo compute the forces at a state (nx,), while the machine accelerates by qacc (nv,) or not."""
+        set_state(self._model, self._data, self._twin.sim_of(x))
+        self._data.qacc[:] = 0.0 if qacc is None else qacc
+        self._mujoco.mj_inverse(self._model, self._data)
+
+    def contacts(self, near: np.ndarray, anywhere: np.ndarray) -> Iterator[Coefficient]:
+        """Every coefficient of every contact, from states near the start, or anywhere."""
+        m = self._mechanism
+        for contact, shapes in zip((*m.contacts, *m.body_contacts), shapes_of(m, self._survey), strict=True):
+            pressing = Pressing(m, contact)
+            if not pressing.matters(anywhere, self._fixed):  # no force of it changes the motion
+                continue
+            if shapes is None:
+                name = contact_name(contact)
+                yield _missing(name, f"{name} touches nothing in the model, the plan has a contact")
+                continue
+            touching, ought_to = [], False
+            tries = [(near, None), (anywhere, None)]
+            middle = self._middle(contact, shapes)
+            if middle is not None:  # the plan's plane goes on where the box ends
+                tries.append((np.concatenate([near, anywhere]), middle))
+            for starts, aim in tries:
+                xs, alone = pressing.pressed(starts, pressing.depth, aim)
+                ought_to = ought_to or (aim is middle and bool(alone.any()))
+                if pressing.corners:  # of a box MuJoCo takes the lowest alone
+                    xs = xs[alone]
+                touching += [x for x in xs if self._touches(pressing, shapes, x)]
+                if len(touching) >= STATES or (touching and starts is anywhere):
+                    break
+            geoms = shapes.own, shapes.other
+            if touching:
+                self._seen[geoms] = ""
+                for x in touching[:STATES]:
+                    yield from self._coefficients(pressing, shapes, x)
+            elif ought_to:
+                yield _missing(shapes.name, f"{shapes.name} does not touch in the model where it does in the plan")
+            else:
+                self._seen.setdefault(geoms, shapes.name)
+
+    def _middle(self, contact: AnyContact, shapes: Shapes) -> np.ndarray | None:
+        """(3,) where the file puts a box that a contact touches; None for what has no end."""
+        box = self._model.geom_type[shapes.other] == int(self._mujoco.mjtGeom.mjGEOM_BOX)
+        return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
+
+    def _force(
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, qacc: np.ndarray | None = None
+    ) -> np.ndarray:
+        """MuJoCo's force (3,) on the contact's first or only body."""
+        self._hold(x, qacc)
+        if not isinstance(pressing.contact, Contact):
+            return force_between(self._model, self._data, shapes)
+        return force_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
+
+    def _touches(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> bool:
+        return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
+
+    def _both(
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, velocity: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The plan's force (3,) and MuJoCo's where the contact moves by about a velocity (3,), and how it does move."""
+        m, v = self._mechanism, place.v[0]
+        if velocity is not None:
+            x = x.copy()
+            x[m.nq : m.nq + m.nv], v = pressing.moving(place, velocity)
+        ours = contact_force(pressing.contact.law, place.n, place.e, v[None])[0][0]
+        return ours, self._force(pressing, shapes, x, place), v
+
+    def _coefficients(self, pressing: Pressing, shapes: Shapes, x: np.ndarray) -> Iterator[Coefficient]:
+        law, name, depth = pressing.contact.law, shapes.name, pressing.depth
+        deeper = pressing.pressed(x[None], 2.0 * depth)[0]
+        if not len(deeper):
+            return
+        place, below = pressing.place(x[None]), pressing.place(deeper)
+        n, e, further = place.n[0], float(place.e[0]) - law.lift, float(below.e[0] - place.e[0])
+        rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
+        K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
+        yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
+        yield _surface("contact_surface", name, e - float(rest[1] @ n) / K[1], depth, _bluntness(pressing.contact))
+        load = float(rest[0] @ n)
+        closing = _CLOSING * load / law.damping if law.damping > 0.0 else pressing.speed
+        *forces, v = self._both(pressing, shapes, x, place, -closing * n)
+        if -v @ n > _STUCK * closing:
+            B = [float((f - f0) @ n) / float(-v @ n) for f0, f in zip(rest, forces, strict=True)]
+            yield compared("contact_damping", name, B[1], B[0], load / closing)
+        yield from self._friction(pressing, shapes, x, place, rest)
+        yield self._inertia(pressing, shapes, x, place, rest[1])
+
+    def _friction(
+        self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: tuple[np.ndarray, ...]
+    ) -> Iterator[Coefficient]:
+        """Friction while it slips, along and across, and its damping; nothing where the contact cannot slide."""
+        law, n = pressing.contact.law, place.n[0]
+        load, across = float(rest[0] @ n), np.eye(3) - np.outer(n, n)
+        rubs = law.friction > 0.0 and law.slip_damping > 0.0
+        slips = law.friction * load / law.slip_damping if rubs else pressing.speed
+
+        def share(way: np.ndarray) -> float:
+            """How much of a velocity that is asked for is along the surfaces."""
+            return float(np.linalg.norm(across @ pressing.moving(place, slips * way)[1])) / slips
+
+        def rubbed(way: np.ndarray, speed: float) -> tuple[list[float], list[float], float]:
+            """Both frictions, both normal forces, and the speed of sliding."""
+            *forces, v = self._both(pressing, shapes, x, place, speed / share(way) * way)
+            size = float(np.linalg.norm(across @ v))
+            # Less the forces at rest: the normals of two capsules may differ a little.
+            friction = [float((f0 - f) @ across @ v) / size for f0, f in zip(rest, forces, strict=True)]
+            return friction, [f @ n for f in forces], size
+
+        along = max((way / np.linalg.norm(way) for way in across if np.linalg.norm(way) > 0.1), key=share)
+        for way in (along, np.cross(n, along)):
+            if share(way) < _STUCK:
+                continue
+            lifts = pressing.moving(place, slips * way)[1] @ n > 0.0
+            way = -way if lifts else way
+            friction, normal, speed = rubbed(way, _FAST * (1.0 + law.bend) * slips)
+            if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # not where it closes as fast
+                yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
+            if rubs:
+                friction, _, speed = rubbed(way, _SLOW * slips)
+                yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
+
+    def _inertia(self, pressing: Pressing, shapes: Shapes, x: np.ndarray, place: Any, rest: np.ndarray) -> Coefficient:
+        """How much less a contact pushes when the machine accelerates as by a tenth of its force, of that tenth."""
+        push = 0.1 * float(rest @ place.n[0])
+        self._hold(x)
+        qacc = np.empty((1, self._mechanism.nv))
+        self._mujoco.mj_solveM(self._model, self._data, qacc, push * (place.J[0].T @ place.n[0])[None])
+        change = rest - self._force(pressing, shapes, x, place, qacc[0])
+        share = float(change @ place.n[0]) / push
+        sentence = f"{shapes.name} takes up {100.0 * share:.3g} % of the force that it gives, the plan's nothing"
+        return Coefficient("contact_inertia", shapes.name, share, 0.0, abs(share), sentence)
+
+    def stops(self, x: np.ndarray) -> Iterator[Coefficient]:
+        """Every coefficient of every stop, the other joints where they start."""
+        for stop in self._mechanism.stops:
+            if stop.dof not in self._fixed:
+                yield from self._stop(stop, x.copy())
+
+    def _stop(self, stop: Stop, x: np.ndarray) -> Iterator[Coefficient]:
+        m, law = self._mechanism, stop.law
+        name = f"the stop of {joint_of(m, stop.dof)} at {stop.end:.4g}"
+        depth = max(beyond_ramps(law), _REST)
+
+        def both(deep: float, closing: float) -> tuple[float, float]:
+            x[m.q_address[stop.dof]] = stop.end + stop.side * deep
+            x[m.nq : m.nq + m.nv] = 0.0
+            x[m.nq + stop.dof] = stop.side * closing
+            ours = one_sided(law, *stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv]))[0]
+            return ours[0], self._limit(x, stop)
+
+        held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
+        K = [(two - one) / depth for one, two in zip(held, deeper, strict=True)]
+        yield compared("stop_stiffness", name, K[1], K[0], law.stiffness)
+        yield _surface("stop_end", name, depth - held[1] / K[1], depth)
+        closing = _CLOSING * held[0] / law.damping if law.damping > 0.0 else 1.0
+        B = [(moved - one) / closing for one, moved in zip(held, both(depth, closing), strict=True)]
+        yield compared("stop_damping", name, B[1], B[0], held[0] / closing)
+
+    def _limit(self, x: np.ndarray, stop: Stop) -> float:
+        """MuJoCo's force of a range at a state, beyond the end of it."""
+        self._hold(x)
+        data, kind = self._data, int(self._mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
+        joint = self._model.dof_jntid[stop.dof]
+        rows = (np.asarray(data.efc_type) == kind) & (np.asarray(data.efc_id) == joint)
+        return np.asarray(data.efc_force)[rows].sum()  # of NumPy, which divides by 0
+
+
+def _bluntness(contact: AnyContact) -> float:
+    """How far the plan's closest points of two capsules may be from the true ones, m: see contact.between_bodies."""
+    if isinstance(contact, Contact) or contact.blunt == 0.0:
+        return 0.0
+    return 0.5 * contact.law.ramp**2 / (contact.first.radius + contact.second.radius)
+
+
+def _surface(kind: str, name: str, begins: float, depth: float, blunt: float = 0.0) -> Coefficient:
+    """Where MuJoCo's force begins, deeper than the plan's, of a depth."""
+    error = max(abs(begins) - blunt, 0.0) / depth
+    sentence = f"{name} begins {abs(begins):.3g} {'later' if begins > 0.0 else 'earlier'} than in the plan"
+    return Coefficient(kind, name, begins, 0.0, error if np.isfinite(begins) else np.inf, sentence)
+
+
+def _missing(name: str, sentence: str) -> Coefficient:
+    return Coefficient("contact_stiffness", name, 0.0, np.inf, 1.0, sentence)

@@ -1,0 +1,3 @@
+from planner.proof.engines.section import another_engine as another_engine
+
+ENGINES: tuple[str, ...]

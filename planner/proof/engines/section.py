@@ -1,0 +1,225 @@
+"""Step 8 of a proof: the same controls in another engine, by its parser and its dynamics, with SciPy's integrator.
+
+MuJoCo has its compiler in common with the plan, so both would read a file wrongly together. Another engine reads the
+text by a parser of its own and has its own tree, inertias and recursion; SciPy's DOP853 integrates. What it does not
+read (docs/proof.md) is applied as a force and said. The step is shown, it is no part of the verdict.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from planner.base.arguments import choice, shown
+from planner.base.errors import ModelError, PlannerError
+from planner.base.measured import Measured, Section
+from planner.dynamics import algorithms as rigid_body
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.read import mechanism_of_model
+from planner.model.mjcf.refuse import unmodelled
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.contact_history import may_touch
+from planner.proof.engines import ENGINES, drake, pinocchio
+from planner.proof.engines.applied import Applied, joints_with
+from planner.proof.engines.motion import PARTS, Rates, motion
+from planner.proof.engines.text import Prepared, prepared
+from planner.proof.replaying import problem_of
+from planner.proof.rigid_parity import random_states, rounded, turns
+
+NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # values to be read with theirs
+STATES = 64  # at which accelerations are compared
+_STILL = 1e-9  # of our own acceleration at rest: less is no gravity
+
+
+class Engine(Protocol):
+    """A mechanism in another engine, in MuJoCo's coordinates."""
+
+    version: str
+    lacks_damping: np.ndarray  # (nv,) damping that it does not compute
+    settings: list[str]  # what it was given in numbers, since its parser does not read it
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Qacc (nv,) at qpos, qvel with the applied forces tau."""
+        ...
+
+
+class _Kind(NamedTuple):
+    """How an engine is made, looked for and installed."""
+
+    make: Callable[[Prepared, Mechanism], Engine]
+    load: Callable[[], Any]
+    needs: str
+
+
+_KINDS = {
+    "pinocchio": _Kind(pinocchio.Pinocchio, pinocchio.load, pinocchio.NEEDS),
+    "drake": _Kind(drake.Drake, drake.load, drake.NEEDS),
+}
+
+
+def require(name: str) -> None:
+    """Raise a PlannerError unless an engine is installed."""
+    kind = _KINDS[choice("engine", name, ENGINES)]
+    try:
+        kind.load()
+    except ImportError as error:
+        raise PlannerError(
+            f"the engine {name} is not installed ({error}), expected: pip install {kind.needs}."
+        ) from None
+
+
+def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int = 0) -> Section:
+    """Repeat a plan in another engine, open loop and with its gains, and compare it with the plan.
+
+    Args:
+        plan: A plan of a mechanism with hinges, slides, balls and free joints, whose motion is smooth.
+        name: "pinocchio" or "drake".
+        twin: Another model in place of the plan's own.
+        seed: Of the random states at which accelerations are compared.
+
+    Returns:
+        Errors by kind of coordinate, over the path and at the end; or why the engine cannot have this machine.
+
+    Raises:
+        PlannerError: The engine is not installed, or computes without gravity; the plan cannot be replayed at all.
+        ModelError: MuJoCo refuses the model, or it does not fit the plan.
+    """
+    if not isinstance(plan, Plan):
+        raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
+    dynamics, twin = problem_of(plan).dynamics, twin or plan.twin
+    require(name)
+    if twin is None:
+        raise PlannerError("the plan has no model for another engine, expected a Problem with a twin.")
+    compiled = CompiledTwin(twin)
+    compiled.check(plan.us.shape[1])
+    if reason := _reason(dynamics, compiled.model):
+        return Section(name, not_applicable=reason)
+    mechanism = mechanism_of_model(compiled.model).with_curves(twin.curves)
+    if (mechanism.nq, mechanism.nv) != (dynamics.mechanism.nq, dynamics.mechanism.nv):
+        raise ModelError("the model has other joints than the plan's: it is another machine.")
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            text = prepared(twin, compiled.model, Path(folder))
+            engine = _KINDS[name].make(text, mechanism)
+    except ModelError as error:
+        return Section(name, not_applicable=str(error).rstrip("."))
+    applied = Applied(mechanism, engine.lacks_damping)
+    _check_gravity(name, engine, mechanism, seed)
+
+    def theirs(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        q, v, act = np.split(x, [mechanism.nq, mechanism.nq + mechanism.nv])
+        return np.concatenate([v, engine.acceleration(q, v, applied(q, v, act, u)), applied.activation_rates(act, u)])
+
+    added = [*applied.phrases(), *engine.settings]
+    notes = (
+        Measured("forces_and_numbers_added", float(len(added)), "", None, "; ".join(added)),
+        Measured("changes_of_the_text", float(len(text.changes)), "", None, "; ".join(text.changes)),
+    )
+    return Section(name, (_parity(name, engine, dynamics, theirs, seed), *_errors(plan, theirs), *notes))
+
+
+def _reason(dynamics: Any, model: Any) -> str:
+    """Why a machine cannot be had in another engine, or ""."""
+    mechanism = getattr(dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return "the plan's dynamics are not those of a mechanism"
+    if getattr(dynamics, "prescribed", ()):
+        return (
+            f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
+        )
+    contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
+    if contacts or may_touch(model):
+        n = f"{contacts} contacts" if contacts > 1 else "contacts"
+        return f"the model has {n}, and each engine has a law of contact of its own"
+    if mechanism.stops:
+        stopped = joints_with(mechanism, np.isin(np.arange(mechanism.nv), [stop.dof for stop in mechanism.stops]))
+        return f"the ends of range of {stopped} push back, and each engine has a law of its own"
+    extra = ", ".join(one.phrase for one in unmodelled(model))
+    return f"the model has what the other engines are not given: {extra}" if extra else ""
+
+
+def _check_gravity(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> None:
+    """Refuse an engine that computes without gravity, as other releases of Pinocchio were seen to do in silence."""
+    x = random_states(mechanism, np.random.default_rng(seed), 1)[0]
+    q, still = x[: mechanism.nq], np.zeros(mechanism.nv)
+    loose = replace(mechanism, stiffness=0.0 * still, ball_stiffness=0.0 * mechanism.ball_stiffness)
+    ours = np.abs(rigid_body.forward_dynamics(loose, q, still, still)).max()
+    if np.abs(engine.acceleration(q, still, still)).max() < _STILL * ours:
+        raise PlannerError(
+            f"{name} {engine.version} computes without gravity here, expected: pip install {_KINDS[name].needs}."
+        )
+
+
+def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) -> Measured:
+    """The largest difference of accelerations at random states, relative to what they are computed from."""
+    mechanism, rng = dynamics.mechanism, np.random.default_rng(seed)
+    xs = random_states(mechanism, rng, STATES)
+    us = rng.normal(size=(STATES, mechanism.nu))
+    q, v, _ = np.split(xs, [mechanism.nq, mechanism.nq + mechanism.nv], axis=1)
+    ours = dynamics.rates(xs, us)[:, mechanism.nv : 2 * mechanism.nv]
+    made_of = rounded(rigid_body.mass_matrix(mechanism, q), rigid_body.bias(mechanism, q, v), ours)
+    scale = np.maximum(made_of, np.square(v).max(axis=1))
+    accelerations = slice(mechanism.nv, 2 * mechanism.nv)
+    found = np.array([theirs(x, u)[accelerations] for x, u in zip(xs, us, strict=True)])
+    relative = np.abs(found - ours) / scale[:, None]
+    dof = int(relative.max(axis=0).argmax())
+    on = joints_with(mechanism, np.arange(mechanism.nv) == dof)
+    note = f"{name} {engine.version} at {STATES} random states (seed {seed}), relative to what they are made of"
+    return Measured("acceleration_difference", float(relative.max()), "", None, f"{note}; largest at {on}")
+
+
+def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
+    """The motion against the plan and against the plan's own dynamics, by kind of coordinate."""
+    assert plan.problem is not None  # problem_of() has looked
+    dynamics = plan.problem.dynamics
+    mechanism, start = dynamics.mechanism, plan.problem.x0
+    planned = plan.between_knots(PARTS)
+
+    def ours(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return dynamics.rates(x[None], u[None])[0]
+
+    own = motion(plan, mechanism, start, ours, feedback=False)
+    for mode, how in (("open_loop", "open loop"), ("feedback", "with ideal gains, at every evaluation")):
+        found = motion(plan, mechanism, start, theirs, feedback=mode == "feedback")
+        error = _deviation(plan, found, planned)
+        ran = np.isnan(found).any(axis=1)
+        away = f"; ran away at t = {plan.dt / PARTS * ran.argmax():.4g} s" if ran.any() else ""
+        for kind, unit, which in _kinds(mechanism):
+            path, end = error[:, which].max(), error[-1, which].max()
+            note = f"{how}, against the plan's own motion, largest"
+            yield Measured(f"{mode}_end_{kind}_error", float(end), unit, None, f"{note} at the end{away}")
+            yield Measured(f"{mode}_path_{kind}_error", float(path), unit, None, f"{note} over the path{away}")
+        if mode == "open_loop":
+            apart = _deviation(plan, found, own)
+            for kind, unit, which in _kinds(mechanism):
+                note = "open loop over the path, against the plan's own dynamics by the same integrator"
+                yield Measured(f"{kind}_between_engines", float(apart[:, which].max()), unit, None, note)
+
+
+def _deviation(plan: Plan, xs: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Magnitudes (M+1, ndx) of a motion's deviation; infinite where it has run away."""
+    with np.errstate(invalid="ignore"):
+        return np.nan_to_num(np.abs(plan.space.difference(xs, reference)), nan=np.inf)
+
+
+def _kinds(mechanism: Mechanism) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Kind, unit and places in the deviation of the coordinates, where there are any."""
+    turning, none = turns(mechanism), np.zeros(mechanism.nv, dtype=bool)
+    acts = np.zeros(mechanism.na, dtype=bool)
+    kinds = {
+        "angle": ("rad", turning, none), "distance": ("m", ~turning, none),
+        "angular_velocity": ("rad/s", none, turning), "velocity": ("m/s", none, ~turning),
+    }  # fmt: skip
+    for kind, (unit, places, speeds) in kinds.items():
+        which = np.flatnonzero(np.concatenate([places, speeds, acts]))
+        if len(which):
+            yield kind, unit, which
+    if mechanism.na:
+        yield "activation", "", 2 * mechanism.nv + np.arange(mechanism.na)

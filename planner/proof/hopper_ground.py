@@ -1,0 +1,76 @@
+"""The force of the ground under the hopper: the plan's spring, and what MuJoCo's ground pushes the foot with.
+
+Forces are per mass of the machine, in/s^2, lengths in inches, as the paper has them. In the plan the leg has no foot;
+MuJoCo's has one that sinks a little into a ground of its own. So it is put where it neither rises nor sinks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.dynamics.hopper import HopperDynamics
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.simulation import set_state
+
+STATES = 3
+_HALVINGS = 60
+_DEEPEST = 0.5  # of the compression
+
+
+def hopper_ground(
+    dynamics: HopperDynamics, compiled: CompiledTwin, seed: int
+) -> Iterator[tuple[str, str, float, float, float]]:
+    """Kind, pair, MuJoCo's and the plan's value of each coefficient, and what would matter, at seeded states."""
+    rng, name = np.random.default_rng(seed), "the leg on the ground"
+    k, smooth = dynamics.stiffness, dynamics.smoothing
+    for _ in range(STATES):
+        height, c = rng.uniform(0.0, 20.0), smooth * rng.uniform(2.0, 20.0)
+        speed = -c * np.sqrt(k)
+
+        def both(compression: float, rate: float, height: float = height) -> tuple[float, float]:
+            x = np.array([height, rate, height + compression])
+            ours = float(dynamics.rates(x[None], np.zeros((1, 1)))[0, 1]) + dynamics.gravity
+            return ours, _ground_force(compiled, x, compression)
+
+        held, deeper, closing = both(c, 0.0), both(2.0 * c, 0.0), both(c, speed)
+        K = [(two - one) / c for one, two in zip(held, deeper, strict=True)]
+        B = [(moved - one) / -speed for one, moved in zip(held, closing, strict=True)]
+        begins = [c - one / slope for one, slope in zip(held, K, strict=True)]
+        yield "contact_stiffness", name, K[1], K[0], k
+        yield "contact_surface", name, begins[1], begins[0], smooth
+        yield "contact_damping", name, B[1], B[0], 1e3 * np.sqrt(k)  # 0 but for the foot's own inertia
+
+
+def _ground_force(compiled: CompiledTwin, x: np.ndarray, compression: float) -> float:
+    """The normal force on the foot, per mass, where it does not accelerate; NaN where nothing holds it."""
+    mujoco, model = load_mujoco(), compiled.model
+    data, w = mujoco.MjData(model), compiled.twin.sim_of(x)
+    w[model.nq + 1] = w[model.nq]  # the foot is at rest
+
+    def rises(sunk: float) -> bool:
+        at = w.copy()
+        at[1] += sunk  # the leg is longer
+        set_state(model, data, at)
+        mujoco.mj_forward(model, data)
+        return bool(data.qacc[0] - data.qacc[1] > 0.0)
+
+    least, most = 0.0, _DEEPEST * compression
+    if not rises(most):
+        return np.nan
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        least, most = (least, middle) if rises(middle) else (middle, most)
+    rises(most)
+    return _normal_force(model, data) / float(model.body_subtreemass[0])
+
+
+def _normal_force(model: Any, data: Any) -> float:
+    wrench, total = np.empty(6), 0.0
+    for c in range(data.ncon):
+        load_mujoco().mj_contactForce(model, data, c, wrench)
+        total += float(wrench[0])
+    return total

@@ -1,0 +1,135 @@
+"""Gains as a controller applies them: at instants, held in between, late, and from what encoders measure.
+
+At the instants t_k = k * period the correction K[n] (x(t_k) - x_plan(t_k)) is computed, n being the stage that runs at
+t_k. It acts from t_k + delay * period on, until the next one does. The plan's own control us[n] is known beforehand: it
+acts without delay, over its own stage. Bounds of the problem act on the sum. Before the first correction there is none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import count, number
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+
+PERIOD = 2e-3  # s: 500 Hz
+HINGE = 2.0 * math.pi / 2**17  # rad, what an encoder of 17 bits tells apart
+SLIDE = 1e-6  # units of length of the model
+_FINEST = 1000  # parts of a stage that instants may fall on
+_ROUNDING = 1e-9  # relative
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """When gains act, and on what.
+
+    Attributes:
+        period: s from one instant to the next: parts of a stage, stages, or both.
+        delay: Periods from an instant until its correction acts.
+        encoders: Whether positions of hinges and slides are read from encoders and their speeds are differences of
+            what was read; else the state is exact.
+
+    Raises:
+        PlannerError: The period is not above zero, or the delay is no count.
+    """
+
+    period: float
+    delay: int = 1
+    encoders: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "period", number("Sampling: period", self.period, above=0.0))
+        object.__setattr__(self, "delay", count("Sampling: delay", self.delay, least=0))
+
+    @property
+    def rate(self) -> float:
+        """Instants per second, Hz."""
+        return 1.0 / self.period
+
+    def in_stages(self, dt: float) -> Fraction:
+        """The period in stages of dt s.
+
+        Raises:
+            PlannerError: It is neither a whole part of a stage nor a fraction whose denominator is at most 1000.
+        """
+        share = min(max(self.period / dt, _ROUNDING), 1.0 / _ROUNDING)
+        stages = Fraction(1, max(round(1.0 / share), 1))
+        if abs(stages * dt - self.period) > _ROUNDING * self.period:
+            stages = Fraction(share).limit_denominator(_FINEST)
+        if abs(stages * dt - self.period) > _ROUNDING * self.period:
+            raise PlannerError(
+                f"the sampling period is {self.period:.6g} s and a stage {dt:.6g} s, expected a whole fraction of a "
+                f"stage or a whole number of them, {sampling_in(dt).period:.6g} s for example."
+            )
+        return stages
+
+
+def sampling_of(plan: Plan) -> Sampling:
+    """When the gains of a plan act in its proof: at 500 Hz, or the nearest that fits its stages, one period late."""
+    return sampling_in(plan.dt if plan.problem is None else plan.problem.dynamics.dt)
+
+
+def sampling_in(dt: float) -> Sampling:
+    """Sampling at 500 Hz in stages of dt s: the nearest rate of whole parts or whole stages, the slower of two."""
+    if dt >= PERIOD:
+        return Sampling(dt / max(math.ceil(dt / PERIOD - 0.5 - _ROUNDING), 1))
+    return Sampling(dt * math.floor(PERIOD / dt + 0.5 + _ROUNDING))
+
+
+class Gains:
+    """The controls of a plan with its gains, from states that are met one instant after another."""
+
+    def __init__(
+        self, plan: Plan, twin: Twin, model: Any, plan_xs: np.ndarray, substeps: int, sampling: Sampling | None
+    ) -> None:
+        """For states of MuJoCo's model and the plan (M+1, nx) at its steps; ideal gains at each step for None."""
+        assert plan.problem is not None  # its stages are asked
+        dt = plan.problem.dynamics.dt
+        self.held = 1 if sampling is None else int(sampling.in_stages(dt) * substeps)  # steps from instant to instant
+        self._plan, self._twin, self._plan_xs = plan, twin, plan_xs
+        self._us, self._stage = np.repeat(plan.us, substeps, axis=0), np.repeat(np.arange(plan.N), substeps)
+        self._late = deque([np.zeros(plan.us.shape[1])] * (0 if sampling is None else sampling.delay))
+        self._encoders = Encoders(model, sampling.period) if sampling is not None and sampling.encoders else None
+
+    def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
+        """The controls (held, nu) from step i on, whose state is w (nw,)."""
+        w = w if self._encoders is None else self._encoders(w)
+        dx = self._plan.space.difference(self._twin.x_of(w), self._plan_xs[i])
+        self._late.append(self._plan.K[self._stage[i]] @ dx)
+        until = slice(i, i + self.held)
+        return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft())
+
+
+class Encoders:
+    """The states of a model as its encoders tell them.
+
+    Positions of hinges and slides are whole numbers of steps of their encoders; their speeds are the difference from
+    the last instant over the period, exact at the first one. Free and ball joints and activations are exact.
+    """
+
+    def __init__(self, model: Any, period: float) -> None:
+        """For instants that are `period` s apart."""
+        kinds = load_mujoco().mjtJoint
+        hinges, slides = (model.jnt_type == int(kind) for kind in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE))
+        single = np.flatnonzero(hinges | slides)
+        self._position, self._speed = model.jnt_qposadr[single], model.nq + model.jnt_dofadr[single]
+        self._size = np.where(hinges[single], HINGE, SLIDE)
+        self._period, self._before = period, np.zeros(0)
+
+    def __call__(self, w: np.ndarray) -> np.ndarray:
+        """What is measured (nw,) of a state w (nw,), one period after the last."""
+        w, steps = w.copy(), np.round(w[self._position] / self._size)
+        w[self._position] = steps * self._size
+        if len(self._before):
+            w[self._speed] = (steps - self._before) * self._size / self._period
+        self._before = steps
+        return w

@@ -1,0 +1,60 @@
+"""Find how slowly a plan's gains may act: its replay at 500 Hz, at half of that, and so on, until one does not pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.problem.plan import Plan
+from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.replaying import Replay, problem_of, replay_in
+from planner.proof.sampled_gains import Sampling, sampling_of
+
+_LEVELS = 10  # 500 Hz to 1 Hz
+
+
+@dataclass(frozen=True, eq=False)
+class RateTried:
+    """A replay with the gains at one rate."""
+
+    sampling: Sampling  # When the gains acted
+    passed: bool  # Whether the replay passed
+    largest_error: np.ndarray  # (ndx,) the largest deviation from the plan over the path; NaN after a runaway
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """The rates that were tried, each half of the one before, and once a stage."""
+
+    tried: tuple[RateTried, ...]  # The last one may be one that did not pass
+    once_a_stage: RateTried
+
+    @property
+    def slowest(self) -> Sampling | None:
+        """The slowest of `tried` that passes, as all faster ones do; None where the first does not."""
+        passed = [one.sampling for one in self.tried if one.passed]
+        return passed[-1] if passed else None
+
+
+def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> Rates:
+    """Replay a plan at half the rate again and again, from that of a proof on, until a replay does not pass.
+
+    It ends after ten rates, or where the period is half of the motion. `passes` judges a replay.
+
+    Raises:
+        PlannerError: The plan cannot be simulated.
+    """
+    problem, sampling = problem_of(plan), sampling_of(plan)
+
+    def at(sampling: Sampling) -> RateTried:
+        run = replay_in(compiled, plan, feedback=True, sampling=sampling)
+        return RateTried(sampling, bool(passes(run)), np.abs(run.error).max(axis=0))
+
+    tried = [at(sampling)]
+    while tried[-1].passed and len(tried) < _LEVELS and 4.0 * sampling.period <= problem.duration:
+        sampling = replace(sampling, period=2.0 * sampling.period)
+        tried.append(at(sampling))
+    known = [one for one in tried if np.isclose(one.sampling.period, problem.dynamics.dt, rtol=1e-9)]
+    return Rates(tuple(tried), known[0] if known else at(Sampling(problem.dynamics.dt)))

@@ -1,0 +1,262 @@
+"""Step 6 of a proof: the plan in the model exactly as the user gave it.
+
+A plan's model may lack contacts, friction loss or equalities of the user's file. Here the file is simulated unedited,
+with its own options at a refined step, under the plan's controls and gains. Joints that the plan prescribes are driven
+in it too, and torques that MJCF does not know act in it too.
+
+The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
+acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails.
+
+What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
+actuator, no runaway, and every goal is met.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
+from planner.base.measured import Measured, Section
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import driven, in_order
+from planner.model.mjcf.left_out import pairs_by_name
+from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.survey import compile_model, named
+from planner.model.twin import Twin
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.compiled_twin import CompiledTwin, with_model
+from planner.proof.curve_callback import curves_acting
+from planner.proof.left_out import lacking
+from planner.proof.limits_hit import clamps_hit, stops_hit
+from planner.proof.replaying import Replay, replay_in
+from planner.proof.simulation import simulate
+
+TITLE = "your file"
+MOST_NAMED = 3  # pairs, joints or actuators in a sentence
+GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
+
+
+class Undriven(ModelError):
+    """The file's joints cannot be driven as the plan prescribes."""
+
+
+class Goal(Protocol):
+    """One thing that a problem wants of a motion's end."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Of what it is missed by."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """Infinite for a goal that is shown and not judged."""
+        ...
+
+    def missed(self, xs: np.ndarray) -> np.ndarray:
+        """(K,) by how much end states xs (K, nx) miss it."""
+        ...
+
+
+@np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
+def your_file(
+    plan: Plan, problem: Problem, goals: Sequence[Goal], *, ideal: Replay | None = None,
+    mjcf: str | Path | None = None, units: Sequence[str] = (),
+) -> tuple[Section, Replay | None]:  # fmt: skip
+    """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
+
+    Args:
+        plan: A plan of this problem.
+        problem: With a twin.
+        goals: What the end is judged by.
+        ideal: The replay with gains in the plan's own model; it is used again where the file is that model.
+        mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out of it.
+        units: (ndx,) of the components of a deviation, for errors along the path; by default a mechanism's.
+
+    Returns:
+        The step, and the replay in the file; None where the step does not apply.
+
+    Raises:
+        PlannerError: The plan cannot be replayed.
+        ModelError: MuJoCo refuses the file, or it is of another machine.
+    """
+    if plan.twin is None:
+        return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
+    try:
+        compiled = as_given(problem, plan.twin, mjcf)
+    except Undriven as error:
+        return Section(TITLE, not_applicable=str(error)), None
+    if ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin):
+        run, shown = ideal, ()
+    else:
+        run = replay_in(compiled, plan, feedback=True)
+        shown = _open_loop(run)
+    unknown = _unknown_pairs(run.compiled, problem, edited=mjcf is not None)
+    section = Section(TITLE, (*_measured(run, problem, goals, unknown, units), *shown))
+    own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
+    if section.passed or own == run.integrator:
+        return section, run
+    again = replay_in(run.compiled, plan, feedback=True, integrator=own)
+    other = Section(TITLE, (*_measured(again, problem, goals, unknown, units), *_open_loop(again)))
+    return (other, again) if other.passed else (section, run)
+
+
+def _measured(
+    run: Replay, problem: Problem, goals: Sequence[Goal], unknown: set[frozenset[int]], units: Sequence[str]
+) -> list[Measured]:
+    """Everything that is judged and shown of a replay with gains."""
+    touching, overlaps = _touches(run, unknown)
+    sentences = {
+        "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
+        "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
+        "clamped_actuators": (clamps_hit(run), "actuators that are asked for more than they give"),
+        "simulator_warnings": (list(run.warnings), "MuJoCo's complaints"),
+    }
+    judged = [
+        Measured(name, float(len(found)), "", 0.0, _together(found) or meaning)
+        for name, (found, meaning) in sentences.items()
+    ]
+    step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
+    return [*judged, *_goals(run, goals), *_path(run, problem, units), *_forces(run, overlaps), step]
+
+
+def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
+    """The user's file, unedited but for joints that the plan prescribes, in place of a twin's text; or another one."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    own = not (twin.original if mjcf is None else mjcf)
+    if own or not isinstance(mechanism, Mechanism):
+        return CompiledTwin(with_model(twin, mjcf))
+    given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
+    model = compile_model(given.mjcf, given.assets)
+    unused = [one.index for one in unmodelled(model) if one.kind == "actuator"]
+    prescribed = getattr(problem.dynamics, "prescribed", ())
+    if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
+        try:
+            text = driven(given.mjcf, given.assets, model, in_order(mechanism, prescribed))
+        except ModelError as error:
+            raise Undriven(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
+        given = replace(given, mjcf=text)
+    return CompiledTwin(_with_idle_states(given, model, unused), unused)
+
+
+def _with_idle_states(twin: Twin, model: Any, unused: Sequence[int]) -> Twin:
+    """The twin with maps for activations that the plan does not have; they begin at 0."""
+    idle = {int(model.actuator_actadr[i]) + k for i in unused for k in range(int(model.actuator_actnum[i]))}
+    idle -= {address for address in idle if address < 0}
+    if not idle:
+        return twin
+    nw = model.nq + model.nv + model.na
+    kept = [i for i in range(nw) if i - model.nq - model.nv not in idle]
+    if len(kept) != twin.to_x.shape[1]:
+        return twin  # of another machine: the check before a replay says so
+    to_x, to_sim = np.zeros((len(twin.to_x), nw)), np.zeros((len(twin.to_sim), nw, len(twin.to_x)))
+    offset = np.zeros((len(twin.to_sim), nw))
+    to_x[:, kept], to_sim[:, kept], offset[:, kept] = twin.to_x, twin.to_sim, twin.to_sim_offset
+    return replace(twin, to_x=to_x, to_sim=to_sim, to_sim_offset=offset)
+
+
+def _same_model(one: Twin, other: Twin) -> bool:
+    return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
+
+
+def _unknown_pairs(compiled: CompiledTwin, problem: Problem, edited: bool) -> set[frozenset[int]]:
+    """The pairs of geoms of a compiled file of which the plan knows nothing."""
+    found = lacking(problem, compiled)
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism) or not (edited or found.pairs):
+        return set()
+    return {frozenset(pair) for key, pair in pairs_by_name(compiled.model).items() if key not in found.known}
+
+
+def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list[str]]:
+    """Sentences about unknown pairs that touch, and about those that do at the start and go no deeper."""
+    model, wrong, overlaps = run.compiled.model, [], []
+    scale = min(1.0, float(model.stat.extent))
+    for touch in run.touches:
+        if frozenset(touch.geoms) not in unknown or touch.deepest <= GRAZE * scale:
+            continue
+        pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
+        if touch.at_start <= GRAZE * scale:
+            wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
+        elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
+            wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
+        else:
+            overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
+    return wrong, overlaps
+
+
+def _together(sentences: list[str]) -> str:
+    """The first sentences, and the number of the others."""
+    more = [f"And {len(sentences) - MOST_NAMED} more."] if len(sentences) > MOST_NAMED else []
+    return " ".join([*sentences[:MOST_NAMED], *more])
+
+
+def _goals(run: Replay, goals: Sequence[Goal]) -> list[Measured]:
+    """How far the end is from each goal, in its own unit."""
+    return [
+        Measured(
+            f"missed_{_key(goal.name)}", float(goal.missed(run.xs[-1:])[0]), goal.unit,
+            goal.tolerance if np.isfinite(goal.tolerance) else None, f"{goal.name} at the end, with the plan's gains",
+        )
+        for goal in goals
+    ]  # fmt: skip
+
+
+def _path(run: Replay, problem: Problem, units: Sequence[str]) -> list[Measured]:
+    """The largest deviation from the plan at any step, of each unit."""
+    error = np.abs(run.error).max(axis=0)
+    own = np.array(units or _units(problem, len(error)))
+    return [
+        Measured("path_error" + (f"_{_key(unit)}" if unit else ""), float(error[own == unit].max()), unit, None,
+                 "largest deviation from the plan at any step")
+        for unit in dict.fromkeys(own.tolist())
+    ]  # fmt: skip
+
+
+def _units(problem: Problem, size: int) -> list[str]:
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
+        return [""] * size
+    places = np.where(np.any(mechanism.S[:, :3] != 0.0, axis=1), "rad", "m").tolist()
+    return [*places, *(f"{unit}/s" for unit in places), *[""] * (size - 2 * len(places))]
+
+
+def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
+    """What acts in the file beside the plan's own forces."""
+    model = run.compiled.model
+    loss, largest = model.dof_frictionloss, float(np.nanmax(run.contact_force, initial=0.0))
+    return [
+        Measured("overlaps_at_the_start", float(len(overlaps)), "", None, _together(overlaps)),
+        Measured("largest_contact_force", largest, "N", None, "sum of the normal forces of all contacts"),
+        Measured("friction_loss", float(loss.max(initial=0.0)), "N m, N", None,
+                 f"largest, of {np.count_nonzero(loss)} of {len(loss)} degrees of freedom"),
+    ]  # fmt: skip
+
+
+def _open_loop(run: Replay) -> tuple[Measured, ...]:
+    """How far the file ends from the plan without gains."""
+    plan, compiled = run.plan, run.compiled
+    model = compiled.stepping(run.timestep, run.integrator)
+    ctrl = compiled.commands(np.repeat(plan.us, run.substeps, axis=0))
+    start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
+    with curves_acting(compiled.twin, model):
+        w, _ = simulate(model, start, ctrl)
+    error = float(np.abs(plan.space.difference(compiled.twin.x_of(w[-1]), plan.xs[-1])).max())
+    return (Measured("open_loop_end_error", error, "", None, "against the plan's end, largest component"),)
+
+
+def _key(name: str) -> str:
+    return re.sub(r"\W+", "_", name.lower()).strip("_")
