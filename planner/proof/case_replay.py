@@ -37,25 +37,24 @@ def replay_case(
         recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
         set_state(model, data, w[0])
-        for i in range(M):
-            if i % piece == 0:
-                n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
-                with np.errstate(all="ignore"):  # of one about to explode
-                    ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
-                data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
-            elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
-                w[i] = np.nan
-                break
-            data.ctrl[:] = ctrl[i]
-            with rollouts.curves(batch):
+        with rollouts.curves(batch, [data]):
+            for i in range(M):
+                if i % piece == 0:
+                    n, complaints = min(piece, M - i), [warning.number for warning in data.warning]
+                    with np.errstate(all="ignore"):  # of one about to explode
+                        ctrl[i : i + n] = commands(i, n, w[i : i + 1])[0]
+                    data.qacc_warmstart[:] = 0.0  # as every segment of the Monte Carlo begins
+                elif complaints != [warning.number for warning in data.warning]:  # as mujoco.rollout gives it up
+                    w[i] = np.nan
+                    break
+                data.ctrl[:] = ctrl[i]
                 recorder.step(i, data)
-            w[i + 1] = state_of(data)
-            if not np.all(np.abs(w[i + 1]) < RUNAWAY):
-                w[i + 1] = np.nan
-                break
-        warnings = warnings_of(data)
-        if np.isfinite(w[M]).all():
-            with rollouts.curves(batch):
+                w[i + 1] = state_of(data)
+                if not np.all(np.abs(w[i + 1]) < RUNAWAY):
+                    w[i + 1] = np.nan
+                    break
+            warnings = warnings_of(data)
+            if np.isfinite(w[M]).all():
                 recorder.look(M, data)
         t = rollouts.step * np.arange(M + 1)
         qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)

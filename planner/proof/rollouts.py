@@ -28,7 +28,7 @@ from planner.base.gl import load_mujoco, load_rollout
 from planner.problem.plan import Plan
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.contact_history import may_touch
-from planner.proof.curve_callback import CALL, curves_acting
+from planner.proof.curve_callback import curves_acting
 from planner.proof.perturbation import Draw, Nominal, Perturbation, draw
 from planner.proof.replaying import problem_of
 from planner.proof.simulation import MOST_STEPS, RUNAWAY
@@ -87,7 +87,6 @@ class Rollouts:
         mujoco.mj_getState(model, self._scratch, self._row, self._full)
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         threads = cores if threads is None else threads
-        threads = 1 if twin.curves else threads  # threads would wait for each other at every call of the callback
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
         self.integrator = "EULER" if stiff and self._euler_agrees() else "RK4"
@@ -133,7 +132,7 @@ class Rollouts:
         """Estimate of what a rollout takes in one mode, s, from the sizes alone."""
         evaluations = 1 if self.integrator == "EULER" else 4
         own = 0.125 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
-        return evaluations * self.steps * (own + (CALL if self.twin.curves else 0.0))
+        return evaluations * self.steps * own
 
     @property
     def batch_size(self) -> int:
@@ -155,9 +154,9 @@ class Rollouts:
             stiffness=np.array([errors.stiffness[joints] for errors in draws]),
         )
 
-    def curves(self, batch: Batch) -> AbstractContextManager[None]:
-        """A context in which the twin's exponential torques act on the machines of a batch, as stiff as these are."""
-        return curves_acting(self.twin, *batch.models, factors=batch.stiffness)
+    def curves(self, batch: Batch, data: Sequence[Any]) -> AbstractContextManager[None]:
+        """A context in which the twin's exponential torques act on a batch in these data, as stiff as each was drawn."""
+        return curves_acting(self.twin, *batch.models, factors=batch.stiffness, data=data)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:
         """The states (K, T, nx) of a batch at self.knots; NaN from the segment on in which one explodes."""
@@ -170,26 +169,28 @@ class Rollouts:
         xs = np.empty((K, len(at), self.plan.xs.shape[1]))
         xs[:, 0] = self.x_of(batch.start)
         states = np.empty((K, n, len(self._row)))
-        for i in range(0, self.steps, n):
-            if time.monotonic() > deadline:
-                raise OutOfTime
-            if self.steps - i < n:
-                n = self.steps - i
-                states = np.empty((K, n, len(self._row)))
-            with np.errstate(all="ignore"):  # of one about to explode
-                ctrl = commands(i, n, row[:, 1 : 1 + nw])
-            with self.curves(batch):
+        with self.curves(batch, self._data):
+            for i in range(0, self.steps, n):
+                if time.monotonic() > deadline:
+                    raise OutOfTime
+                if self.steps - i < n:
+                    n = self.steps - i
+                    states = np.empty((K, n, len(self._row)))
+                with np.errstate(all="ignore"):  # of one about to explode
+                    ctrl = commands(i, n, row[:, 1 : 1 + nw])
                 self._pool.rollout(
                     batch.models, self._data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
                 )
-            row[:] = states[:, -1]
-            # MuJoCo stops a simulation that explodes, and its time with it.
-            sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step)
-            here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
-            if here.start < here.stop:
-                xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
-            if not sound.all():
-                row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
+                row[:] = states[:, -1]
+                # MuJoCo stops a simulation that explodes, and its time with it.
+                sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & (
+                    np.abs(row[:, 0] - (i + n) * self.step) < 0.5 * self.step
+                )
+                here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
+                if here.start < here.stop:
+                    xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
+                if not sound.all():
+                    row[~sound], xs[~sound, here.start :] = first[~sound], np.nan
         return xs
 
     def pieces(self, batch: Batch, mode: str) -> tuple[int, Callable[[int, int, np.ndarray], np.ndarray]]:

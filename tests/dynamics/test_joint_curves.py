@@ -202,6 +202,37 @@ def test_the_callback_acts_on_its_own_models_and_goes():
     assert mujoco.get_mjcb_passive() is None
 
 
+def test_the_compiled_callback_is_the_one_in_python():
+    """For each model with its own factors, in each data; other models feel nothing."""
+    coupled = (*ENDS, ExponentialTorque(0, 0.3, -0.2, {0: 1.5, 1: -0.7}), ExponentialTorque(1, -0.4))
+    arm = """<mujoco><worldbody><body><joint name="a"/><geom size="0.1" pos="0 0 -1"/>
+        <body pos="0 0 -1"><joint name="b"/><geom size="0.1" pos="0 0 -1"/></body></body></worldbody></mujoco>"""
+    twin = replace(Twin.of(mechanism()), mjcf=arm, curves=coupled)
+    models = [compile_model(twin.mjcf) for _ in range(4)]
+    factors = np.random.default_rng(0).uniform(0.5, 2.0, (3, len(coupled)))
+    data = [mujoco.MjData(models[0]) for _ in range(2)]
+
+    def forces():
+        found = []
+        for i, model in enumerate(models):
+            one = data[i % 2]
+            one.qpos[:] = 0.3 + 0.1 * i, -0.4
+            mujoco.mj_forward(model, one)
+            found.append(one.qfrc_passive.copy())
+        return np.array(found)
+
+    nothing = forces()
+    with curves_acting(twin, *models[:3], factors=factors):
+        python = forces()
+    with curves_acting(twin, *models[:3], factors=factors, data=data):
+        compiled = forces()
+    np.testing.assert_allclose(compiled, python, rtol=1e-14)
+    np.testing.assert_array_equal(compiled[3], nothing[3])
+    assert np.all(compiled[:3] != nothing[:3])
+    np.testing.assert_array_equal(forces(), nothing)
+    assert mujoco.get_mjcb_passive() is None
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
