@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
 from planner.proof.compiled_twin import CompiledTwin, another_model, with_model
+from planner.proof.contact_parity import contact_parity
 from planner.proof.curve_callback import curves_acting
 from planner.proof.driven_parity import driven_parity
 from planner.proof.rigid_parity import rigid_parity
@@ -63,6 +65,12 @@ def parity_in(compiled: CompiledTwin, problem: Problem, seed: int = 0) -> Sectio
     """parity() of a problem in a model that is compiled already."""
     if _nothing_to_compare(problem):
         return _NOTHING
+    smooth = _smooth_parity(compiled, problem, seed)
+    return replace(smooth, measured=(*smooth.measured, *contact_parity(problem, compiled, seed)))
+
+
+def _smooth_parity(compiled: CompiledTwin, problem: Problem, seed: int) -> Section:
+    """Parity of everything but contacts and stops."""
     requirements, dynamics = problem.requirements, problem.dynamics
     mechanism, prescribed = getattr(dynamics, "mechanism", None), getattr(dynamics, "prescribed", ())
     if requirements is not None and requirements.rates is not None:

@@ -32,11 +32,16 @@ WORDS = {
 
 def path_bounds(plan: Plan) -> np.ndarray:
     """(ndx,) the largest error of each coordinate that passes, in its unit."""
+    return (WITH_CONTACT if touches(plan.problem) else SHARE) * ranges_of_motion(plan)
+
+
+def ranges_of_motion(plan: Plan) -> np.ndarray:
+    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
+    assert plan.problem is not None  # its dynamics know the units
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
-    units = np.array([one.unit for one in coordinates_of(plan.problem and plan.problem.dynamics)])
+    units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
-    share = WITH_CONTACT if touches(plan.problem) else SHARE
-    return share * np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
+    return np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
 
 
 def touches(problem: Problem | None) -> bool:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.base.measured import Measured, Section
 from planner.problem.plan import Plan
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.replaying import Replay, problem_of, replay_in
 from planner.proof.sampled_gains import Sampling, sampling_of
+from planner.proof.scales import by_unit
 
 _LEVELS = 10  # 500 Hz to 1 Hz
 
@@ -36,6 +39,27 @@ class Rates:
         """The slowest of `tried` that passes, as all faster ones do; None where the first does not."""
         passed = [one.sampling for one in self.tried if one.passed]
         return passed[-1] if passed else None
+
+
+def controller_section(rates: Rates, encoded: Replay) -> Section:
+    """The rates that pass and the errors with encoders, shown."""
+    slowest = rates.slowest
+    tried = ", ".join(f"{one.sampling.rate:.4g} Hz {'passes' if one.passed else 'fails'}" for one in rates.tried)
+    measured = [
+        Measured("slowest_rate", slowest.rate if slowest else math.nan, "Hz", None, f"one period late; {tried}"),
+        Measured(
+            "once_a_stage", rates.once_a_stage.sampling.rate, "Hz", None,
+            "passes" if rates.once_a_stage.passed else "fails",
+        ),
+    ]  # fmt: skip
+    problem, error = problem_of(encoded.plan), np.abs(encoded.error)
+    for part, along in (("end", error[-1:]), ("path", error)):
+        for word, unit, which, names in by_unit(problem):
+            most = along[:, which].max(axis=0)
+            worst = int(np.argmax(np.nan_to_num(most, nan=np.inf)))
+            note = f"of {names[worst]}, with encoders of 17 bits and 1 um, velocities by difference, not filtered"
+            measured.append(Measured(f"encoders_{part}_{word}_error", float(most[worst]), unit, None, note))
+    return Section("controller", tuple(measured))
 
 
 def slowest_rate(plan: Plan, compiled: CompiledTwin, passes: Callable[[Replay], bool]) -> Rates:

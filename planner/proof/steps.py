@@ -17,14 +17,17 @@ import numpy as np
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.measured import Section
+from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
-from planner.problem.goals import unjudged_ends, wanted_of
+from planner.problem.goals import goals_of, unjudged_ends, wanted_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import another_model
+from planner.proof.another_ground import another_ground
+from planner.proof.compiled_twin import CompiledTwin, another_model
 from planner.proof.consistency import consistency, optimality, recomputed
 from planner.proof.growth import growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
+from planner.proof.left_out import left_out
 from planner.proof.model_parity import parity_in
 from planner.proof.order import order
 from planner.proof.perturbation import Perturbation
@@ -32,10 +35,14 @@ from planner.proof.perturbed import Trials, perturbed
 from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
+from planner.proof.sampled_gains import sampling_of
+from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
+from planner.proof.your_file import your_file
 
 ROLLOUTS = 512
+_LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 
 @np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
@@ -78,7 +85,8 @@ def prove(
     if twin is None:
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     compiled = another_model(problem, twin, mjcf)
-    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback") for mode in MODES}
+    sampling = sampling_of(plan)
+    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback", sampling=sampling) for mode in MODES}
     now = recomputed(plan, problem, plan.xs, plan.us)
     required = {
         # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
@@ -95,7 +103,9 @@ def prove(
     sound = all(section.passed for section in required.values())
     mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
     seen = mode or "open-loop"
-    converged = optimality(plan, problem, now)
+    converged, given = optimality(plan, problem, now), in_your_file(plan, problem, compiled, mjcf)
+    repeated = mode is not None
+    mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
     sections = {
         **required,
@@ -110,8 +120,13 @@ def prove(
         # Step 4: whether the replay gets where the cost wanted it, and whether the machine stays where it is asked to.
         "goal": steps[seen][1],
         "hold": Section("hold", not_applicable="it was not asked for"),
-        # Step 5: how often it still arrives with other masses, friction, starts, noise and delay.
-        "perturbed": Section("perturbed", not_applicable="no rollouts were asked for"),
+        # Step 6: the controls and ideal gains in the model exactly as the user gave it.
+        "your_file": given,
+        # Shown, not judged, and after the verdict. Step 5: how often it still arrives with other masses, friction,
+        # starts, noise and delay. Then what measurement and slow gains change, and what another ground does.
+        "perturbed": Section("perturbed", not_applicable=_LATER),
+        "controller": Section("controller", not_applicable=_LATER),
+        "another_ground": Section("another ground", not_applicable=_LATER),
     }
     asked = {
         "seed": seed, "rollouts": rollouts, "hold_seconds": hold_seconds, "optimal": optimal, "perturbation": None,
@@ -119,17 +134,38 @@ def prove(
     }  # fmt: skip
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
-        reason=_reason(passed, (*required.values(), *judged[seen], converged), steps[seen], runs[seen]),
+        reason=_reason(
+            passed, (*required.values(), *(() if repeated else judged[seen]), given, converged), steps[seen], runs[seen]
+        ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
-        not_checked=_not_checked(plan, problem),
+        not_checked=(*_without(problem, compiled), *_unjudged(plan, problem)),
     )  # fmt: skip
     if hold_seconds:
         proof = _held(proof, replay_hold(runs["feedback"], hold_gain(problem), hold_seconds))
     if not rollouts:
         return proof
     return with_rollouts(
-        proof, rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial, progress=progress
-    )
+        with_shown(proof), rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
+        progress=progress,
+    )  # fmt: skip
+
+
+def with_shown(proof: Proof) -> Proof:
+    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground."""
+    plan, compiled, runs = proof.replay.plan, proof.replay.compiled, proof.replays
+    problem = plan.problem
+    assert problem is not None  # it was proved
+
+    def passes(run: Replay) -> bool:
+        return tracking(run, problem).passed and goal(run, problem).passed
+
+    with np.errstate(all="ignore"):
+        rates = slowest_rate(plan, compiled, passes)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
+        units = [one.unit for one in coordinates_of(problem.dynamics)]
+        ground = another_ground(plan, compiled, units=units, runs=runs)
+    shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
+    return replace(proof, sections=proof.sections | shown)
 
 
 def with_rollouts(
@@ -158,8 +194,28 @@ def _held(proof: Proof, held: Held) -> Proof:
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
 
 
-def _not_checked(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """What the verdict says nothing of."""
+def in_your_file(plan: Plan, problem: Problem, compiled: CompiledTwin, mjcf: str | Path | None) -> Section:
+    """Step 6, with the goals of the cost or the machine's own rule."""
+    section, run = your_file(
+        plan, problem, goals_of(problem, plan.xs), ideal=None, mjcf=mjcf,
+        units=[one.unit for one in coordinates_of(problem.dynamics)],
+    )  # fmt: skip
+    own = problem.requirements and problem.requirements.goal
+    if run is None or own is None:
+        return section
+    rule = tuple(one for one in own(run).measured if not one.name.startswith("planned"))
+    rest = tuple(one for one in section.measured if not one.name.startswith("missed_"))
+    return replace(section, measured=(*rest, *rule))
+
+
+def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
+    """What the user's file has and the plan's model lacks."""
+    phrases = left_out(problem, compiled)
+    return (f"without {' and '.join(phrases)}",) if phrases else ()
+
+
+def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """What the cost asks for and nobody judged."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ()
     unjudged = unjudged_ends(problem, plan.xs, plan.us)

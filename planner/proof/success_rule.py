@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.problem.goals import Goal, goals_of
 from planner.problem.plan import Plan
-from planner.proof.scales import SHARE, path_bounds
+from planner.proof.scales import ranges_of_motion
 
 GOAL_TOLERANCES = 5.0  # by which a perturbed machine may miss a goal
 OF_RANGE = 0.1  # of a coordinate's range of motion, where there is no goal
@@ -75,11 +75,7 @@ def end_errors(plan: Plan, ends: np.ndarray) -> np.ndarray:
     Infinite for a simulation that exploded.
     """
     sound, errors = np.isfinite(ends).all(axis=1), np.full(len(ends), np.inf)
-    away = np.abs(plan.space.difference(ends[sound], plan.xs[-1])) / ranges_of_motion(plan)
+    ranges = np.maximum(ranges_of_motion(plan), _LEAST)
+    away = np.abs(plan.space.difference(ends[sound], plan.xs[-1])) / ranges
     errors[sound] = away.max(axis=1, initial=0.0)
     return errors
-
-
-def ranges_of_motion(plan: Plan) -> np.ndarray:
-    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
-    return np.maximum(path_bounds(plan) / SHARE, _LEAST)
