@@ -135,4 +135,9 @@ def show_proof(proof: Proof, console: Console) -> None:
             console.say(f"{section.title}: not applicable, {section.not_applicable}")
     for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
         console.say(line)
+    show_verdict(proof, console)
+
+
+def show_verdict(proof: Proof, console: Console) -> None:
+    """Print the first line of a proof and its reason."""
     console.say(f"\n{proof.headline}: {proof.reason}")

@@ -24,7 +24,7 @@ from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
 from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
-from planner.proof.steps import with_rollouts
+from planner.proof.steps import with_rollouts, with_shown
 
 INTERRUPTED = 130
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
@@ -90,6 +90,9 @@ def _run(
             digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     if proof is not None and arguments.rollouts:
+        results.show_verdict(proof, console)
+        console.note("what follows is shown, and does not change the verdict")
+        proof = with_shown(proof)
         proof = with_rollouts(
             proof, arguments.rollouts, budget=BUDGET, partial=folder.path / ROLLOUTS,
             progress=console.progress("perturbed simulations, margin included"),

@@ -103,7 +103,10 @@ def prove(
     sound = all(section.passed for section in required.values())
     mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
     seen = mode or "open-loop"
-    converged, given = optimality(plan, problem, now), in_your_file(plan, problem, compiled, mjcf)
+    converged, given = (
+        optimality(plan, problem, now),
+        your_file(plan, problem, goals_of(problem, plan.xs), mjcf=mjcf, twin=twin)[0],
+    )
     repeated = mode is not None
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
@@ -192,20 +195,6 @@ def _held(proof: Proof, held: Held) -> Proof:
         "component), too far for the regulator; larger final weights end nearer."
     )
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
-
-
-def in_your_file(plan: Plan, problem: Problem, compiled: CompiledTwin, mjcf: str | Path | None) -> Section:
-    """Step 6, with the goals of the cost or the machine's own rule."""
-    section, run = your_file(
-        plan, problem, goals_of(problem, plan.xs), ideal=None, mjcf=mjcf,
-        units=[one.unit for one in coordinates_of(problem.dynamics)],
-    )  # fmt: skip
-    own = problem.requirements and problem.requirements.goal
-    if run is None or own is None:
-        return section
-    rule = tuple(one for one in own(run).measured if not one.name.startswith("planned"))
-    rest = tuple(one for one in section.measured if not one.name.startswith("missed_"))
-    return replace(section, measured=(*rest, *rule))
 
 
 def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
