@@ -18,8 +18,9 @@ import numpy as np
 import planner
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.measures import CLEAR, judge_tracking, measures
+from planner.cases.human_step.measures import CLEAR, measures
 from planner.cases.human_step.phase import SWING, Step
+from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 from planner.proof.replaying import replay
 

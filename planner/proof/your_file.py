@@ -13,11 +13,10 @@ actuator, no runaway, and every goal is met.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +25,11 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven, in_order
-from planner.model.mjcf.left_out import pairs_by_name
+from planner.model.mjcf.left_out import names_of
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import compile_model, named
 from planner.model.twin import Twin
+from planner.problem.goals import Goal
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.compiled_twin import CompiledTwin, with_model
@@ -37,7 +37,9 @@ from planner.proof.curve_callback import curves_acting
 from planner.proof.left_out import lacking
 from planner.proof.limits_hit import clamps_hit, stops_hit
 from planner.proof.replaying import Replay, replay_in
+from planner.proof.scales import by_unit
 from planner.proof.simulation import simulate
+from planner.proof.tracking import misses
 
 TITLE = "your file"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
@@ -49,43 +51,20 @@ class Undriven(ModelError):
     """The file's joints cannot be driven as the plan prescribes."""
 
 
-class Goal(Protocol):
-    """One thing that a problem wants of a motion's end."""
-
-    @property
-    def name(self) -> str:
-        """For messages."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Of what it is missed by."""
-        ...
-
-    @property
-    def tolerance(self) -> float:
-        """Infinite for a goal that is shown and not judged."""
-        ...
-
-    def missed(self, xs: np.ndarray) -> np.ndarray:
-        """(K,) by how much end states xs (K, nx) miss it."""
-        ...
-
-
 @np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
 def your_file(
     plan: Plan, problem: Problem, goals: Sequence[Goal], *, ideal: Replay | None = None,
-    mjcf: str | Path | None = None, units: Sequence[str] = (),
+    mjcf: str | Path | None = None, twin: Twin | None = None,
 ) -> tuple[Section, Replay | None]:  # fmt: skip
     """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
 
     Args:
         plan: A plan of this problem.
         problem: With a twin.
-        goals: What the end is judged by.
+        goals: What the end is judged by, where the machine has no rule of its own.
         ideal: The replay with gains in the plan's own model; it is used again where the file is that model.
         mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out of it.
-        units: (ndx,) of the components of a deviation, for errors along the path; by default a mechanism's.
+        twin: Another model and other maps in place of the plan's own.
 
     Returns:
         The step, and the replay in the file; None where the step does not apply.
@@ -94,10 +73,11 @@ def your_file(
         PlannerError: The plan cannot be replayed.
         ModelError: MuJoCo refuses the file, or it is of another machine.
     """
-    if plan.twin is None:
+    twin = twin or plan.twin
+    if twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
-        compiled = as_given(problem, plan.twin, mjcf)
+        compiled = as_given(problem, twin, mjcf)
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
     if ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin):
@@ -105,21 +85,18 @@ def your_file(
     else:
         run = replay_in(compiled, plan, feedback=True)
         shown = _open_loop(run)
-    unknown = _unknown_pairs(run.compiled, problem, edited=mjcf is not None)
-    section = Section(TITLE, (*_measured(run, problem, goals, unknown, units), *shown))
+    section = Section(TITLE, (*_measured(run, problem, goals), *shown))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
     again = replay_in(run.compiled, plan, feedback=True, integrator=own)
-    other = Section(TITLE, (*_measured(again, problem, goals, unknown, units), *_open_loop(again)))
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(again)))
     return (other, again) if other.passed else (section, run)
 
 
-def _measured(
-    run: Replay, problem: Problem, goals: Sequence[Goal], unknown: set[frozenset[int]], units: Sequence[str]
-) -> list[Measured]:
+def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Measured]:
     """Everything that is judged and shown of a replay with gains."""
-    touching, overlaps = _touches(run, unknown)
+    touching, overlaps = _touches(run, problem)
     sentences = {
         "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
         "unknown_stops": (stops_hit(run), "joints that run into a stop that the plan's model lacks"),
@@ -131,7 +108,7 @@ def _measured(
         for name, (found, meaning) in sentences.items()
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
-    return [*judged, *_goals(run, goals), *_path(run, problem, units), *_forces(run, overlaps), step]
+    return [*judged, *_goals(run, problem, goals), *_path(run, problem), *_forces(run, overlaps), step]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
@@ -173,20 +150,15 @@ def _same_model(one: Twin, other: Twin) -> bool:
     return one.mjcf == other.mjcf and one.assets == other.assets and one.curves == other.curves
 
 
-def _unknown_pairs(compiled: CompiledTwin, problem: Problem, edited: bool) -> set[frozenset[int]]:
-    """The pairs of geoms of a compiled file of which the plan knows nothing."""
-    found = lacking(problem, compiled)
-    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism) or not (edited or found.pairs):
-        return set()
-    return {frozenset(pair) for key, pair in pairs_by_name(compiled.model).items() if key not in found.known}
-
-
-def _touches(run: Replay, unknown: set[frozenset[int]]) -> tuple[list[str], list[str]]:
-    """Sentences about unknown pairs that touch, and about those that do at the start and go no deeper."""
+def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
+    """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+        return wrong, overlaps  # nobody can tell what other dynamics know
+    known = lacking(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
     for touch in run.touches:
-        if frozenset(touch.geoms) not in unknown or touch.deepest <= GRAZE * scale:
+        if names_of(model, touch.geoms) in known or touch.deepest <= GRAZE * scale:
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
         if touch.at_start <= GRAZE * scale:
@@ -204,34 +176,20 @@ def _together(sentences: list[str]) -> str:
     return " ".join([*sentences[:MOST_NAMED], *more])
 
 
-def _goals(run: Replay, goals: Sequence[Goal]) -> list[Measured]:
-    """How far the end is from each goal, in its own unit."""
-    return [
-        Measured(
-            f"missed_{_key(goal.name)}", float(goal.missed(run.xs[-1:])[0]), goal.unit,
-            goal.tolerance if np.isfinite(goal.tolerance) else None, f"{goal.name} at the end, with the plan's gains",
-        )
-        for goal in goals
-    ]  # fmt: skip
+def _goals(run: Replay, problem: Problem, goals: Sequence[Goal]) -> Sequence[Measured]:
+    """How far the end is from each goal, or what the machine's own rule says of it."""
+    if problem.requirements is not None and problem.requirements.goal is not None:
+        return problem.requirements.goal(run).measured
+    return misses("replayed", run.xs[-1:], tuple(goals))
 
 
-def _path(run: Replay, problem: Problem, units: Sequence[str]) -> list[Measured]:
+def _path(run: Replay, problem: Problem) -> list[Measured]:
     """The largest deviation from the plan at any step, of each unit."""
     error = np.abs(run.error).max(axis=0)
-    own = np.array(units or _units(problem, len(error)))
     return [
-        Measured("path_error" + (f"_{_key(unit)}" if unit else ""), float(error[own == unit].max()), unit, None,
-                 "largest deviation from the plan at any step")
-        for unit in dict.fromkeys(own.tolist())
-    ]  # fmt: skip
-
-
-def _units(problem: Problem, size: int) -> list[str]:
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism):
-        return [""] * size
-    places = np.where(np.any(mechanism.S[:, :3] != 0.0, axis=1), "rad", "m").tolist()
-    return [*places, *(f"{unit}/s" for unit in places), *[""] * (size - 2 * len(places))]
+        Measured(f"largest_{word}_error", float(error[which].max()), unit, None, "from the plan, at any step")
+        for word, unit, which, _ in by_unit(problem)
+    ]
 
 
 def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
@@ -256,7 +214,3 @@ def _open_loop(run: Replay) -> tuple[Measured, ...]:
         w, _ = simulate(model, start, ctrl)
     error = float(np.abs(plan.space.difference(compiled.twin.x_of(w[-1]), plan.xs[-1])).max())
     return (Measured("open_loop_end_error", error, "", None, "against the plan's end, largest component"),)
-
-
-def _key(name: str) -> str:
-    return re.sub(r"\W+", "_", name.lower()).strip("_")

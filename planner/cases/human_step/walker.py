@@ -33,7 +33,6 @@ from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.kinematics import jacobian
 from planner.model.contact.laws import ContactLaw, Law
 from planner.model.mechanism import Frame, Mechanism
-from planner.model.mjcf.contact_edits import IMPRATIO
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 from planner.model.mjcf.text import edited, model_path, model_text, written
 from planner.problem.costs.jerk import driven_by_jerk
@@ -63,6 +62,10 @@ STOP = Law(stiffness=1e3, damping=20.0, ramp=0.03, force_ramp=0.1)
 """Stop of a straight knee: with 200 N m/rad it bends backwards by 7 degrees. The stop damps only while it pushes, so it
 needs twice the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""
 KNEE_RANGE = (-2.6, 0.0)  # rad
+IMPRATIO = 125.0
+"""MuJoCo's, in the file too. MuJoCo's viscous friction lags as if the foot had impratio SOFT / w kg more at each contact
+(w its inverse weight, 0.38/kg): 0.03 kg here, 0.26 kg with 1000, which a foot of 1 kg feels; where it slips the normal
+force is mu^2 / impratio, 0.3 %, off. An eighth of 1000 leaves every bit of the law that is read from the text."""
 
 LIGHTEST, HEAVIEST = 20.0, 300.0  # kg
 SHORTEST, TALLEST = 1.0, 2.5  # m

@@ -73,7 +73,12 @@ def left_out(
 
 def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
     """The pairs of geoms that may touch, by names that are the same in an edited text."""
-    return {frozenset(_name_of(model, geom) for geom in pair): pair for pair in contact_pairs(model)}
+    return {names_of(model, pair): pair for pair in contact_pairs(model)}
+
+
+def names_of(model: Any, pair: tuple[int, int]) -> frozenset[GeomName]:
+    """A pair of geoms by names that are the same in an edited text."""
+    return frozenset(_name_of(model, geom) for geom in pair)
 
 
 def _name_of(model: Any, geom: int) -> GeomName:

@@ -10,11 +10,8 @@ those of the NumPy sweep, along solves those of the compiled one.
 
 from __future__ import annotations
 
-import os
-from collections import Counter
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,62 +19,62 @@ import numpy as np
 
 from planner import cases
 from planner.cases.hopper import PAPER
+from planner.paper.studies.many_starts import LAST, LIMIT, SAME, TOLERANCE, from_many
 from planner.paper.studies.records import table
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, swept
 from planner.paper.studies.watched import Sweep, watched
 from planner.problem.costs.terms import Quadratic
-from planner.problem.plan import Status
 from planner.problem.problem import Problem
 from planner.solvers import lq
-from planner.solvers.multistart import smooth
-from planner.solvers.slq import solve
+from planner.solvers.slq import LINE_SEARCHES
 from planner.view.plots.style import RED, SOFT, dress, grid_of, save
 
 RANDOM = 300  # LQ problems
-STARTS = 200  # per case, the issue's number
-FEW = 20  # starts of the paper's update on the arms, where it stalls at many times the price
-SAME = 1e-3  # costs that differ by less, relatively, count as one local minimum
-TOLERANCE = 1e-6  # of a solve: the decrease promised, relative to J; three digits below SAME
-LAST = 20  # iterations of a solve that failed, whose steps say why
+STARTS = 200  # per case with the feedback update and Armijo's rule, the issue's number
 
 
 @dataclass(frozen=True)
 class Family:
-    """A case and its random starts."""
+    """A case and its random starts; every solve has the same limit of iterations."""
 
     build: Callable[[], Problem]  # the problem that is solved from many starts
     size: float  # RMS of the random controls, in their unit
-    limit: int  # iterations after which a start counts as not converged
-    open_loop: tuple[int, int]  # starts with the paper's own update, Eq. 43, and their limit
+    few: int  # starts of the paper's own update, Eq. 43, and of the other line searches
     along: Callable[[], Problem] | None = None  # the problem along whose solve Eq. 42 is computed; by default build
-    most: int = STARTS  # with the feedback update, where they take long
+    most: int = STARTS  # with the feedback update and Armijo's rule, where they take long
+    wolfe: tuple[int, float] | None = None  # starts by Wolfe's rule and s for each, where `few` would take an hour
 
 
-# Arms at 50 stages a second, where 200 solves take seconds. 1 N m is a tenth of what holds the arm out horizontally;
+# Arms at 50 stages a second, where 200 solves take a minute. 1 N m is a tenth of what holds the arm out horizontally;
 # with 3 most starts whirl through several turns, and end far from everything. 10 in/s moves the piston by inches.
 # The human step is its swing: accelerations of the pelvis of the size of their tolerance.
 FAMILIES: dict[str, Family] = {
-    "hopper": Family(lambda: cases.build("hopper", height=20.0, **PAPER), 10.0, 500, (STARTS, 500)),
-    "two-link": Family(lambda: cases.two_link(horizon=100), 1.0, 300, (FEW, 100), cases.two_link),
-    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 600, (FEW, 100), cases.acrobot),
-    "human-step": Family(lambda: cases.human_step("swing", cost="study"), 5.0, 300, (FEW, 300), most=50),
+    "hopper": Family(lambda: cases.build("hopper", height=20.0, **PAPER), 10.0, STARTS),
+    "two-link": Family(lambda: cases.two_link(horizon=100), 1.0, 20, cases.two_link, wolfe=(2, 30.0)),
+    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 20, cases.acrobot, wolfe=(2, 30.0)),
+    "human-step": Family(lambda: cases.human_step("swing", cost="study"), 5.0, 10, most=50),
 }
 
 
 def theorem_results(
     families: Mapping[str, Family] = FAMILIES, starts: int = STARTS, problems: int = RANDOM
 ) -> dict[str, Any]:
-    """Both theorems in numbers: `starts` of each family with the feedback update, `problems` random LQ problems."""
+    """Both theorems in numbers: at most `starts` of each family, `problems` random LQ problems."""
     found = []
     for name, family in families.items():
         problem = family.build()
-        few, limit = family.open_loop
+        runs = {}
+        for update in ("feedback", "open-loop"):
+            for search in LINE_SEARCHES:
+                many = family.most if (update, search) == ("feedback", "armijo") else family.few
+                count, seconds = (family.wolfe or (many, np.inf)) if search == "wolfe" else (many, np.inf)
+                runs[update, search] = from_many(problem, family.size, min(count, starts), update, search, seconds)
         found.append({
             "case": name, "N": problem.N, "size": family.size,
             "along": _along(family.along() if family.along else problem),
-            "feedback": _from_many(problem, family.size, min(starts, family.most), family.limit, "feedback"),
-            "open-loop": _from_many(problem, family.size, min(few, starts), limit, "open-loop"),
+            "feedback": runs["feedback", "armijo"], "open-loop": runs["open-loop", "armijo"],
+            "searches": [run for (_, search), run in runs.items() if search != "armijo"],
         })  # fmt: skip
     return {"random": random_identity(problems), "problems": problems, "starts": starts, "cases": found}
 
@@ -131,45 +128,6 @@ def _summary(errors: list[tuple[float, float, float]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _from_many(problem: Problem, size: float, starts: int, limit: int, update: str) -> dict[str, Any]:
-    """Solve from random controls, and record how each solve ends."""
-
-    def run(number: int) -> tuple[str, int, float, float]:  # the last is the median of the last steps
-        us = size * smooth(np.random.default_rng([0, number]), problem.first_guess.shape)
-        options = {"max_iterations": limit, "decrease_tolerance": TOLERANCE, "gain_tolerance": 0.0}
-        plan = solve(replace(problem, us=us), update=update, **options)
-        steps = [line.step for line in plan.history[-LAST - 1 : -1] if line.step > 0.0]
-        return plan.status.name, plan.nit, plan.cost, float(np.median(steps)) if steps else 0.0
-
-    pool = ThreadPoolExecutor(os.cpu_count())
-    try:
-        ends, seconds = timed(lambda: list(pool.map(run, range(starts))))
-    finally:
-        pool.shutdown(cancel_futures=True)
-    done = [end for end in ends if end[0] == Status.CONVERGED.name]
-    failed = [end for end in ends if end[0] != Status.CONVERGED.name]
-    return {
-        "starts": starts, "limit": limit, "seconds": seconds,
-        "converged": len(done), "statuses": dict(Counter(end[0] for end in ends)),
-        "iterations": [end[1] for end in done], "costs": [end[2] for end in done],
-        "minima": local_minima([end[2] for end in done]),
-        "failed_costs": [end[2] for end in failed if np.isfinite(end[2])],
-        "failed_step": float(np.median([end[3] for end in failed])) if failed else None,
-    }  # fmt: skip
-
-
-def local_minima(costs: list[float]) -> list[dict[str, float]]:
-    """Costs that differ by less than SAME of themselves, as one; how many ended there, the lowest first."""
-    found: list[dict[str, float]] = []
-    for cost in sorted(costs):
-        if found and cost - found[-1]["highest"] <= SAME * abs(cost):
-            found[-1]["count"] += 1
-            found[-1]["highest"] = cost
-        else:
-            found.append({"cost": cost, "highest": cost, "count": 1})
-    return [{"cost": one["cost"], "count": one["count"]} for one in found]
-
-
 def _few(values: list[int]) -> str:
     """Least, median and most."""
     return f"{min(values)} / {np.median(values):.0f} / {max(values)}" if values else "none"
@@ -190,6 +148,23 @@ def _iterations(entry: dict[str, Any]) -> str:
     return f" in {_few(entry['iterations'])} iterations" if entry["iterations"] else ""
 
 
+def _others(case: dict[str, Any], update: str) -> str:
+    """How many converged with each of the other line searches."""
+    runs = [run for run in case["searches"] if run["update"] == update]
+    return ", ".join(f"{run['search']} {_share(run)}" for run in runs)
+
+
+def _no_minima(results: dict[str, Any]) -> str:
+    """Ends that are no local minima, and how many ends were asked."""
+    ends, none = 0, []
+    for case in results["cases"]:
+        for run in (case["feedback"], case["open-loop"], *case["searches"]):
+            ends += run["converged"]
+            none += [f"{case['case']} {cost:.4g}" for cost in run["no_minima"]]
+    listed = f", at J: {', '.join(none[:12])}{' ...' if len(none) > 12 else ''}" if none else ""
+    return f"{len(none)} of {ends} ends where a solve stopped are none{listed}"
+
+
 def _steps(results: dict[str, Any], update: str) -> str:
     """Median of the last steps of the starts that failed, of every case."""
     steps = {case["case"]: case[update]["failed_step"] for case in results["cases"]}
@@ -203,13 +178,12 @@ def _page(results: dict[str, Any]) -> list[str]:
         name, found = f"{case['case']}, N = ", case["along"]
         lowered = f"{found['falls']} of {found['steps']}"
         along.append({"where": f"{name}{found['N']}, every iterate", "lowered": lowered, **found})
-        for update in ("feedback", "open-loop"):
-            entry = case[update]
+        for entry in (case["feedback"], case["open-loop"], *case["searches"]):
             ended = ", ".join(f"{count} {name}" for name, count in sorted(entry["statuses"].items()))
             many.append({
-                "case": f"{case['case']}, N = {case['N']}", "update": update, "size": case["size"],
-                "share": _share(entry), "ended": ended, "few": _few(entry["iterations"]),
-                "listed": _minima(entry), **entry,
+                "case": f"{case['case']}, N = {case['N']}", "size": case["size"], "share": _share(entry),
+                "ended": ended, "few": _few(entry["iterations"]), "listed": _minima(entry),
+                "none": len(entry["no_minima"]), **entry,
             })  # fmt: skip
     return [
         "# Theorems 1 and 2 in numbers (section 3.4)", "",
@@ -225,20 +199,23 @@ def _page(results: dict[str, Any]) -> list[str]:
             "steps that lowered J": "{lowered}",
         }, along), "",
         "## Theorem 2: convergence from random starts", "",
-        f"Smooth random controls (six cosines, seeds 0 to {results['starts'] - 1}) of a given RMS; Armijo's rule. A",
-        f"solve has converged when the LQ model promises less than {TOLERANCE:g} of the cost. Costs that differ by",
-        f"less than {100.0 * SAME:g} % are one local minimum.", "",
+        f"Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations for every",
+        f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of the cost.",
+        "An end counts as a local minimum where Newton's method, started there, comes to a stationary point of the",
+        f"same cost (to {100.0 * SAME:g} %) at which the exact Hessian of J over all controls, second derivatives of",
+        "the dynamics included, has no negative eigenvalue; costs that differ by less are one minimum.",
+        f"{_no_minima(results)}.", "",
         *table({
-            "case": "{case}", "update": "{update}", "RMS": "{size:g}", "converged": "{share}", "limit": "{limit}",
-            "ended": "{ended}", "iterations: least / median / most": "{few}",
-            "local minima: cost (starts)": "{listed}", "s": "{seconds:.1f}",
+            "case": "{case}", "update": "{update}", "line search": "{search}", "RMS": "{size:g}",
+            "converged": "{share}", "ended": "{ended}", "iterations: least / median / most": "{few}",
+            "local minima: cost (starts)": "{listed}", "no minima": "{none}", "s": "{seconds:.1f}",
         }, many), "",
         "Open-loop is Eq. 43 as printed. MAX_ITERATIONS is slow convergence, not divergence: every step lowers the",
         "cost, but the LQ problem leaves out the curvature of the dynamics, and where that is large (a final state far",
-        "from the goal, arms that whirl) it promises too much and only short steps are taken; that this is the whole",
-        "reason is not shown here, exact second derivatives would tell. Median of the last",
-        f"{LAST} step lengths of the starts that failed, where 1 is the LQ problem's own, with the feedback update: "
-        f"{_steps(results, 'feedback')}; open-loop: {_steps(results, 'open-loop')}.",
+        "from the goal, arms that whirl) it promises too much and only short steps are taken. INTERRUPTED is Wolfe's",
+        "rule on the arms, which takes 0.1 s an iteration here (it is not compiled): 2 starts of 30 s each. Median of",
+        f"the last {LAST} step lengths of the starts that failed by Armijo's rule, where 1 is the LQ problem's own, "
+        f"with the feedback update: {_steps(results, 'feedback')}; open-loop: {_steps(results, 'open-loop')}.",
         "NOT_FINITE are starts whose first rollout leaves the range of numbers; Theorem 2 assumes it does not. The",
         "theorem promises a local minimum and says nothing of which: the table shows how many there are.",
     ]  # fmt: skip
@@ -259,12 +236,15 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{iterates_} iterates of {len(cases_)} solves; {falls[0]} of {falls[1]} steps lowered J",
             "it does not differ"),
         Row("3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
-            f"converged (iterations: least / median / most): {ended('open-loop')}",
-            "within a limit of iterations. On the arms the rollout without feedback leaves only tiny steps: it "
-            "descends, far too slowly to be of use"),
+            f"converged within {LIMIT} iterations by Armijo's rule (least / median / most): {ended('open-loop')}; "
+            + "; ".join(f"{case['case']}: {_others(case, 'open-loop')}" for case in cases_),
+            "the theorem has no limit of iterations. Every step descends; on the arms the rollout without feedback "
+            f"leaves only short ones (median {_steps(results, 'open-loop')}), and many starts take longer"),
         Row("3.4, Theorem 2", "The same, with any of the usual line searches",
-            f"with the feedback update: {ended('feedback')}. Local minima: "
-            + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_),
+            f"with the feedback update, within the same limit, by Armijo's rule: {ended('feedback')}; "
+            + "; ".join(f"{case['case']}: {_others(case, 'feedback')}" for case in cases_) + ". Local minima: "
+            + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_)
+            + f". {_no_minima(results)}",
             f"what is missing was still descending at its limit, by short steps: median {_steps(results, 'feedback')}. "
             "Which local minimum is reached depends on the start, of which the theorem says nothing"),
     ]  # fmt: skip
@@ -282,7 +262,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         top.semilogy(np.maximum(along["errors"], 1e-17), ".", color="#0b5aa6", ms=4)
         top.set_ylim(1e-17, 1.0)  # from rounding to nothing in common
         top.locator_params(axis="x", integer=True)
-        limit = f"iterations (limit {entry['limit']})"
+        limit = f"iterations (limit {LIMIT})"
         dress(middle, f"{_share(entry)} random starts converged", "starts" if first else "", limit)
         if entry["iterations"]:
             middle.hist(entry["iterations"], bins=40, range=(0, max(entry["iterations"])), color="#0b5aa6")
@@ -299,4 +279,4 @@ def _draw(results: dict[str, Any], path: Path) -> None:
 
 
 STUDY = Study("theorems", "Theorems 1 and 2 in numbers",
-              theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=90)  # fmt: skip
+              theorem_results, _page, _rows, {"theorems.png": _draw}, seconds=400)  # fmt: skip
