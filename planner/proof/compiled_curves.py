@@ -52,7 +52,9 @@ def _function() -> Any:
     from numba import cfunc, types
     from numba.extending import intrinsic
 
-    @intrinsic
+    make: Any = intrinsic  # its first argument is the compiler's
+
+    @make
     def numbers(typing_context: Any, address: Any) -> Any:
         """The pointer to floating-point numbers at an address."""
 

@@ -2,8 +2,8 @@
 
 MuJoCo asks its one global callback at every stage of its integrators, so a replay has no error of its own from it. The
 callback is there only inside `curves_acting`, and acts on the models named there alone: others that run meanwhile are
-left as they are. Where the data that the models run in are known too (rollouts), it is compiled: MuJoCo takes the address
-of a C function, which threads call at once, a hundred times faster than Python.
+left as they are. Where the data that the models run in are known too (rollouts), it is compiled: MuJoCo takes the
+address of a C function, which threads call at once.
 """
 
 from __future__ import annotations

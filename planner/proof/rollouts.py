@@ -155,7 +155,7 @@ class Rollouts:
         )
 
     def curves(self, batch: Batch, data: Sequence[Any]) -> AbstractContextManager[None]:
-        """A context in which the twin's exponential torques act on a batch in these data, as stiff as each was drawn."""
+        """A context in which the twin's exponential torques act on a batch in these data, as stiff as drawn."""
         return curves_acting(self.twin, *batch.models, factors=batch.stiffness, data=data)
 
     def run(self, batch: Batch, mode: str, deadline: float = math.inf) -> np.ndarray:

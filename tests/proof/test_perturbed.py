@@ -141,6 +141,24 @@ def test_the_margin_is_the_largest_level_that_is_kept(arm, monkeypatch, top):
     assert len(ran) <= 4
 
 
+@pytest.mark.parametrize(("every", "word", "done"), [(1, "robust", 32), (10, "robust", 96), (4, "fragile", 160)])
+def test_rollouts_are_drawn_until_the_rate_with_gains_is_settled(arm, monkeypatch, every, word, done):
+    """One failure in `every`; with 1 none. 512 were asked for, open loop takes as many."""
+
+    def run(self, batch, mode, deadline):
+        xs = np.repeat(self.plan.xs[None, self.knots], len(batch.models), axis=0)
+        self.ran = getattr(self, "ran", 0)
+        xs[(self.ran + np.arange(len(xs))) % every == every - 1, -1] += 100.0 * (every > 1)
+        self.ran += len(xs)
+        return xs
+
+    monkeypatch.setattr(Rollouts, "run", run)
+    result = perturbed(arm, coarse(arm), Trials(512))
+    assert (result.robustness, result.done, result.asked) == (word, done, 512)
+    assert result.rates["open-loop"].of == done
+    assert result.to_dict()["robustness"] == word
+
+
 # What succeeds.
 
 
@@ -257,6 +275,16 @@ def test_the_hopper_in_detail_is_the_rollout():
         one = replay_case(plan, twin, 1, seed=3, feedback=feedback)
         np.testing.assert_array_equal(one.xs[:: one.substeps], xs[MODES[feedback]][1])
         assert one.contact_force.max() > 100.0
+        assert one.integrator == "EULER"
+
+
+def test_euler_takes_the_place_of_rk4_only_where_it_agrees(monkeypatch):
+    plan = planner.solve(planner.cases.hopper(duration=0.25, horizon=50, height=5.0))
+    assert plan.twin is not None
+    monkeypatch.setattr("planner.proof.rollouts.AGREES", 1e-12)
+    with Rollouts(plan, CompiledTwin(plan.twin)) as rollouts:
+        assert rollouts.integrator == "RK4"
+        assert rollouts.nominal.model.opt.integrator == load_mujoco().mjtIntegrator.mjINT_RK4
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -293,7 +321,7 @@ def test_delay_is_a_shift_by_whole_steps(arm):
 
 
 def test_a_delay_beyond_the_end_holds_the_first_control(arm):
-    one = replay_case(arm, coarse(arm), 0, perturbation=Perturbation(**{**NOTHING, "delay": 1e9}))
+    one = replay_case(arm, coarse(arm), 0, perturbation=Perturbation(**{**NOTHING, "delay": 10.0}))
     np.testing.assert_array_equal(one.ctrl, np.broadcast_to(one.ctrl[0], one.ctrl.shape))
 
 
