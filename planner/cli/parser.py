@@ -212,7 +212,14 @@ def build() -> argparse.ArgumentParser:
         {"--out": _takes("FILE", "The plan's file.", "plan.npz")},
     )
     command(
-        "prove", "Replay a stored plan in MuJoCo and judge it.", plan,
+        "prove", "Replay a stored plan in MuJoCo and judge it, or anybody's controls.",
+        {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; none where --controls are given."},
+         "--controls": _takes("FILE", "In place of a plan: a CSV of time and controls, or of joint positions."),
+         "--model": _takes("FILE", "The MJCF that the controls are for."),
+         "--start": _takes("STATE", "Of the controls: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
+         "--goal": _takes("STATE", "Of the controls: where they are to end, in the same form."),
+         "--save": _takes("FILE", "Write the plan that the controls make, for planner render."),
+         "--feasible": _switch("Judge feasibility alone: a solve that did not converge may pass.")},
         {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),
          "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(ENGINES)}, where installed; repeat it for both."},

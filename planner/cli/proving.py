@@ -14,6 +14,7 @@ from planner.base.arguments import shown as quoted
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.base.jsonable import json_text
+from planner.cases.given_controls import plan_of_controls
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
 from planner.cli.results import plan_facts, show_proof
@@ -29,8 +30,7 @@ from planner.proof.replaying import Replay
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
-    plan = load_plan(arguments.plan)
-    digest = plan_digest(arguments.plan)
+    plan, digest = _plan_of(arguments)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out", "engine"):
             if getattr(arguments, flag):
@@ -49,6 +49,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         proof = prove(
             plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
             seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
+            optimal=not (arguments.feasible or arguments.controls),
             progress=console.progress("perturbed simulations, margin included"),
         )  # fmt: skip
         sections = {name: another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed) for name in engines}
@@ -63,6 +64,38 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.out is not None:
         console.say(arguments.out)
     return console.finish("prove", 0 if proof.passed else 1, plan=plan_facts(plan), proof=found)
+
+
+def _plan_of(arguments: argparse.Namespace) -> tuple[Plan, str | None]:
+    """The plan that the flags name and the digest of its file: a stored one, or that of anybody's controls."""
+    given = {name: getattr(arguments, name) for name in ("model", "start", "goal", "save")}
+    if arguments.controls is None:
+        if flags := [f"--{name}" for name, value in given.items() if value is not None]:
+            raise PlannerError(f"{flags[0]} is given without --controls, expected a CSV file of controls with it.")
+        if arguments.plan is None:
+            raise PlannerError("prove was given no plan, expected a plan.npz, or --controls u.csv --model m.xml.")
+        return load_plan(arguments.plan), plan_digest(arguments.plan)
+    if arguments.plan is not None or arguments.model is None:
+        what = "a plan and" if arguments.plan is not None else "no --model with"
+        raise PlannerError(f"prove was given {what} --controls, expected --controls u.csv --model m.xml and no plan.")
+    start, goal = (None if given[name] is None else _state(given[name]) for name in ("start", "goal"))
+    plan = plan_of_controls(arguments.controls, Path(arguments.model), start=start, goal=goal)
+    if arguments.save is not None:
+        plan.save(arguments.save)
+    return plan, None
+
+
+def _state(words: str) -> str | list[float] | dict[str, float]:
+    """A keyframe's name, numbers 0,1.57, or positions elbow=0.3,wrist=0, as a problem file has them."""
+    parts = [part.partition("=") for part in words.split(",")]
+    try:
+        if all(sign for _, sign, _ in parts):
+            return {name.strip(): float(value) for name, _, value in parts}
+        return [float(part) for part in words.split(",")]
+    except ValueError:
+        if "=" in words or "," in words:
+            raise PlannerError(f"the state is {quoted(words)}, expected numbers 0,1.57 or joints elbow=0.3.") from None
+        return words
 
 
 def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
