@@ -147,16 +147,15 @@ def _checked(path: Path, tolerance: float, update: bool) -> Checked:
         plan = load_plan(path)
         digest = plan_digest(path)
         stored = _read(file) if file.exists() else None
-        if stored is not None and stored.get("plan_digest", digest) != digest:
-            if not update:
-                wanted = f"expected that of this {path.name}; --update replaces it"
-                raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
-            stored = None
+        foreign = stored is not None and stored.get("plan_digest", digest) != digest
+        if foreign and not update:
+            wanted = f"expected that of this {path.name}; --update replaces it"
+            raise FileError(f"{file.name} is the proof of another plan file, {wanted}.")
         proof = _proved_as(plan, stored)
     except PlannerError as error:
         return Checked(path, problem=str(error))
     now = proof.to_dict() | {"plan_digest": digest}
-    if stored is None:
+    if stored is None or foreign:
         if not update:
             problem = f"it has no stored numbers, expected {file.name} beside it; --update writes it."
             return Checked(path, problem=problem, proof=proof)
