@@ -107,10 +107,8 @@ def _measured(found: list[Coefficient], seed: int, unreached: list[str] | None =
         pairs.setdefault(one.kind, set()).add(one.pair)
     for kind, names in pairs.items():
         worst = max((one for one in found if one.kind == kind), key=lambda one: np.nan_to_num(one.error, nan=np.inf))
-        error, bound = (
-            100.0 * float(np.nan_to_num(worst.error, nan=np.inf)),
-            INERTIA_BOUND if kind == "contact_inertia" else BOUND,
-        )
+        error = 100.0 * float(np.nan_to_num(worst.error, nan=np.inf))
+        bound = INERTIA_BOUND if kind == "contact_inertia" else BOUND
         note = f"largest of {len(names)}, at {worst.pair}" if error <= bound else str(worst)
         note += f", at seeded states outside the ramps (seed {seed}), relative to the plan's"
         measured.append(Measured(f"{kind}_error", error, "%", bound, note))
@@ -162,7 +160,7 @@ class _Bench:
                 yield _missing(name, f"{name} touches nothing in the model, the plan has a contact")
                 continue
             touching, ought_to = [], False
-            tries = [(near, None), (anywhere, None)]
+            tries: list[tuple[np.ndarray, np.ndarray | None]] = [(near, None), (anywhere, None)]
             middle = self._middle(contact, shapes)
             if middle is not None:  # the plan's plane goes on where the box ends
                 tries.append((np.concatenate([near, anywhere]), middle))
@@ -174,15 +172,14 @@ class _Bench:
                 touching += [x for x in xs if self._touches(pressing, shapes, x)]
                 if len(touching) >= STATES or (touching and starts is anywhere):
                     break
-            geoms = shapes.own, shapes.other
-            if touching:
-                self._seen[geoms] = ""
-                for x in touching[:STATES]:
-                    yield from self._coefficients(pressing, shapes, x)
-            elif ought_to:
+            found = [one for x in touching[:STATES] for one in self._coefficients(pressing, shapes, x)]
+            if found:
+                self._seen[shapes.own, shapes.other] = ""
+                yield from found
+            elif ought_to and not touching:
                 yield _missing(shapes.name, f"{shapes.name} does not touch in the model where it does in the plan")
             else:
-                self._seen.setdefault(geoms, shapes.name)
+                self._seen.setdefault((shapes.own, shapes.other), shapes.name)
 
     def _middle(self, contact: AnyContact, shapes: Shapes) -> np.ndarray | None:
         """(3,) where the file puts a box that a contact touches; None for what has no end."""

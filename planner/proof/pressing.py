@@ -88,10 +88,10 @@ class Pressing:
         m, contact = self.mechanism, self.contact
         x = starts.copy()
         x[:, m.nq : m.nq + m.nv] = 0.0
+        aside = np.zeros((len(x), 3))
         for _ in range(_ITERATIONS):
             place = self.place(x)
             rows, missing = -np.einsum("ka,kaj->kj", place.n, place.J)[:, None], self._missing(place, depth)[:, None]
-            aside = np.zeros((len(x), 3))
             if middle is not None and isinstance(contact, Contact):
                 across = np.eye(3) - np.outer(contact.plane.normal, contact.plane.normal)
                 aside = (_carried(m, contact, x, middle) - place.p) @ across
