@@ -39,7 +39,7 @@ from planner.proof.simulation import set_state
 from planner.proof.touching import Shapes, contact_name, force_between, shapes_of
 
 BOUND = 1.0  # %
-INERTIA_BOUND = 5.0  # %: a law is read from impedances up to 1e-3, where the share is A / 1000 R's own estimate of A
+INERTIA_BOUND = 5.0  # %: laws are read from impedances up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A
 STATES = 3  # of each contact
 _NEAR = 4  # states near the start and as many all over the space, from which contacts are pressed
 _CLOSING = 0.5  # of the spring's force: the damper's
@@ -163,16 +163,18 @@ class _Bench:
             tries: list[tuple[np.ndarray, np.ndarray | None]] = [(near, None), (anywhere, None)]
             middle = self._middle(contact, shapes)
             if middle is not None:  # the plan's plane goes on where the box ends
+                pressing.lowest_only = True
                 tries.append((np.concatenate([near, anywhere]), middle))
             for starts, aim in tries:
                 xs, alone = pressing.pressed(starts, pressing.depth, aim)
                 ought_to = ought_to or (aim is middle and bool(alone.any()))
-                if pressing.corners:  # of a box MuJoCo takes the lowest alone
+                if pressing.lowest_only:
                     xs = xs[alone]
                 touching += [x for x in xs if self._touches(pressing, shapes, x)]
-                if len(touching) >= STATES or (touching and starts is anywhere):
+                if len(touching) >= STATES or (touching and (starts is anywhere or isinstance(contact, Contact))):
                     break
-            found = [one for x in touching[:STATES] for one in self._coefficients(pressing, shapes, x)]
+            known = self._seen.get((shapes.own, shapes.other)) == ""  # the other end of a capsule
+            found = [one for x in touching[: 1 if known else STATES] for one in self._coefficients(pressing, shapes, x)]
             if found:
                 self._seen[shapes.own, shapes.other] = ""
                 yield from found
