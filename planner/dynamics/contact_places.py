@@ -92,7 +92,7 @@ class BodyPlace:
     @property
     def crossing(self) -> np.ndarray:
         """(K,) sine of the angle between the axes, by which the closest points are sharp; 0 where one is a sphere."""
-        return np.linalg.norm(np.cross(*self._axes), axis=1)
+        return np.linalg.norm(np.cross(self._axes[0], self._axes[1]), axis=1)
 
     def _at(self, arms: list[np.ndarray], k: int) -> np.ndarray:
         """(K, 3, nv) Jacobian of the point of part k that is at its arm from its middle."""

@@ -118,10 +118,10 @@ def ground_table(
     if reason:
         return GroundTable(not_applicable=reason)
     by_unit = _components(plan, units)
-    every = {PLAN: own, **{name: run_in(compiled.changed(change)) for name, change in GROUNDS.items()}}
-    return GroundTable(
-        tuple(_row(name, mode, run, by_unit) for name, these in every.items() for mode, run in these.items())
-    )
+    rows = [_row(PLAN, mode, run, by_unit) for mode, run in own.items()]
+    for name, change in GROUNDS.items():
+        rows += [_row(name, mode, run, by_unit) for mode, run in run_in(compiled.changed(change)).items()]
+    return GroundTable(tuple(rows))
 
 
 def _reason(model: Any, runs: Mapping[str, Replay]) -> str:
@@ -154,15 +154,13 @@ def _touching(model: Any, run: Replay) -> set[int]:
 
 def _components(plan: Plan, units: Iterable[str] | None) -> dict[str, np.ndarray]:
     """The components of a deviation by their unit."""
-    ndx = plan.K.shape[2]
-    if units is None:
-        mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-        units = [""] * ndx
-        if isinstance(mechanism, Mechanism):
-            kinds = ["rad" if angle else "m" for angle in turns(mechanism)]
-            units = [*kinds, *(f"{kind}/s" for kind in kinds), *[""] * mechanism.na]
-    every = np.array(list(units))
-    return {unit: np.flatnonzero(every == unit) for unit in dict.fromkeys(every.tolist())}
+    every = [""] * plan.K.shape[2] if units is None else list(units)
+    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    if units is None and isinstance(mechanism, Mechanism):
+        kinds = ["rad" if angle else "m" for angle in turns(mechanism)]
+        every = [*kinds, *(f"{kind}/s" for kind in kinds), *[""] * mechanism.na]
+    of = np.array(every)
+    return {unit: np.flatnonzero(of == unit) for unit in dict.fromkeys(every)}
 
 
 def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> GroundRow:

@@ -14,8 +14,9 @@ from planner.model.mechanism import Mechanism
 
 AnyContact = Contact | BodyContact
 
-_ITERATIONS, _STEP = 40, 0.5  # of Newton's method, and how far a joint goes at once, rad or m
+_ITERATIONS, _STEP = 25, 0.5  # of Newton's method, and how far a joint goes at once, rad or m
 _ARRIVED, _ALMOST = 1e-6, 1e-3  # of the depth
+_ENOUGH = 3  # states that arrived: the others are left where they are
 _CORNERS = 4  # others that a box has at least, if it is one
 _SLIGHT = 1e-9  # of a Jacobian that is none
 _SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask for more
@@ -27,7 +28,7 @@ class Pressing:
 
     Attributes:
         depth: How deep, m: beyond the ramps of its law, else as the weight does but little of its shapes' size.
-        corners: Whether it may be the corner of a box.
+        lowest_only: Whether MuJoCo may know but the lowest of a shape's parts: of the corners of a box, or on a box.
         spacing: Least distance to another contact of the same link, m; infinite for a single one.
     """
 
@@ -35,7 +36,7 @@ class Pressing:
         self.mechanism, self.contact = mechanism, contact
         self._others = [one for one in mechanism.contacts if self._beside(one)]
         away = [float(np.linalg.norm(one.centre - contact.centre)) for one in self._others]  # type: ignore[union-attr]
-        self.corners = len(away) >= _CORNERS
+        self.lowest_only = len(away) >= _CORNERS
         self.spacing = min((distance for distance in away if distance > 0.0), default=np.inf)
         weight = self._mass() * float(np.linalg.norm(mechanism.gravity))
         radius = contact.radius if isinstance(contact, Contact) else contact.first.radius + contact.second.radius
@@ -83,20 +84,22 @@ class Pressing:
         file puts it, the contact is moved there along the plane too.
 
         Returns:
-            The states (k, nx) that got there, and whether no other contact of the same shape is deeper (k,).
+            The states (k, nx) that got there, and (k,) whether no other contact of the same link is deeper, where that
+            matters.
         """
         m, contact = self.mechanism, self.contact
         x = starts.copy()
         x[:, m.nq : m.nq + m.nv] = 0.0
+        aside = np.zeros((len(x), 3))
         for _ in range(_ITERATIONS):
             place = self.place(x)
             rows, missing = -np.einsum("ka,kaj->kj", place.n, place.J)[:, None], self._missing(place, depth)[:, None]
-            aside = np.zeros((len(x), 3))
             if middle is not None and isinstance(contact, Contact):
                 across = np.eye(3) - np.outer(contact.plane.normal, contact.plane.normal)
                 aside = (_carried(m, contact, x, middle) - place.p) @ across
                 rows, missing = np.concatenate([rows, across @ place.J], 1), np.concatenate([missing, aside], 1)
-            if np.all(np.abs(missing[:, 0]) <= _ARRIVED * depth) and np.all(np.abs(aside) <= depth):
+            arrived = (np.abs(missing[:, 0]) <= _ARRIVED * depth) & np.all(np.abs(aside) <= depth, axis=1)
+            if arrived.all() or (arrived.sum() >= _ENOUGH and not self.lowest_only):
                 break
             step = np.einsum("kja,ka->kj", np.linalg.pinv(rows, rcond=1e-6), missing)
             step *= np.minimum(1.0, _STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), _STEP))
@@ -108,7 +111,7 @@ class Pressing:
         x = x[there]
         if isinstance(place, BodyPlace):  # where axes cross, closest points are sharp
             x = x[np.argsort(-place.crossing[there], kind="stable")]
-        lowest = self._lowest(x)
+        lowest = self._lowest(x) if self.lowest_only else np.ones(len(x), dtype=bool)
         order = np.argsort(~lowest, kind="stable")
         return x[order], lowest[order]
 

@@ -1,6 +1,6 @@
 """Parity of contact forces: right twins agree in every coefficient, and a wrong coefficient is named with its pair.
 
-Where the plan's law is plain, MuJoCo's force of a machine at rest is the same formula, so right twins agree to rounding;
+Where the plan's law is plain, MuJoCo's force of a machine at rest is the same formula: right twins agree to rounding;
 of two capsules the plan's closest points are smoothed, which is allowed a tenth of the bound.
 """
 
@@ -21,7 +21,8 @@ from planner.model.twin import Twin
 from planner.proof.compiled_twin import CompiledTwin, with_model
 from planner.proof.contact_parity import BOUND, contact_parity
 
-BALL = """<mujoco><worldbody><geom name="floor" {floor}/><body name="ball" pos="0 0 .3"><joint type="slide" axis="0 0 1"/>
+BALL = """<mujoco><worldbody><geom name="floor" {floor}/><body name="ball" pos="0 0 .3">
+  <joint type="slide" axis="0 0 1"/>
   <geom name="ball" type="sphere" size=".05" mass="1"/></body></worldbody>
   <actuator><motor joint="{joint}"/></actuator></mujoco>"""
 BRICK = """<mujoco><worldbody><geom name="floor" type="box" size="1 1 .1" pos="4 0 -.1"/>
