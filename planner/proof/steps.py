@@ -36,6 +36,7 @@ from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.sampled_gains import sampling_of
+from planner.proof.scales import worst_by_unit
 from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
@@ -105,7 +106,9 @@ def prove(
     seen = mode or "open-loop"
     converged, given = (
         optimality(plan, problem, now),
-        your_file(plan, problem, goals_of(problem, plan.xs), mjcf=mjcf, twin=twin)[0],
+        your_file(
+            plan, problem, goals_of(problem, plan.xs), open_loop=runs["open-loop"], mjcf=mjcf, twin=twin
+        )[0],
     )
     repeated = mode is not None
     mode = mode if given.passed else None
@@ -189,10 +192,12 @@ def _held(proof: Proof, held: Held) -> Proof:
     if section.passed or not proof.passed:
         return proof
     plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
-    miss = float(np.abs(plan.space.difference(proof.replays["feedback"].xs[-1], held.hold.x_goal)).max())
+    miss = plan.space.difference(proof.replays["feedback"].xs[-1:], held.hold.x_goal)
+    worst = max(worst_by_unit(plan, miss), key=lambda one: one.share)
     reason = (
-        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends {miss:.2g} from the goal (largest "
-        "component), too far for the regulator; larger final weights end nearer."
+        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends with {worst.name} "
+        f"{worst.value:.2g} {worst.unit}".rstrip() + " from the goal, too far for the regulator; larger final weights "
+        "end nearer."
     )
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
 
