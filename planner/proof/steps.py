@@ -156,8 +156,11 @@ def prove(
     )  # fmt: skip
 
 
-def with_shown(proof: Proof) -> Proof:
-    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground."""
+def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
+    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground.
+
+    `note` is called with a line before each.
+    """
     plan, compiled, runs = proof.replay.plan, proof.replay.compiled, proof.replays
     problem = plan.problem
     assert problem is not None  # it was proved
@@ -166,9 +169,12 @@ def with_shown(proof: Proof) -> Proof:
         return tracking(run, problem).passed and goal(run, problem).passed
 
     with np.errstate(all="ignore"):
+        note("the slowest rate at which the gains still hold")
         rates = slowest_rate(plan, compiled, passes)
+        note("the same with encoders")
         encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
         units = [one.unit for one in coordinates_of(problem.dynamics)]
+        note("another ground")
         ground = another_ground(plan, compiled, units=units, runs=runs)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
