@@ -8,6 +8,7 @@ never the plan's.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -106,9 +107,7 @@ def prove(
     seen = mode or "open-loop"
     converged, given = (
         optimality(plan, problem, now),
-        your_file(
-            plan, problem, goals_of(problem, plan.xs), open_loop=runs["open-loop"], mjcf=mjcf, twin=twin
-        )[0],
+        your_file(plan, problem, goals_of(problem, plan.xs), open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)[0],
     )
     repeated = mode is not None
     mode = mode if given.passed else None
@@ -175,7 +174,8 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
         encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("another ground")
-        ground = another_ground(plan, compiled, units=units, runs=runs)
+        as_judged = functools.partial(replay_in, sampling=sampling_of(plan))
+        ground = another_ground(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
 
@@ -202,7 +202,8 @@ def _held(proof: Proof, held: Held) -> Proof:
     worst = max(worst_by_unit(plan, miss), key=lambda one: one.share)
     reason = (
         f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends with {worst.name} "
-        f"{worst.value:.2g} {worst.unit}".rstrip() + " from the goal, too far for the regulator; larger final weights "
+        f"{worst.value:.2g} {worst.unit}".rstrip()
+        + " from the goal, too far for the regulator; larger final weights "
         "end nearer."
     )
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
