@@ -18,8 +18,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.problem.discretisation import finer

@@ -201,7 +201,8 @@ def lines_of(axes, words):
 def test_the_panels_of_a_proof(proof):
     found = titles(draw_proof(proof))
     assert [title.split(",")[0].split(":")[0] for title in found] == [
-        "Errors of the replay", "Errors of the replay", "Growth of errors", "Order of the open-loop replay as MuJoCo's step is halved",
+        "Errors of the replay", "Errors of the replay", "Growth of errors",
+        "Order of the open-loop replay as MuJoCo's step is halved",
         "Monte Carlo", "Monte Carlo", "Monte Carlo",
     ]  # fmt: skip
 
