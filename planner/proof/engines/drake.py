@@ -70,13 +70,13 @@ class Drake:
             one.child_body().name(): one for one in joints if one.num_velocities() == 6
         }
         sizes = [links.stop - links.start for links in mechanism.joint_links]
-        found = [own.get(body if n == 6 else name) for name, body, n in zip(text.joints, text.bodies, sizes, strict=True)]
+        found = [
+            own.get(body if n == 6 else name) for name, body, n in zip(text.joints, text.bodies, sizes, strict=True)
+        ]
         if plant.num_velocities() != mechanism.nv or not all(
             one is not None and one.num_velocities() == n for one, n in zip(found, sizes, strict=True)
         ):
-            raise ModelError(
-                f"Drake's parser reads other joints ({', '.join(own)}) than {', '.join(text.joints)}"
-            )
+            raise ModelError(f"Drake's parser reads other joints ({', '.join(own)}) than {', '.join(text.joints)}")
         self._joints: list[Any] = found
         place = 0
         for joint, links in zip(found, mechanism.joint_links, strict=True):
@@ -114,7 +114,7 @@ class Drake:
         return damping, armature
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """qacc (nv,) at qpos (nq,), qvel (nv,) with the applied forces tau (nv,), in MuJoCo's coordinates."""
+        """Accelerations qacc (nv,) at qpos (nq,), qvel (nv,) with the forces tau (nv,), in MuJoCo's coordinates."""
         plant, context = self._plant, self._context
         place, speed, force = np.empty(plant.num_positions()), np.empty(len(v)), np.empty(len(v))
         place[self._q], own_v, own_tau, turned = q, v.copy(), tau.copy(), []

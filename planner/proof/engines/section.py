@@ -46,7 +46,7 @@ class Engine(Protocol):
     settings: list[str]  # what it was given in numbers, since its parser does not read it
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """qacc (nv,) at qpos, qvel with the applied forces tau."""
+        """Accelerations qacc (nv,) at qpos, qvel with the applied forces tau."""
         ...
 
 
@@ -93,7 +93,8 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
-    dynamics, twin = problem_of(plan).dynamics, twin or plan.twin
+    dynamics: Any = problem_of(plan).dynamics
+    twin = twin or plan.twin
     require(name)
     if twin is None:
         raise PlannerError("the plan has no model for another engine, expected a Problem with a twin.")
@@ -131,7 +132,9 @@ def _reason(dynamics: Any, model: Any) -> str:
     if not isinstance(mechanism, Mechanism):
         return "the plan's dynamics are not those of a mechanism"
     if getattr(dynamics, "prescribed", ()):
-        return f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
+        return (
+            f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
+        )
     contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     if contacts or may_touch(model):
         n = f"{contacts} contacts" if contacts > 1 else "contacts"
@@ -176,7 +179,7 @@ def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) 
 def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
     """The motion against the plan and against the plan's own dynamics, by kind of coordinate."""
     assert plan.problem is not None  # problem_of() has looked
-    dynamics = plan.problem.dynamics
+    dynamics: Any = plan.problem.dynamics
     mechanism, start = dynamics.mechanism, plan.problem.x0
     planned = plan.between_knots(PARTS)
 

@@ -14,7 +14,6 @@ from planner.model.mjcf.contact_edits import joints_of
 from planner.model.mjcf.text import parsed
 from planner.model.twin import Twin
 
-
 _POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
