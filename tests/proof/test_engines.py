@@ -64,8 +64,15 @@ class Weightless(StandIn):
         super().__init__(text, replace(mechanism, gravity=np.zeros(3)))
 
 
+class Massless(StandIn):
+    def acceleration(self, q, v, tau):
+        return 0.0 * v
+
+
 class Wild(StandIn):
     def acceleration(self, q, v, tau):
+        if not np.any(v):
+            return super().acceleration(q, v, tau)
         return 1e6 * (1.0 + np.square(v))  # ends at infinity before the stage does
 
 
@@ -177,6 +184,11 @@ def test_an_engine_without_gravity_is_refused(monkeypatch):
     stand_in(monkeypatch, Weightless)
     with pytest.raises(PlannerError, match=r"without gravity.*pip install pin==4\.0\.0"):
         another_engine(swinging(2), "pinocchio")
+
+
+def test_a_parser_that_reads_no_mass_is_said(monkeypatch):
+    stand_in(monkeypatch, Massless)  # Pinocchio, of a mesh
+    assert "another inertia at shoulder, elbow" in another_engine(swinging(2), "pinocchio").not_applicable
 
 
 def test_a_motion_that_runs_away_ends(monkeypatch):
