@@ -160,8 +160,8 @@ def _at_rest(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> str:
     wrong = ~(np.abs(pushed - 1.0) < _OTHER)
     if wrong.any():
         return (
-            f"its parser reads another inertia at {joints_with(mechanism, wrong)}: pushed as hard as gives 1 rad/s^2 or "
-            f"m/s^2, it answers {pushed[wrong][0]:.3g}"
+            f"its parser reads another inertia at {joints_with(mechanism, wrong)}: pushed as hard as gives 1 rad/s^2 "
+            f"or m/s^2, it answers {pushed[wrong][0]:.3g}"
         )
     loose = replace(mechanism, stiffness=0.0 * still, ball_stiffness=0.0 * mechanism.ball_stiffness)
     ours = rigid_body.forward_dynamics(loose, q, still, still)
