@@ -162,7 +162,7 @@ def _no_minima(results: dict[str, Any]) -> str:
             ends += run["converged"]
             none += [f"{case['case']} {cost:.4g}" for cost in run["no_minima"]]
     listed = f", at J: {', '.join(none[:12])}{' ...' if len(none) > 12 else ''}" if none else ""
-    return f"{len(none)} of {ends} ends where a solve stopped are none{listed}"
+    return f"{len(none)} of {ends} converged ends are no local minima{listed}"
 
 
 def _steps(results: dict[str, Any], update: str) -> str:
