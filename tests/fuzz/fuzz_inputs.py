@@ -71,7 +71,12 @@ def _command_line(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str
     if case is not None:
         words = [command, case, *STAGES, *SHORT.get(command, []), *flags]
     else:
-        words = [command, *({"check": ["."], "list": []}.get(command, ["two-link.npz"])), *SHORT.get(command, []), *flags]
+        words = [
+            command,
+            *({"check": ["."], "list": []}.get(command, ["two-link.npz"])),
+            *SHORT.get(command, []),
+            *flags,
+        ]
     if rng.random() < 0.1:
         words.insert(rng.randint(0, len(words)), rng.choice(WORDS))
     if rng.random() < 0.2:
@@ -106,7 +111,9 @@ def _damaged(rng: random.Random, text: str) -> str:
 
 def _problem_file(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str], dict[str, bytes]]:
     folder = ROOT / "examples"
-    limits = '\n[limits]\ncontrol = 50\nvelocity = { trolley = 3.0 }\nposition = { trolley = [-1, 3] }\nfinal = "exact"\n'
+    limits = (
+        '\n[limits]\ncontrol = 50\nvelocity = { trolley = 3.0 }\nposition = { trolley = [-1, 3] }\nfinal = "exact"\n'
+    )
     text = (folder / "crane.toml").read_text() + rng.choice(["", limits])
     files = {"p.toml": _damaged(rng, text).encode(errors="replace"), "crane.xml": (folder / "crane.xml").read_bytes()}
     return ["solve", "p.toml", "--max-iterations", "2"], files
@@ -127,7 +134,9 @@ def _generated(rng: random.Random) -> str:
         return re.sub(r"\{\}", lambda _: rng.choice(numbers), text)
 
     def body(depth: int) -> str:
-        joint = rng.choice(["hinge", "hinge", "slide", "ball", "free"] if depth == 0 else ["hinge", "hinge", "slide", "ball"])
+        joint = rng.choice(
+            ["hinge", "hinge", "slide", "ball", "free"] if depth == 0 else ["hinge", "hinge", "slide", "ball"]
+        )
         name = rng.choice(["", f' name="j{rng.randrange(3)}"', ' name="a&#10;PASS"', ' name="&#27;[2J"'])
         below = "".join(body(depth + 1) for _ in range(rng.randint(0, 2))) if depth < 4 else ""
         size = rng.choice([".1", ".1", ".1", "1e-9", "1e9", "1e200"])
@@ -196,7 +205,9 @@ def _proof_file(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str],
 
 def _gait_file(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str], dict[str, bytes]]:
     text = _damaged(rng, plans["gait.csv"].decode())
-    return ["solve", "human-step", *STAGES, "--reference", "gait.csv"], {"gait.csv": text.encode(errors="replace")}
+    return ["solve", "human-step", "--horizon", "60", "--max-iterations", "1", "--reference", "gait.csv"], {
+        "gait.csv": text.encode(errors="replace")
+    }
 
 
 Make = Callable[[random.Random, dict[str, bytes]], tuple[list[str], dict[str, bytes]]]

@@ -1,7 +1,7 @@
 """Run commands on odd inputs, each in a fork of this process with limits of time and memory, and say what broke.
 
-    python tests/fuzz/fuzz_server.py --seed 1 --count 1000
-    python tests/fuzz/fuzz_server.py --seed 1 --only 437 --keep      # the same input again; its folder stays
+python tests/fuzz/fuzz_server.py --seed 1 --count 1000
+python tests/fuzz/fuzz_server.py --seed 1 --only 437 --keep      # the same input again; its folder stays
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def sound_files(folder: Path) -> dict[str, bytes]:
     _quietly(["solve", "hopper", "--horizon", "8", "--out", str(folder / "hopper.npz"), *words])
     _quietly(["prove", str(folder / "two-link.npz"), "--rollouts", "0", "--out", str(folder / "proof.json")])
     (folder / "gait.csv").write_text(_gait())
-    _quietly(["solve", "human-step", "--horizon", "8", "--reference", str(folder / "gait.csv"),
+    _quietly(["solve", "human-step", "--horizon", "60", "--reference", str(folder / "gait.csv"),
               "--out", str(folder / "step.npz"), *words])  # fmt: skip
     names = ("two-link.npz", "crane.npz", "proof.json", "gait.csv")
     return {name: (folder / name).read_bytes() for name in names}

@@ -30,7 +30,9 @@ def read_table(path: Path) -> dict[str, Any]:
     if len(text) > LONGEST:
         raise FileError(f"{printable(path)} has {len(text)} characters, expected a table of at most {LONGEST}.")
     if _DEEP.search(text):
-        raise FileError(f"{printable(path)} has a key of more than {MOST_DOTS} parts, expected some of KEY or TABLE.KEY.")
+        raise FileError(
+            f"{printable(path)} has a key of more than {MOST_DOTS} parts, expected some of KEY or TABLE.KEY."
+        )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

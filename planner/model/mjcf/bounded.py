@@ -48,7 +48,9 @@ def compiled(text: str, assets: dict[str, bytes], name: str) -> Any:
         raise ModelError(answer[len(_REFUSED) :].decode())
     if ended_by in (signal.SIGKILL, signal.SIGXCPU):
         raise ModelError(f"MuJoCo takes more than {SECONDS} s to compile {name}, expected a smaller model.")
-    raise ModelError(f"MuJoCo's compiler breaks down at {name} (signal {ended_by}), expected a model without its cause.")
+    raise ModelError(
+        f"MuJoCo's compiler breaks down at {name} (signal {ended_by}), expected a model without its cause."
+    )
 
 
 def _asked(text: str, assets: dict[str, bytes], name: str) -> tuple[bytes, int]:
