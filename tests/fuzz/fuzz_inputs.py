@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import random
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from places import ROOT
 
 from planner.cases import CASES
 from planner.cli import parser
+from planner.model.mjcf.text import model_text
 
 WORDS = (
     "", "--", "-", "-1", "0", "1", "2", "3", "0.5", "-0.0", "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "1e200",
@@ -77,6 +80,8 @@ def _command_line(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str
             *SHORT.get(command, []),
             *flags,
         ]
+    if case is None and command != "list" and rng.random() < 0.3:
+        words[1] = rng.choice(WORDS)
     if rng.random() < 0.1:
         words.insert(rng.randint(0, len(words)), rng.choice(WORDS))
     if rng.random() < 0.2:
@@ -119,45 +124,68 @@ def _problem_file(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str
     return ["solve", "p.toml", "--max-iterations", "2"], files
 
 
-def _generated(rng: random.Random) -> str:
-    """A random tree of joints and shapes with some of MJCF's more costly elements."""
-    extras = {
-        "asset": ['<texture name="t" type="2d" builtin="flat" width="{}" height="{}"/>',
-                  '<hfield name="h" nrow="{}" ncol="{}" size="1 1 1 1"/>',
-                  '<mesh name="m" builtin="sphere" params="{}"/>', '<mesh name="w" vertex="0 0 0 1 0 0 0 1 0 0 0 {}"/>'],
-        "": ['<size nuser_body="{}"/>', '<size nkey="{}"/>', '<size memory="{}"/>', '<option timestep="{}" gravity="0 0 {}"/>',
-             '<compiler autolimits="{}" boundmass="{}"/>', '<statistic meansize="{}"/>', '<visual><quality shadowsize="{}"/></visual>'],
-    }  # fmt: skip
-    numbers = ["1", "2", "3", "10", "1000", "65536", "100000", "2147483647", "1e308", "-1", "nan"]
+_COSTLY = (
+    '<asset><texture name="t" type="2d" builtin="flat" width="{}" height="{}"/></asset>',
+    '<asset><hfield name="h" nrow="{}" ncol="{}" size="1 1 1 1"/></asset>',
+    '<asset><mesh name="w" vertex="0 0 0 1 0 0 0 1 0 0 0 {}"/></asset>', '<size nuser_body="{}"/>', '<size nkey="{}"/>',
+    '<size memory="{}"/>', '<option timestep="{}" gravity="0 0 {}"/>', '<compiler boundmass="{}"/>',
+    '<worldbody><replicate count="{}" offset="1 0 0"><site/></replicate></worldbody>', '<statistic meansize="{}"/>',
+)  # fmt: skip
+_COUNTS = ("1", "2", "10", "1000", "65536", "100000", "2147483647", "1e308", "-1", "nan")
 
-    def filled(text: str) -> str:
-        return re.sub(r"\{\}", lambda _: rng.choice(numbers), text)
+
+def _generated(rng: random.Random) -> str:
+    """A random tree of joints, some with odd names or sizes, and some of MJCF's more costly elements."""
+    names: list[str] = []
 
     def body(depth: int) -> str:
-        joint = rng.choice(
-            ["hinge", "hinge", "slide", "ball", "free"] if depth == 0 else ["hinge", "hinge", "slide", "ball"]
-        )
-        name = rng.choice(["", f' name="j{rng.randrange(3)}"', ' name="a&#10;PASS"', ' name="&#27;[2J"'])
+        joint = rng.choice(["hinge", "hinge", "slide", "ball", *(["free"] if depth == 0 else [])])
+        names.append(f"j{len(names)}" + rng.choice([""] * 20 + ["&#10;PASS", "&#155;2J"]))
+        name = names[-1]
         below = "".join(body(depth + 1) for _ in range(rng.randint(0, 2))) if depth < 4 else ""
-        size = rng.choice([".1", ".1", ".1", "1e-9", "1e9", "1e200"])
-        copies = rng.choice([""] * 8 + ['<replicate count="{}" offset="1 0 0"><site/></replicate>'])
+        size, mass = rng.choice([".1"] * 20 + ["1e-9", "1e9", "1e200"]), rng.choice(["1"] * 20 + ["1e-9", "1e308"])
         return (
-            f'<body pos="0 0 {rng.uniform(-1, 1):.2f}"><joint{name} type="{joint}"/>'
-            f'<geom size="{size}" mass="{rng.choice(["1", "1", "1", "1e-9", "1e308"])}"/>{filled(copies)}{below}</body>'
+            f'<body pos="0 0 {rng.uniform(-1, 1):.2f}"><joint name="{name}" type="{joint}"/>'
+            f'<geom size="{size}" mass="{mass}"/>{below}</body>'
         )
 
-    some = {key: "".join(filled(one) for one in texts if rng.random() < 0.12) for key, texts in extras.items()}
+    tree = body(0)
+    some = "".join(re.sub(r"\{\}", lambda _: rng.choice(_COUNTS), one) for one in _COSTLY if rng.random() < 0.06)
     return (
-        f"<mujoco>{some['']}<asset>{some['asset']}</asset><worldbody>{body(0)}</worldbody>"
-        f'<actuator><motor joint="j0"/></actuator></mujoco>'
+        f"<mujoco>{some}<worldbody>{tree}</worldbody><actuator>"
+        f'<motor joint="{rng.choice(names)}" gear="{rng.choice(NUMBERS)}"/></actuator></mujoco>'
     )
 
 
+def _edited(rng: random.Random, text: str) -> str:
+    """A model that is still XML, with one to three numbers, attributes or elements changed."""
+    root = ElementTree.fromstring(text)
+    for _ in range(rng.randint(1, 3)):
+        element = rng.choice(list(root.iter()))
+        if element.attrib and rng.random() < 0.8:
+            key = rng.choice(list(element.attrib))
+            words = element.attrib[key].split()
+            if words and rng.random() < 0.9:
+                words[rng.randrange(len(words))] = rng.choice(NUMBERS)
+            element.set(key, " ".join(words) if words else rng.choice(NUMBERS))
+        elif len(element):
+            child = rng.choice(list(element))
+            if rng.random() < 0.5:
+                element.remove(child)
+            else:
+                rng.choice(list(root.iter())).append(copy.deepcopy(child))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
 def _model(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str], dict[str, bytes]]:
-    text = _damaged(rng, rng.choice(MODELS).read_text()) if rng.random() < 0.6 else _generated(rng)
+    way = rng.random()
+    text = _generated(rng) if way < 0.35 else model_text(rng.choice(MODELS))
+    if way > 0.35:
+        text = _edited(rng, text) if way < 0.85 else _damaged(rng, text)
     return ["solve", "p.toml", "--max-iterations", "2"], {
-        "p.toml": PROBLEM.encode(), "model.xml": text.encode(errors="replace")
-    }  # fmt: skip
+        "p.toml": PROBLEM.encode(),
+        "model.xml": text.encode(errors="replace"),
+    }
 
 
 def _replaced(rng: random.Random, value: Any) -> Any:
