@@ -39,10 +39,8 @@ def test_a_runge_kutta_plan_of_the_acrobot_passes_with_feedback(acrobot_plan):
     assert not proof.parity.not_applicable
     assert values(proof.same_step)["state_error"] <= 1e-10
     open_loop, feedback = values(proof.refined_open_loop), values(proof.refined_feedback)
-    assert open_loop["end_state_error"] > 1e-2 > feedback["end_state_error"]
-    assert feedback["end_state_error"] < 0.01 * open_loop["end_state_error"]
-    assert feedback["largest_angle_error"] < open_loop["largest_angle_error"]
-    assert open_loop["largest_angle_error"] <= open_loop["largest_angular_velocity_error"] * 4.0
+    assert feedback["end_angle_error"] < 0.01 * open_loop["end_angle_error"]
+    assert feedback["path_angle_error"] < 0.01 * open_loop["path_angle_error"]
     assert 0.5 < values(proof.growth)["growth_rate_open_loop"] < 6.0  # a rod of 2 m upright: 2.7 / s
     assert values(proof.growth)["growth_rate_feedback"] < 0.0
     assert values(proof.goal)["replayed_goal_error"] == pytest.approx(
