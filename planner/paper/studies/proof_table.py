@@ -22,13 +22,15 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof import Proof, prove
+from planner.proof.rollouts import MODES
+from planner.proof.scales import ranges_of_motion
 from planner.proof.success_rate import Rate
 from planner.solvers.slq import solve
 
 BUDGET = 20.0  # s of each perturbed step, so that the whole table takes less than five minutes
 HEADS = (
-    "machine", "verdict", "1 parity", "2 same step", "3 end error, open loop", "with gains", "growth, 1/s", "order",
-    "4 goal error", "5 success, open loop", "with gains", "mass margin",
+    "machine", "verdict", "parity", "same step", "path error, open loop", "with gains", "goal", "success with gains",
+    "mass margin", "growth, 1/s",
 )  # fmt: skip
 
 
@@ -117,30 +119,35 @@ def _faulty(plan: Plan, exhibit: Exhibit) -> Twin | None:
 
 def _cells(proof: Proof) -> list[str]:
     """A row of the table after its name."""
-    mode = f" ({proof.mode})" if proof.mode else ""
-    carlo = proof.monte_carlo
-    rates = ["", ""] if carlo is None else [_rate(carlo.rates.get(mode)) for mode in ("open-loop", "feedback")]
-    order = proof.convergence.observed
+    carlo, ranges = proof.monte_carlo, ranges_of_motion(proof.replay.plan)
     return [
-        proof.verdict + mode,
-        _worst(proof.parity.measured),
+        proof.headline,
+        _value(
+            max(
+                (one.value for one in proof.parity.measured if one.name.endswith("error") and not one.unit), default=0.0
+            )
+        ),
         "not applicable" if proof.same_step.not_applicable else _value(proof.same_step.measured[0].value),
-        *(_value(float(np.abs(proof.replays[m].error[-1]).max())) for m in ("open-loop", "feedback")),
-        f"{proof.errors.rate('open-loop'):.1f}, {proof.errors.rate('feedback'):.1f}",
-        "none seen" if order is None else f"{order:.1f} of {proof.convergence.nominal:g}",
-        _worst([one for one in proof.goal.measured if one.name.startswith(("replayed", "final"))]),
-        *rates,
+        *(_percent(float((np.abs(proof.replays[mode].error) / ranges).max())) for mode in MODES),
+        _of_bounds(one for one in proof.goal.measured if one.name.startswith(("replayed", "final"))),
+        "" if carlo is None else _rate(carlo.rates.get("feedback")),
         "" if carlo is None else _margin(carlo.margin.get("feedback", np.nan)),
+        f"{proof.errors.rate('open-loop'):.1f}, {proof.errors.rate('feedback'):.1f}",
     ]
 
 
-def _worst(measured: Iterable[Measured]) -> str:
-    values = [one.value for one in measured]
-    return _value(max(values)) if values else "not applicable"
+def _of_bounds(measured: Iterable[Measured]) -> str:
+    """The largest share of its bound that a measured value takes."""
+    shares = [one.value / one.bound for one in measured if one.bound]
+    return f"{_percent(max(shares))} of its tolerance" if shares else "not judged"
 
 
 def _value(value: float) -> str:
     return f"{value:.1e}" if np.isfinite(value) else "runs away"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if np.isfinite(share) else "runs away"
 
 
 def _margin(margin: float) -> str:

@@ -1,0 +1,85 @@
+"""Plans of anybody's: a CSV of controls or of joint positions becomes a plan that a proof can judge."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner import PlannerError, cases
+from planner.cases.given_controls import plan_of_controls
+
+
+@pytest.fixture(scope="module")
+def solved():
+    return planner.solve(cases.two_link(horizon=100))
+
+
+@pytest.fixture
+def model(solved, tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(solved.problem.dynamics.mechanism.mjcf, encoding="utf-8")
+    return path
+
+
+def write(path, names, rows, dt):
+    lines = [",".join(["time", *names])]
+    lines += [",".join(repr(float(value)) for value in (i * dt, *row)) for i, row in enumerate(rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_controls_lead_where_the_plan_that_they_are_of_goes(solved, model, tmp_path):
+    file = write(tmp_path / "u.csv", ["shoulder", "elbow"], solved.us, solved.dt)
+    plan = plan_of_controls(file, model, goal=[np.pi / 2, 0.0])
+    np.testing.assert_allclose(plan.xs, solved.xs, atol=1e-9)
+    assert not plan.success  # nobody optimized it
+    proof = planner.prove(plan, rollouts=0, optimal=False)
+    assert proof.passed, proof.reason
+    assert "not optimal" in proof.headline
+    assert not planner.prove(plan, rollouts=0).passed
+
+
+def test_columns_may_come_in_any_order(solved, model, tmp_path):
+    file = write(tmp_path / "u.csv", ["elbow", "shoulder"], solved.us[:, ::-1], solved.dt)
+    np.testing.assert_allclose(plan_of_controls(file, model).us, solved.us)
+
+
+def test_controls_that_miss_the_goal_fail(solved, model, tmp_path):
+    file = write(tmp_path / "u.csv", ["shoulder", "elbow"], 0.9 * solved.us, solved.dt)
+    proof = planner.prove(plan_of_controls(file, model, goal=[np.pi / 2, 0.0]), rollouts=0, optimal=False)
+    assert not proof.passed
+    assert "angle miss" in proof.reason
+
+
+def test_positions_are_followed(solved, model, tmp_path):
+    names = ["position of shoulder", "position of elbow"]
+    plan = plan_of_controls(write(tmp_path / "q.csv", names, solved.xs[:, :2], solved.dt), model)
+    # A held control has no jerk within a stage, a spline has: they differ by the square of the stage.
+    np.testing.assert_allclose(plan.xs[:, :2], solved.xs[:, :2], atol=0.02)
+    assert np.any(plan.K)
+    proof = planner.prove(plan, rollouts=0, optimal=False)
+    assert proof.passed, proof.reason
+    assert "no goal was asked for" in proof.headline
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "expected a header"),
+        ("t,shoulder,elbow\n0,1,1\n1,1,1\n", "expected a header"),
+        ("time,shoulder,elbow\n0,1,1\n", "expected 2 to"),
+        ("time,shoulder,elbow\n0,1,1\n1,1,x\n", "'x' in row 2 of elbow"),
+        ("time,shoulder,elbow\n0,1,1\n1,1\n", "'' in row 2 of elbow"),
+        ("time,shoulder,elbow\n0,1,1\n1,1,1\n3,1,1\n", "expected rows at equal times"),
+        ("time,shoulder,elbow\n0,1,1\n0,1,1\n", "expected rows at equal times"),
+        ("time,shoulder,wrist\n0,1,1\n1,1,1\n", "shoulder, elbow"),
+        ("time,shoulder,shoulder\n0,1,1\n1,1,1\n", "each once"),
+        ("time,shoulder,elbow\n0,1e300,1\n1,1,1\n", "infinite states"),
+    ],
+)
+def test_a_wrong_file_is_refused(text, words, model, tmp_path):
+    file = tmp_path / "u.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(PlannerError, match="u.csv") as caught:
+        plan_of_controls(file, model)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
