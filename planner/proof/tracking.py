@@ -52,8 +52,7 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
     for part, along in (("end", error[-1:]), ("path", error)):
         for word, unit, which, names in by_unit(problem):
             most = along[:, which].max(axis=0)
-            share = np.where(np.isfinite(most), most / bounds[which], np.inf)
-            worst = int(np.argmax(share))
+            worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
             jumps = part == "path" and smoothed and unit.endswith("/s")

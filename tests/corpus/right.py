@@ -51,6 +51,7 @@ def reach(
     dynamics = RigidBodyDynamics(m, duration / N, integrator, prescribed)
     x0, xg = (state(m, x) for x in (start, goal))
     way = np.maximum(np.abs(m.space.difference(xg, x0))[: m.nv], 0.1 if plain else 1e-3)
+    way = np.maximum(way, 0.1 * way.max())
     inertia = np.diag(mass_matrix(m, x0[: m.nq]))
     typical = np.maximum(np.abs(m.actuators.moment * m.actuators.gain[:, None]), 1e-12)  # (nu, nv) force per control
     moved = np.abs(m.actuators.moment) > 0
@@ -354,7 +355,6 @@ def crane(rng: Rng, poles: int = 1, duration: float = 3.0) -> Plan:
 @member("a case: the two-link arm", cases.two_link)
 @member("a case: the acrobot", cases.acrobot)
 @member("a case: the acrobot from hanging", cases.acrobot, start="hanging")
-@member("a case: the hopper", cases.hopper)
 @member("a case: the puma", cases.puma)
 def case(rng: Rng, make: Callable[..., Problem], **options: Any) -> Plan:
     return planner.solve(make(**options))
