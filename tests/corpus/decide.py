@@ -1,7 +1,8 @@
 """Whether a plan is right, without prove(), its kernels and MuJoCo: by Fig. 2 in NumPy and SciPy's DOP853 at 1e-10.
 
 The controls are held over their stages. Where the plan does not get to its goals open loop, its gains act on the exact
-state at 500 Hz or the nearest rate that fits the stages, held in between and one period late.
+state at 500 Hz or the nearest rate that fits the stages, held in between and one period late. A right plan ends at its
+goals, stays within its ranges between the knots too, and its path is what happens, to 1 % of each coordinate's range.
 """
 
 import math
@@ -13,13 +14,16 @@ from scipy.integrate import DOP853
 from planner import Plan
 from planner.dynamics import poe
 from planner.dynamics.contacts import generalized_forces
+from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import BALL, DIRECT, INTEGRATOR, SCREW
 from planner.model.space import product
 from planner.problem.goals import goals_of
 
 TOLERANCE = 1e-10
 PERIOD = 2e-3  # s
-OUTSIDE = 0.01  # of a range of the states: how far between the knots a motion may be outside of it
+SHARE = 0.01  # of a coordinate's range of motion: how far its path may be off, and how far outside of a limit
+SMOOTHED = 0.05  # the same where contacts are part of the plan
+LEAST = 1e-3  # rad, m, rad/s, m/s: of a range of motion
 MOST_STEPS = 200_000
 
 
@@ -59,7 +63,7 @@ def rates(dynamics: Any, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Instants (K,) and states (K, nx) at the ends of DOP853's steps and of the stages."""
+    """States at the ends of all of DOP853's steps (K, nx), and at the knots (N+1, nx)."""
     dynamics = plan.problem.dynamics
     stages = np.arange(plan.N)
     if not gains:
@@ -71,7 +75,7 @@ def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
         times = np.append(dynamics.dt * (owner + np.tile(np.arange(each), plan.N) / each), dynamics.dt * plan.N)
     x, late, steps = plan.problem.x0.copy(), np.zeros(dynamics.nu), 0
     correction = late
-    ts, xs = [0.0], [x]
+    xs, knots = [x], [x]
     nominal = plan.between_knots(each) if gains else plan.xs
     for k, n in enumerate(owner):
         if gains and (each > 1 or k % many == 0):
@@ -86,13 +90,14 @@ def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
             message, steps = solver.step(), steps + 1
             if message or steps > MOST_STEPS or not np.isfinite(solver.y).all():
                 raise Lost(f"at t = {solver.t:.4g} s")
-            ts.append(solver.t)
             xs.append(solver.y.copy())
         x = solver.y.copy()
         for at, _ in plan.space.quaternions:
             x[at : at + 4] /= np.linalg.norm(x[at : at + 4])
         xs[-1] = x
-    return np.array(ts), np.array(xs)
+        if k + 1 == len(owner) or owner[k + 1] != n:
+            knots.append(x)
+    return np.array(xs), np.array(knots)
 
 
 def scale(x: np.ndarray) -> float:
@@ -107,11 +112,11 @@ def why_wrong(plan: Plan) -> str:
     first = ""
     for gains in (False, True):
         try:
-            _, xs = motion(plan, gains=gains)
+            xs, knots = motion(plan, gains=gains)
         except Lost as lost:
             found = str(lost)
         else:
-            found = missed(plan, xs) or outside(plan, xs)
+            found = missed(plan, xs) or outside(plan, xs) or astray(plan, knots)
         if not found:
             return ""
         first = first or found
@@ -134,7 +139,28 @@ def outside(plan: Plan, xs: np.ndarray) -> str:
     beyond = np.maximum(np.maximum(e - ranges.upper[-1], ranges.lower[-1] - e), 0.0)
     beyond[:-1, len(ranges.names) - ranges.at_end :] = 0.0  # exact goals are of the end
     most = beyond[1:].max(axis=0)
-    reach = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)[ranges.component]
-    allowed = plan.problem.limits.tolerance + OUTSIDE * reach
+    allowed = plan.problem.limits.tolerance + share(plan) * ranges_of_motion(plan)[ranges.component]
     worst = int(np.argmax(most - allowed))
     return f"{ranges.names[worst]} by {most[worst]:.3g}" if most[worst] > allowed[worst] else ""
+
+
+def astray(plan: Plan, knots: np.ndarray) -> str:
+    """The coordinate whose path is furthest off."""
+    error = np.abs(plan.space.difference(knots, plan.xs)).max(axis=0) / ranges_of_motion(plan)
+    worst = int(np.argmax(error))
+    name = coordinates_of(plan.problem.dynamics)[worst].name
+    return f"the path of {name} is off by {error[worst]:.2g} of its range" if error[worst] > share(plan) else ""
+
+
+def share(plan: Plan) -> float:
+    """Of a range of motion: what may be off."""
+    m = plan.problem.dynamics.mechanism
+    return SMOOTHED if m.contacts or m.body_contacts or m.stops else SHARE
+
+
+def ranges_of_motion(plan: Plan) -> np.ndarray:
+    """(ndx,) of each coordinate, at least a hundredth of the largest of its unit."""
+    own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
+    units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
+    largest = np.array([own[units == unit].max() for unit in units])
+    return np.maximum(np.maximum(own, 0.01 * largest), LEAST)

@@ -15,6 +15,8 @@ import planner
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.contact import ContactLaw
 from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.kinematics import frame_pose
+from planner.problem.costs.frame import quaternion_of
 from planner.problem.guess import holding_controls
 
 Rng = np.random.Generator
@@ -132,15 +134,17 @@ def moved_arm(
 @member("an arm that starts in motion")
 def moving_start(rng: Rng) -> Plan:
     x0 = rng.uniform(-1.0, 1.0, 4)
-    return planner.solve(reach(arm(rng, 2), [1.0, -1.0], start=x0, duration=1.5, N=150))
+    return planner.solve(reach(arm(rng, 2, joint=lambda i: 'damping="0.3"'), [1.0, -1.0], start=x0))
 
 
 @member("an arm for ten seconds", 2)
 @member("an arm in weightlessness for ten seconds", 3, gravity="0 0 0")
 def slow(rng: Rng, joints: int, gravity: str = "0 0 -9.81") -> Plan:
     damped = 'damping="0.3" armature="0.1"'
-    text = arm(rng, joints, gravity=gravity, joint=lambda i: damped)
-    return planner.solve(reach(text, turned(rng, joints), duration=10.0, N=400))
+    m = Mechanism.from_mjcf(arm(rng, joints, gravity=gravity, joint=lambda i: damped))
+    return planner.solve(
+        reach(m, turned(rng, joints), start=np.full(joints, -0.5), duration=10.0, N=400, running=1.0, final=1e3)
+    )
 
 
 @member("an arm in tilted gravity")
@@ -164,11 +168,11 @@ def servo(i: int, k: float = 30.0, d: float = 2.0, more: str = "") -> str:
 
 
 @member("an arm of position servos")
-@member("an arm of stiff servos", k=300.0, d=8.0)
+@member("an arm of stiff servos", k=200.0, d=5.0, final=1e6)
 @member("an arm of servos within their clamps", more='forcerange="-200 200" ctrlrange="-6 6"')
-def servos(rng: Rng, k: float = 30.0, d: float = 2.0, more: str = "") -> Plan:
+def servos(rng: Rng, k: float = 30.0, d: float = 2.0, more: str = "", final: float = 1e4) -> Plan:
     text = arm(rng, 2, actuator=lambda i: servo(i, k, d, more), joint=lambda i: 'armature="0.05"')
-    return planner.solve(reach(text, turned(rng, 2)))
+    return planner.solve(reach(text, turned(rng, 2), final=final))
 
 
 @member("an arm whose motors lag", 'dyntype="filter" dynprm="0.05"')
@@ -210,23 +214,30 @@ def prescribed(rng: Rng, names: tuple[str, ...]) -> Plan:
     return planner.solve(reach(arm(rng, 3), turned(rng, 3), prescribed=names))
 
 
-@member("a hand to a place")
-def hand(rng: Rng) -> Plan:
-    return planner.solve(_placed(rng, position=[0.4, 0.2, 0.5]))
+@member("a hand to a place", "position")
+@member("a hand to a direction", "orientation")
+@member("a hand to a place and a direction", "position", "orientation")
+def hand(rng: Rng, *targets: str) -> Plan:
+    """Where it is in a pose that the arm can take."""
+    m, start, pose = _reaching(rng)
+    T = frame_pose(m, pose[None, : m.nq], m.frame("hand"))[0]
+    there = {"position": T[:3, 3], "orientation": quaternion_of(T[None, :3, :3])[0]}
+    return planner.solve(placed(m, start, **{name: there[name] for name in targets}))
 
 
-@member("a hand to a place and a direction")
-def directed(rng: Rng) -> Plan:
-    return planner.solve(_placed(rng, position=[0.4, 0.1, 0.3], orientation=[0.9, 0.1, 0.3, 0.2], joints=6))
+def _reaching(rng: Rng) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+    """An arm of six joints, a start and another pose."""
+    m = Mechanism.from_mjcf(arm(rng, 6, spatial=True, joint=lambda i: 'damping="0.3" armature="0.1"'))
+    start = state(m, np.full(6, 0.4))
+    return m, start, m.space.integrate(start, np.concatenate([rng.uniform(-0.4, 0.4, 6), np.zeros(6)]))
 
 
-def _placed(rng: Rng, joints: int = 4, **target: Any) -> Problem:
-    m = Mechanism.from_mjcf(arm(rng, joints, spatial=True, joint=lambda i: 'damping="0.3" armature="0.1"'))
+def placed(m: Mechanism, start: np.ndarray, final: float = 1e3, **target: Any) -> Problem:
+    """A hand that is to be somewhere, at rest."""
     dynamics = RigidBodyDynamics(m, 0.01)
     still = TrackingCost.joints(dynamics, m.home, 100, effort=0.001, final_velocity=10.0)
-    weights = {f"final_{name}_weight": 1e4 for name in target}
-    start = m.space.integrate(m.home, np.concatenate([np.full(joints, 0.4), np.zeros(m.nv)]))
-    return Problem(dynamics, still + FrameCost(dynamics, "hand", **target, **weights), start)
+    there = FrameCost(dynamics, "hand", **target, **{f"final_{name}_weight": final for name in target})
+    return Problem(dynamics, still + there, start, us=np.tile(holding_controls(m, start), (100, 1)))
 
 
 @member("a soft goal")
@@ -431,11 +442,11 @@ def stiff(rng: Rng, rate: float) -> Plan:
 
 @member("a ball that lands and is pushed along")
 @member("a heavy ball that lands and is pushed along", 20.0)
-def bounced(rng: Rng, mass: float = 1.0) -> Plan:
+def bounced(rng: Rng, mass: float = 1.0, depth: float = 0.3) -> Plan:
     text = machines.ball_on_floor(rng, mass)
     law = ContactLaw.resting(mass, sink=0.01, friction=0.5)
     m = Mechanism.from_mjcf(text, contacts=law)
-    return planner.solve(reach(m, [0.5, -0.3], duration=1.0, N=200, tolerance="soft", final=100.0))
+    return planner.solve(reach(m, [0.5, -depth], duration=1.0, N=200, tolerance="soft", final=100.0))
 
 
 @member("a ball that stays above the floor it knows")

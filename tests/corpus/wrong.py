@@ -21,6 +21,7 @@ from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynami
 from planner.contact import ContactLaw
 from planner.model.mjcf.text import edited
 from planner.problem.archive import write_archive
+from planner.problem.periodicity import Periodic
 from planner.proof.consistency import recomputed
 
 Rng = np.random.Generator
@@ -68,6 +69,7 @@ BASES: dict[str, Callable[[Rng], Plan]] = {
     ),
     "tree": lambda rng: right.trees(rng, balls=True),
     "ball": lambda rng: right.bounced(rng),
+    "landing": lambda rng: right.bounced(rng, depth=0.35),
     "acrobot": lambda rng: planner.solve(cases.acrobot()),
     "hopper": lambda rng: planner.solve(cases.hopper()),
     "two-link": lambda rng: planner.solve(cases.two_link()),
@@ -157,6 +159,92 @@ def swapped_motors(rng: Rng) -> Attempt:
     plan = of("arm")(rng)
     edits = {".//motor[@name='m0']": {"joint": "j1"}, ".//motor[@name='m1']": {"joint": "j0"}}
     return plan, {"mjcf": edited(plan.twin.mjcf, edits)}
+
+
+def flagged(name: str, option: str, kind: str = "springs") -> None:
+    """A model in which a switch is set."""
+
+    def make(rng: Rng) -> Attempt:
+        plan = of(kind)(rng)
+        head, _, tail = plan.twin.mjcf.partition("</mujoco>")
+        return plan, {"mjcf": f"{head}{option}</mujoco>{tail}"}
+
+    member(f"{kind} in a model {name}", make)
+
+
+flagged("without gravity", '<option><flag gravity="disable"/></option>')
+flagged("without its motors", '<option><flag actuation="disable"/></option>')
+flagged("in air", '<option density="1.2" viscosity="0.01"/>')
+flagged("with joints that are coupled", '<equality><joint joint1="j0" joint2="j1"/></equality>')
+flagged("with a tendon's spring", '<tendon><fixed stiffness="3"><joint joint="j0" coef="1"/></fixed></tendon>')
+flagged("with a tendon's damping", '<tendon><fixed damping="0.1"><joint joint="j1" coef="1"/></fixed></tendon>')
+flagged("whose second motor group is switched off", '<option actuatorgroupdisable="0"/>')
+flagged("with a motor more", '<actuator><motor joint="j0"/></actuator>')
+flagged("whose tree pulls aside", '<option wind="3 0 0" density="1"/>', "tree")
+
+
+def compensated(rng: Rng) -> Attempt:
+    plan = of("arm")(rng)
+    return plan, {"mjcf": edited(plan.twin.mjcf, {".//body[@name='b1']": {"gravcomp": "0.05"}})}
+
+
+member("a body whose weight is compensated in part", compensated)
+
+
+# Dynamics that are not those of the model
+
+
+def by_hand(name: str, kind: str, change: Callable[[Mechanism], dict[str, Any]]) -> None:
+    """A plan for a mechanism that was changed after it was read, solved and consistent in itself."""
+
+    def make(rng: Rng) -> Plan:
+        plan = of(kind)(rng)
+        old, m = plan.problem.dynamics, plan.problem.dynamics.mechanism
+        dynamics = RigidBodyDynamics(replace(m, **change(m)), old.dt, old.integrator)
+        return planner.solve(replace(plan.problem, dynamics=dynamics, twin=plan.twin))
+
+    member(name, make)
+
+
+by_hand("masses 5 % larger than the model's", "arm", lambda m: {"mass": 1.05 * m.mass})
+by_hand("no damping, where the model has some", "arm", lambda m: {"damping": 0.0 * m.damping})
+by_hand("gravity turned by a degree", "arm", lambda m: {"gravity": np.array([0.1712, 0.0, -9.8085])})
+by_hand("a floor that was taken away by hand", "landing", lambda m: {"contacts": ()})
+by_hand("a law of contact that was changed by hand", "ball",
+        lambda m: {"contacts": tuple(replace(c, law=law_of(1.0, friction=0.3)) for c in m.contacts)})  # fmt: skip
+by_hand("springs that rest elsewhere", "springs", lambda m: {"spring_rest": m.spring_rest + 0.02})
+by_hand("motors 1 % stronger than the model's", "arm",
+        lambda m: {"actuators": replace(m.actuators, gain=1.01 * m.actuators.gain)})  # fmt: skip
+
+
+PENDULUM = """<mujoco><worldbody><body><joint name="h" axis="0 -1 0" damping="0.1"/>
+  <inertial pos="0 0 -1" mass="1" diaginertia="1e-6 1e-6 1e-6"/></body></worldbody>
+  <actuator><motor joint="h"/></actuator></mujoco>"""
+
+
+def own_python(gravity: float = 9.81, damping: float = 0.1, integrator: str = "rk4", turn: float = 1.0) -> Plan:
+    """A pendulum as somebody wrote it, in MuJoCo's."""
+
+    def rate(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        q, v = x[..., 0], x[..., 1]
+        return np.stack([turn * v, u[..., 0] - gravity * np.sin(q) - damping * v], axis=-1)
+
+    def map_(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        half = x + 0.01 * rate(x, u)
+        return x + 0.02 * rate(half, u)
+
+    discrete = integrator == "discrete"
+    dynamics = planner.FunctionDynamics(map_ if discrete else rate, 2, 1, 0.02, integrator)
+    cost = TrackingCost.reach([1.5, 0.0], 60, final=1e3, effort=0.1, dt=0.02)
+    twin = planner.Twin.of(Mechanism.from_mjcf(PENDULUM))
+    return planner.solve(Problem(dynamics, cost, [0.0, 0.0], twin=twin))
+
+
+member("own Python with another gravity", lambda rng: own_python(gravity=9.7))
+member("own Python that forgets the damping", lambda rng: own_python(damping=0.0))
+member("own Python with a wrong rate", lambda rng: own_python(turn=1.01))
+member("own discrete Python with another gravity", lambda rng: own_python(gravity=9.7, integrator="discrete"))
+member("own discrete Python that forgets the damping", lambda rng: own_python(damping=0.0, integrator="discrete"))
 
 
 def other_machine(rng: Rng) -> Attempt:
@@ -340,7 +428,23 @@ def by_some_per_cent(rng: Rng) -> Problem:
 
 missed("a goal missed by some per cent", by_some_per_cent)
 missed("a goal missed by a weak motor", lambda rng: reach(arm(rng, 2), [0.8, -0.7], limits=Limits(control=2.0)))
-missed("a place out of reach", lambda rng: right._placed(rng, position=[0.9, 0.5, 0.6]))
+
+
+def out_of_reach(rng: Rng) -> Problem:
+    m = Mechanism.from_mjcf(arm(rng, 1, joint=lambda i: 'damping="0.3"'))
+    return right.placed(m, m.home, position=[0.9, 0.0, 0.8])
+
+
+missed("a place out of reach", out_of_reach)
+
+
+def other_direction(rng: Rng) -> Problem:
+    """A planar arm cannot turn its hand about the world's x."""
+    m = Mechanism.from_mjcf(arm(rng, 2, joint=lambda i: 'damping="0.3"'))
+    return right.placed(m, m.home, orientation=[0.9, 0.3, 0.0, 0.0])
+
+
+missed("a direction that no joint turns to", other_direction)
 missed("a place that is asked too little",
        lambda rng: _two_goals(rng))  # fmt: skip
 
@@ -469,6 +573,8 @@ def mirrored(p: Plan) -> dict[str, Any]:
 
 
 changed("a goal that was mirrored", "arm", mirrored)
+changed("a motion that was to return and does not", "arm",
+        lambda p: {"problem": replace(p.problem, periodic=Periodic(1e-3))})  # fmt: skip
 member("a goal that was mirrored, and numbers made consistent",
        lambda rng: honest(p := of("arm")(rng), **mirrored(p)))  # fmt: skip
 
@@ -638,12 +744,14 @@ member("gains that hold at 2 kHz and not at 500 Hz", twitchy)
 
 
 def late_explosion(rng: Rng) -> Plan:
-    """A pendulum that falls from upright open loop, with no gains to hold it: e-fold after e-fold."""
-    text = arm(rng, 1, length=0.3)
-    up = np.array([np.pi / 2, 0.0])
-    problem = reach(text, up, start=up + np.array([1e-9, 0.0]), duration=4.0, N=100, integrator="euler")
-    plan = planner.solve(problem)
-    return replace(plan, K=0.0 * plan.K, problem=replace(plan.problem, x0=up + np.array([1e-8, 0.0])))
+    """Beside an arm, a pole stands upright that nothing drives and that leans by a billionth: it falls at the end."""
+    pole = '<body pos="0 1 0"><joint name="pole" axis="0 -1 0"/><inertial pos="0 0 0.4" mass="1" diaginertia=".1 .1 .1"/></body>'
+    text = arm(rng, 1, joint=lambda i: 'damping="0.3"', more=pole)
+    start, goal = np.array([1e-9, 0.0, 0.0, 0.0]), np.array([0.0, 0.8, 0.0, 0.0])
+    m = Mechanism.from_mjcf(text)
+    dynamics = RigidBodyDynamics(m, 0.02, "semi-implicit-euler")
+    cost = TrackingCost.joints(dynamics, goal, 250, effort=0.1, final_position={"j0": 1e4}, final_velocity={"j0": 1e3})
+    return planner.solve(Problem(dynamics, cost, start))
 
 
 member("a late explosion", late_explosion)
