@@ -225,7 +225,7 @@ class Bench:
         problem = human_step(phase="swing", cost="study")
         text = edited(problem.dynamics.mechanism.mjcf, {".//joint[@name='right_knee']": {"limited": "false"}})
         dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text), problem.dynamics.dt, prescribed=PELVIS)
-        plan = planner.solve(replace(problem, dynamics=dynamics, twin=None, case="", parameters={}, requirements=None))
+        plan = planner.solve(replace(problem, dynamics=dynamics, twin=None, recipe=None, requirements=None))
         return replayed(plan)
 
     def perturbed(self) -> Iterator[Row]:

@@ -55,7 +55,8 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
         for name in engines:
             console.note(f"the engine {name}")
             sections[name] = another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed)
-        found = proof.to_dict() | {"engines": {name: section.to_dict() for name, section in sections.items()}}
+        others = {name: section.to_dict() for name, section in sections.items()}
+        found = proof.to_dict() | ({"engines": others} if others else {})
         if unfinished is not None:
             unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
     show_proof(replace(proof, sections=proof.sections | sections), console)  # shown: they are no part of the verdict

@@ -90,11 +90,21 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     ended = 0.0 if plan.success else 1.0
     measured = [Measured("not_converged", ended, "", 0.0, plan.message)]
     if now.sweep is not None:
-        scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem))
+        scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = 100.0 * max(0.0, -now.sweep.value) / scale
         note = "of the cost: what one more step of SLQ promises"
         measured.append(Measured("decrease_left", left, "%", COST_BOUND, note))
     return Section("optimal", tuple(measured))
+
+
+def _unseen(plan: Plan, problem: Problem) -> float:
+    """What errors of states and controls cost that step 0 lets pass: a plan that just stays at its goal costs less."""
+    quadratic = problem.cost.quadratize(plan.xs, plan.us)
+    parts = ((quadratic.Q, plan.xs), (quadratic.R, plan.us))
+    return sum(
+        0.5 * float(np.abs(np.trace(weights, axis1=1, axis2=2)).sum()) * (BOUND * max(1.0, _largest(values))) ** 2
+        for weights, values in parts
+    )
 
 
 def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[float, float]:

@@ -48,6 +48,8 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         return Section("same step", not_applicable=_LIMIT)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()
+    # Stops that the plan does not have are not transcribed. The refined replays and the user's file judge them.
+    model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_LIMIT
     integrator = getattr(problem.dynamics, "integrator", "")
     found = stage_function(integrator, problem.dynamics.dt, model, twin, space, driven_dofs(problem.dynamics))
     if found is None:

@@ -41,6 +41,7 @@ from planner.proof.scales import worst_by_unit
 from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
+from planner.proof.your_file import TITLE as FILE
 from planner.proof.your_file import your_file
 
 ROLLOUTS = 512
@@ -238,7 +239,8 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "optimal":
             why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
-        failures = "; ".join(map(str, broken.failures))
+        found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
+        failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

@@ -52,8 +52,7 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
     for part, along in (("end", error[-1:]), ("path", error)):
         for word, unit, which, names in by_unit(problem):
             most = along[:, which].max(axis=0)
-            share = np.where(np.isfinite(most), most / bounds[which], np.inf)
-            worst = int(np.argmax(share))
+            worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
             jumps = part == "path" and smoothed and unit.endswith("/s")
@@ -94,10 +93,21 @@ def goal(run: Replay, problem: Problem) -> Section:
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
     goals = goals_of(problem, run.plan.xs)
-    if not goals:
+    if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
     ends = {"planned": run.plan.xs[-1:], "replayed": run.xs[-1:]}
-    return Section("goal", tuple(one for who, x in ends.items() for one in misses(who, x, goals)))
+    return Section("goal", (*(one for who, x in ends.items() for one in misses(who, x, goals)), *_return(run, problem)))
+
+
+def _return(run: Replay, problem: Problem) -> tuple[Measured, ...]:
+    """How nearly a motion that is to be periodic comes back; that of MuJoCo is judged by its path."""
+    if problem.periodic is None:
+        return ()
+    space, note = run.plan.space, "from the end of a cycle to its start, as a multiple of the tolerance"
+    return tuple(
+        Measured(f"{who}_return_miss", problem.periodic.miss(space, xs), "", bound, note)
+        for who, xs, bound in (("planned", run.plan.xs, 1.0), ("replayed", run.xs, None))
+    )
 
 
 def misses(who: str, x: np.ndarray, goals: tuple[Goal, ...]) -> list[Measured]:

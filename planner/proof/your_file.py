@@ -44,6 +44,7 @@ from planner.proof.tracking import misses
 TITLE = "your file"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
 GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
 
@@ -155,11 +156,17 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
         return wrong, overlaps  # nobody can tell what other dynamics know
     known = lacking(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
+    rubs = RUBS * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.touches:
-        if names_of(model, touch.geoms) in known or touch.deepest <= GRAZE * scale:
+        grazes = touch.deepest <= GRAZE * scale
+        if names_of(model, touch.geoms) in known or (grazes and touch.force <= rubs):
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
-        if touch.at_start <= GRAZE * scale:
+        if grazes:
+            wrong.append(
+                f"{pair} lie flush and rub, from t = {run.t[touch.first]:.4g} s with up to {touch.force:.3g} N."
+            )
+        elif touch.at_start <= GRAZE * scale:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
         elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
             wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")

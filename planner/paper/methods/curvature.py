@@ -105,7 +105,7 @@ def hamiltonian_hessians(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tu
 
 
 def minimum_near(problem: Problem, us: np.ndarray, most: int = 300) -> tuple[Plan, Curvature]:
-    """The stationary point that a solve's end us (N, nu) is near to, by at most so many more iterations, and its Hessian.
+    """The stationary point beside a solve's end us (N, nu), by at most so many more iterations, and its Hessian.
 
     Newton's where the machine has second derivatives. The end itself is off it by what its solve left undone, and on a
     steep slope beside a minimum the Hessian may still be indefinite.

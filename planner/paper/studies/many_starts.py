@@ -1,8 +1,8 @@
 """Theorem 2 in numbers: solves from random controls with every update and line search, and what they end at.
 
 A solve that stops has promised little decrease by the LQ model, which leaves out the curvature of the dynamics. So
-each end is followed on to the stationary point beside it, and that counts as a local minimum where the exact Hessian of J
-over all controls has no negative eigenvalue, and the cost is still the same. All else is a saddle or a plateau.
+each end is followed on to the stationary point beside it, and that counts as a local minimum where the exact Hessian
+of J over all controls has no negative eigenvalue, and the cost is still the same. All else is a saddle or a plateau.
 """
 
 from __future__ import annotations

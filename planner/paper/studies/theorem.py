@@ -52,7 +52,7 @@ class Family:
 FAMILIES: dict[str, Family] = {
     "hopper": Family(lambda: cases.build("hopper", height=20.0, **PAPER), 10.0, STARTS),
     "two-link": Family(lambda: cases.two_link(horizon=100), 1.0, 20, cases.two_link, wolfe=(2, 30.0)),
-    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 20, cases.acrobot, wolfe=(2, 30.0)),
+    "acrobot": Family(lambda: cases.acrobot(horizon=150), 1.0, 10, cases.acrobot, most=50, wolfe=(2, 30.0)),
     "human-step": Family(lambda: cases.human_step("swing", cost="study"), 5.0, 10, most=50),
 }
 
@@ -162,7 +162,7 @@ def _no_minima(results: dict[str, Any]) -> str:
             ends += run["converged"]
             none += [f"{case['case']} {cost:.4g}" for cost in run["no_minima"]]
     listed = f", at J: {', '.join(none[:12])}{' ...' if len(none) > 12 else ''}" if none else ""
-    return f"{len(none)} of {ends} ends where a solve stopped are none{listed}"
+    return f"{len(none)} of {ends} converged ends are no local minima{listed}"
 
 
 def _steps(results: dict[str, Any], update: str) -> str:
@@ -200,7 +200,7 @@ def _page(results: dict[str, Any]) -> list[str]:
         }, along), "",
         "## Theorem 2: convergence from random starts", "",
         f"Smooth random controls (six cosines, seeds from 0 on) of a given RMS; at most {LIMIT} iterations for every",
-        f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of the cost.",
+        f"update and line search. A solve has converged when the LQ model promises less than {TOLERANCE:g} of J.",
         "An end counts as a local minimum where Newton's method, started there, comes to a stationary point of the",
         f"same cost (to {100.0 * SAME:g} %) at which the exact Hessian of J over all controls, second derivatives of",
         "the dynamics included, has no negative eigenvalue; costs that differ by less are one minimum.",

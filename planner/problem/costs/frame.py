@@ -135,9 +135,12 @@ class FrameCost(Term):
         )
 
     def _missed(self, part: slice, xs: np.ndarray) -> np.ndarray:
-        """(K,) m or rad, the length of the residual along the axes that are weighed."""
-        r = self._residual(xs[:, : self.mechanism.nq], self._position[-1], self._orientation[-1])
-        return np.linalg.norm(r[:, part] * (self._final[0, part] > 0.0), axis=1)
+        """(K,) m or rad, the length of the residual along the axes that are weighed; infinite where a motion ran away."""
+        q = xs[:, : self.mechanism.nq]
+        known, missed = np.isfinite(q).all(axis=1), np.full(len(q), np.inf)
+        r = self._residual(q[known], self._position[-1], self._orientation[-1])
+        missed[known] = np.linalg.norm(r[:, part] * (self._final[0, part] > 0.0), axis=1)
+        return missed
 
     def final_cost(self, x: np.ndarray) -> float:
         """The part of the value that the end x (nx,) has."""

@@ -25,7 +25,7 @@ class Applied:
         self._integrates = actuators.dynamics[self._states] == INTEGRATOR
 
     def __call__(self, q: np.ndarray, v: np.ndarray, act: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Tau (nv,) at one state with the controls u (nu,)."""
+        """The forces tau (nv,) at one state with the controls u (nu,)."""
         m, actuators = self._mechanism, self._mechanism.actuators
         place = np.where(self._screws, q[m.q_address], 0.0)
         given = np.array(u, dtype=float)

@@ -114,7 +114,7 @@ class Drake:
         return damping, armature
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Qacc (nv,) at qpos (nq,), qvel (nv,) with the applied forces tau (nv,), in MuJoCo's coordinates."""
+        """Accelerations qacc (nv,) at qpos (nq,), qvel (nv,) with the forces tau (nv,), in MuJoCo's coordinates."""
         plant, context = self._plant, self._context
         place, speed, force = np.empty(plant.num_positions()), np.empty(len(v)), np.empty(len(v))
         place[self._q], own_v, own_tau, turned = q, v.copy(), tau.copy(), []

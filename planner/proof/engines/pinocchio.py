@@ -81,7 +81,7 @@ class Pinocchio:
             place += numbers
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Qacc (nv,) at qpos (nq,), qvel (nv,) with the applied forces tau (nv,), in MuJoCo's coordinates."""
+        """Accelerations qacc (nv,) at qpos (nq,), qvel (nv,) with the forces tau (nv,), in MuJoCo's coordinates."""
         place, speed, force = np.empty(self._model.nq), np.empty(len(v)), np.empty(len(v))
         turned = [(dof, rotation(q[a + 3 : a + 7])) for a, dof in self._free]
         own_v, own_tau = v, tau

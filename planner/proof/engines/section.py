@@ -35,6 +35,7 @@ from planner.proof.rigid_parity import random_states, rounded, turns
 
 NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # values to be read with theirs
 STATES = 64  # at which accelerations are compared
+_OTHER = 0.5  # of an acceleration: what is less wrong is compared, what is more is no such machine
 _STILL = 1e-9  # of our own acceleration at rest: less is no gravity
 
 
@@ -46,7 +47,7 @@ class Engine(Protocol):
     settings: list[str]  # what it was given in numbers, since its parser does not read it
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Qacc (nv,) at qpos, qvel with the applied forces tau."""
+        """Accelerations qacc (nv,) at qpos, qvel with the applied forces tau."""
         ...
 
 
@@ -93,7 +94,8 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
     """
     if not isinstance(plan, Plan):
         raise PlannerError(f"plan is {shown(plan)}, expected a Plan.")
-    dynamics, twin = problem_of(plan).dynamics, twin or plan.twin
+    dynamics: Any = problem_of(plan).dynamics
+    twin = twin or plan.twin
     require(name)
     if twin is None:
         raise PlannerError("the plan has no model for another engine, expected a Problem with a twin.")
@@ -110,8 +112,9 @@ def another_engine(plan: Plan, name: str, *, twin: Twin | None = None, seed: int
             engine = _KINDS[name].make(text, mechanism)
     except ModelError as error:
         return Section(name, not_applicable=str(error).rstrip("."))
+    if reason := _at_rest(name, engine, mechanism, seed):
+        return Section(name, not_applicable=reason)
     applied = Applied(mechanism, engine.lacks_damping)
-    _check_gravity(name, engine, mechanism, seed)
 
     def theirs(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         q, v, act = np.split(x, [mechanism.nq, mechanism.nq + mechanism.nv])
@@ -145,16 +148,28 @@ def _reason(dynamics: Any, model: Any) -> str:
     return f"the model has what the other engines are not given: {extra}" if extra else ""
 
 
-def _check_gravity(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> None:
-    """Refuse an engine that computes without gravity, as other releases of Pinocchio were seen to do in silence."""
+def _at_rest(name: str, engine: Engine, mechanism: Mechanism, seed: int) -> str:
+    """Why a machine that was read is none at all, or ""; what is a little wrong is seen in the accelerations.
+
+    An engine that computes without gravity is refused, as other releases of Pinocchio were seen to do in silence.
+    """
     x = random_states(mechanism, np.random.default_rng(seed), 1)[0]
     q, still = x[: mechanism.nq], np.zeros(mechanism.nv)
+    falling = engine.acceleration(q, still, still)
+    pushed = engine.acceleration(q, still, rigid_body.mass_matrix(mechanism, q) @ np.ones(mechanism.nv)) - falling
+    wrong = ~(np.abs(pushed - 1.0) < _OTHER)
+    if wrong.any():
+        return (
+            f"its parser reads another inertia at {joints_with(mechanism, wrong)}: pushed as hard as gives 1 rad/s^2 "
+            f"or m/s^2, it answers {pushed[wrong][0]:.3g}"
+        )
     loose = replace(mechanism, stiffness=0.0 * still, ball_stiffness=0.0 * mechanism.ball_stiffness)
-    ours = np.abs(rigid_body.forward_dynamics(loose, q, still, still)).max()
-    if np.abs(engine.acceleration(q, still, still)).max() < _STILL * ours:
+    ours = rigid_body.forward_dynamics(loose, q, still, still)
+    if np.abs(falling).max() < _STILL * np.abs(ours).max():
         raise PlannerError(
             f"{name} {engine.version} computes without gravity here, expected: pip install {_KINDS[name].needs}."
         )
+    return ""
 
 
 def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) -> Measured:
@@ -178,7 +193,7 @@ def _parity(name: str, engine: Engine, dynamics: Any, theirs: Rates, seed: int) 
 def _errors(plan: Plan, theirs: Rates) -> Iterator[Measured]:
     """The motion against the plan and against the plan's own dynamics, by kind of coordinate."""
     assert plan.problem is not None  # problem_of() has looked
-    dynamics = plan.problem.dynamics
+    dynamics: Any = plan.problem.dynamics
     mechanism, start = dynamics.mechanism, plan.problem.x0
     planned = plan.between_knots(PARTS)
 

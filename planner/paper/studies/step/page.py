@@ -36,8 +36,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"clear), the foot at least {1e3 * shown['clearance']['right']:.0f} mm up in the middle of the "
             f"swing; from the normal gait, RMS: {_rms(shown, ('right',))}; at the end hip and knee are "
             f"{abs(shown['end_deg'][0]):.1f} and {abs(shown['end_deg'][1]):.1f} deg off, the heel is "
-            f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; replayed in MuJoCo within "
-            f"{shown['replay_deg']['open-loop']:.2g} deg",
+            f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; MuJoCo is "
+            f"{shown['replay_deg']['open-loop']:.2g} deg RMS from it",
             "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
             "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
             "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands"),

@@ -1,0 +1,44 @@
+"""prove() against the corpus: no right plan fails, no wrong plan passes; all of it is benchmarks/verdicts.py."""
+
+import re
+
+import pytest
+import verdicts
+
+from corpus import right, wrong
+
+QUICK_RIGHT = [
+    "a planar arm of 1 joint", "an arm of 10 cm in plain weights", "an arm at the stops of its file",
+    "an arm that is to stay upright", "a cart swings its pole up", "contacts left out and never touched, loaded",
+]  # fmt: skip
+QUICK_WRONG = [
+    "small arm in a model whose damping of joint[@name='j1'] times 1.05", "friction 5 % less",
+    "through a cylinder, with a table of contacts", "unconverged, status and numbers made consistent",
+    "a tiny machine in coarse steps", "a range that is broken between the knots",
+    "a motion that was to return and does not", "a file: its status, digests computed again",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", QUICK_RIGHT)
+def test_a_right_plan_passes(name):
+    agrees, said = verdicts.judge_right(name, seed=0)
+    assert agrees, said
+
+
+@pytest.mark.parametrize("name", QUICK_WRONG)
+def test_a_wrong_plan_does_not_pass(name):
+    agrees, said = verdicts.judge_wrong(name, seed=0)
+    assert agrees, said
+
+
+@pytest.mark.slow
+def test_none_right_fails_and_none_wrong_passes(capsys):
+    assert verdicts.main([]) == 0, capsys.readouterr().out
+    counted = re.search(r"right: 0 of (\d+) FAIL; wrong: 0 of (\d+) PASS", capsys.readouterr().out)
+    assert counted is not None
+    assert int(counted[1]) >= 60
+    assert int(counted[2]) >= 120
+
+
+def test_members_have_names_of_their_own():
+    assert not set(right.MEMBERS) & set(wrong.MEMBERS)
