@@ -39,7 +39,7 @@ def hopper_ground(
         held, deeper, closing = both(c, 0.0), both(2.0 * c, 0.0), both(c, speed)
         K = [(two - one) / c for one, two in zip(held, deeper, strict=True)]
         B = [(moved - one) / -speed for one, moved in zip(held, closing, strict=True)]
-        begins = [c - one / slope for one, slope in zip(held, K, strict=True)]
+        begins = [float(c - np.divide(one, slope)) for one, slope in zip(held, K, strict=True)]  # of no ground, NaN
         yield "contact_stiffness", name, K[1], K[0], k
         yield "contact_surface", name, begins[1], begins[0], smooth
         yield "contact_damping", name, B[1], B[0], 1e3 * np.sqrt(k)  # 0 but for the foot's own inertia
