@@ -109,6 +109,13 @@ def test_a_plan_without_a_stage_shows_all_states_and_controls(plan, replay):
     assert figure.get_suptitle() == "spring"
 
 
+def test_states_without_an_appearance_are_drawn_by_unit_with_their_names(plan):
+    plan.problem.appearance = None
+    figure = draw_plan(plan, None)
+    assert titles(figure) == ["States, in", "States, in/s", "Controls", "Convergence"]
+    assert [line.get_label() for line in panel(figure, "States, in").get_lines()] == ["height", "piston"]
+
+
 def test_convergence_shows_the_costs_above_the_last(plan):
     figure = draw_plan(plan, None)
     axes = panel(figure, "Convergence")

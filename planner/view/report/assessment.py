@@ -57,8 +57,8 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
     yield _Part(
         "Code verification",
         "Are the equations solved rightly? The plan's dynamics are compared with MuJoCo's at random states, contact "
-        "forces included. MuJoCo repeats the plan at the plan's own step. As its step is halved, its error must shrink "
-        f"by the integrator's order. {independence(plan)}",
+        "forces included. Where nothing touches, MuJoCo also repeats the plan at the plan's own step, and its error must "
+        f"shrink by the integrator's order as that step is halved. {independence(plan)}",
         tuple(_chosen(sections, (*_CODE, *others), code=True)),
         "An error that both sides share. The states at which the equations are compared are drawn at random: a fault "
         "that shows nowhere among them is not seen.",
@@ -83,8 +83,8 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
         "gains and encoders, and the hold of the goal, as far as each applies.",
         tuple(_chosen(sections, _VALIDATION, code=False)),
         _open(proof),
-        f"To decide whether {_intended(proof)} is worth an experiment on the machine that the model describes and "
-        "from the planned start. It does not replace the experiment.",
+        f"To decide whether an experiment with {_intended(proof)} is worthwhile, on the machine that the model "
+        "describes and from the planned start. It does not replace the experiment.",
     )  # fmt: skip
 
 
@@ -138,7 +138,7 @@ def _open(proof: Proof) -> str:
     else:
         phrases.append(f"The machines differ by what was drawn and by nothing else ({found.perturbation}).")
     phrases.append(
-        "Open remains whether masses, friction, contact, motors and sensors are those of the model; what bends, has "
-        "play or wears is in none of these simulations."
+        "Open remains whether masses, friction, contact, motors and sensors are those of the model. What it lacks, "
+        "play, bending or wear for example, is in none of these simulations."
     )
     return " ".join(filter(None, phrases))
