@@ -183,4 +183,4 @@ def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
     axes.locator_params(axis="y", integer=True)
     _, highest_bar = axes.get_ylim()
     axes.set_ylim(0.0, max(1.0, 1.35 * highest_bar if math.isfinite(highest_bar) else 1.0))  # room for the legend
-    axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none")
+    axes.legend(fontsize=7.0, loc="upper left", framealpha=0.85, edgecolor="none")
