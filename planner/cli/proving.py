@@ -17,7 +17,7 @@ from planner.base.jsonable import json_text
 from planner.cases.given_controls import plan_of_controls
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console, shown
-from planner.cli.results import plan_facts, show_proof
+from planner.cli.results import completed, plan_facts, show_proof
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
@@ -47,12 +47,14 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     # an unwritable file fails before the work
     with nullcontext() if arguments.out is None else write_atomically(arguments.out) as unfinished:
         proof = prove(
-            plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=arguments.rollouts,
-            seed=arguments.seed, perturbation=perturbation, hold_seconds=arguments.hold,
-            optimal=not (arguments.feasible or arguments.controls),
-            progress=console.progress("perturbed simulations, margin included"),
+            plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=0, seed=arguments.seed,
+            hold_seconds=arguments.hold, optimal=not (arguments.feasible or arguments.controls),
         )  # fmt: skip
-        sections = {name: another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed) for name in engines}
+        proof = completed(proof, arguments.rollouts, console, seed=arguments.seed, perturbation=perturbation)
+        sections = {}
+        for name in engines:
+            console.note(f"the engine {name}")
+            sections[name] = another_engine(plan, name, twin=proof.replay.twin, seed=arguments.seed)
         others = {name: section.to_dict() for name, section in sections.items()}
         found = proof.to_dict() | ({"engines": others} if others else {})
         if unfinished is not None:

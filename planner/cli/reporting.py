@@ -8,7 +8,7 @@ from pathlib import Path
 from planner.base.files import staged_folder
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
-from planner.cli.results import OUTPUTS, draw_results, is_finite, show_proof, write_proof
+from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 from planner.problem.archive import plan_digest
 from planner.proof import prove
 
@@ -19,8 +19,8 @@ def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     with staged_folder(arguments.out, OUTPUTS) as staged:
         proof = None
         if is_finite(plan):
-            progress = console.progress("perturbed simulations, margin included")
-            proof = prove(plan, rollouts=arguments.rollouts, hold_seconds=arguments.hold, progress=progress)
+            proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
+            proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
         draw_results(plan, proof, staged, not arguments.no_video, console)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from planner.base.jsonable import write_json
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
+from planner.proof.steps import with_rollouts, with_shown
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
 from planner.view.report import write_report
@@ -139,5 +141,17 @@ def show_proof(proof: Proof, console: Console) -> None:
 
 
 def show_verdict(proof: Proof, console: Console) -> None:
-    """Print the first line of a proof and its reason."""
-    console.say(f"\n{proof.headline}: {proof.reason}")
+    """Print the first line of a proof, and below it its reason."""
+    console.say(f"\n{proof.headline}\n{proof.reason}")
+
+
+def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:
+    """Print the verdict at once, then measure what does not change it, with so many rollouts.
+
+    `options` are those of planner.proof.steps.with_rollouts(). No rollouts leave the proof as it is.
+    """
+    show_verdict(replace(proof, asked=proof.asked | {"rollouts": rollouts}), console)  # robustness is not known yet
+    if not rollouts:
+        return proof
+    console.note("\nThe verdict is known. What is measured now is shown beside it:")
+    return with_rollouts(with_shown(proof, console.note), rollouts, progress=console.progress("rollouts"), **options)

@@ -24,7 +24,6 @@ from planner.proof import Proof, prove
 from planner.proof.hold import hold_gain
 from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
-from planner.proof.steps import with_rollouts, with_shown
 
 INTERRUPTED = 130
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
@@ -89,16 +88,11 @@ def _run(
             folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
             digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
-    if proof is not None and arguments.rollouts:
-        results.show_verdict(proof, console)
-        console.note("what follows is shown, and does not change the verdict")
-        proof = with_shown(proof)
-        proof = with_rollouts(
-            proof, arguments.rollouts, budget=BUDGET, partial=folder.path / ROLLOUTS,
-            progress=console.progress("perturbed simulations, margin included"),
+    if proof is not None:
+        proof = results.completed(
+            proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS
         )  # fmt: skip
         results.write_proof(plan, proof, folder.path, digest, path)
-    if proof is not None:
         results.show_proof(proof, console)
     note = results.draw_results(
         plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,

@@ -7,6 +7,7 @@ common, which its process compiles once.
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
 import subprocess
@@ -97,6 +98,7 @@ def variant(name: str, model: Model, penalised: bool = False) -> str:
     return name + (" external" if model.external else "") + (" penalised" if penalised else "")
 
 
+@functools.cache  # a kernel that is compiled stays so, and single steps ask thousands of times
 def announce_named(name: str) -> None:
     """Say once that something is about to be compiled, if this kernel is."""
     announce(*KERNELS[name])

@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arguments import array, choice, number, numbers, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
+from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import DIRECT, SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.costs.terms import Cost
@@ -120,6 +121,7 @@ class Limits:
             PlannerError: As for the class; a start or a goal outside its range.
         """
         space, mechanism = space_of(dynamics), getattr(dynamics, "mechanism", None)
+        coordinates = coordinates_of(dynamics)
         found = self._found(mechanism, space.ndx)
         rotations = {j + c for _, j in space.quaternions for c in range(3)}
         reference = getattr(cost, "x_ref", None)
@@ -134,21 +136,23 @@ class Limits:
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
         lower = -lower
-        for h, (i, (name, (low, high))) in enumerate(found.items()):
+        for h, (i, (low, high)) in enumerate(found.items()):
+            name, unit = coordinates[i]
             if i in rotations:
-                raise PlannerError(f"the {name} is an orientation, expected ranges of hinges, slides or velocities.")
+                raise PlannerError(f"{name} is an orientation, expected ranges of hinges, slides or velocities.")
             for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if i in at_end else ())):
                 if not low <= value <= high:
-                    raise PlannerError(f"the {what} has the {name} at {value:.6g}, expected {low:g} ... {high:g}.")
+                    ranged = f"{low:g} ... {high:g} {unit}".rstrip()
+                    raise PlannerError(f"the {what} has {name} at {value:.6g}, expected {ranged}.")
             lower[1:, h], upper[1:, h] = low - offset[1:, i], high - offset[1:, i]
         lower[N, len(found) :] = upper[N, len(found) :] = 0.0
-        names = (*(name for name, _ in found.values()), *(f"final {_component(mechanism, i)}" for i in at_end))
+        limited = tuple(coordinates[i] for i in (*found, *at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
-        return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), names)
+        return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
 
-    def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, tuple[str, Pair]]:
-        """(name, (lower, upper)) by component."""
-        found: dict[int, tuple[str, Pair]] = {}
+    def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Pair]:
+        """(lower, upper) by component."""
+        found: dict[int, Pair] = {}
         if self.position is not None:
             machine = _named(mechanism, "position")
             if isinstance(self.position, str):
@@ -162,7 +166,7 @@ class Limits:
                     expected = "expected ranges of hinge and slide joints only"
                     raise PlannerError(f"joint {joint!r} is a ball or free joint, {expected}.")
                 i = links.start
-                found[i] = _component(machine, i), _pair(f"the range of joint {joint!r}", value)
+                found[i] = _pair(f"the range of joint {joint!r}", value)
         if self.velocity is not None:
             machine, given = _named(mechanism, "velocity"), self.velocity
             if not isinstance(given, Mapping):
@@ -171,11 +175,11 @@ class Limits:
             for joint, value in given.items():
                 links, pair = machine.joint(joint), _pair(f"the velocity range of joint {joint!r}", value)
                 for i in range(machine.nv + links.start, machine.nv + links.stop):
-                    found[i] = _component(machine, i), pair
+                    found[i] = pair
         for i, value in ({} if self.state is None else _table("state", self.state)).items():
             i = _index("state", i, ndx)
-            found[i] = _component(mechanism, i), _pair(f"the range of component {i}", value)
-        return {i: (name, pair) for i, (name, pair) in sorted(found.items()) if np.isfinite(pair).any()}
+            found[i] = _pair(f"the range of component {i}", value)
+        return {i: pair for i, pair in sorted(found.items()) if np.isfinite(pair).any()}
 
     def _at_end(self, mechanism: Mechanism | None, cost: Cost, ndx: int) -> list[int]:
         """The components that are to end at the goal exactly."""
@@ -208,16 +212,6 @@ def _named(mechanism: Mechanism | None, what: str) -> Mechanism:
     if mechanism is None:
         raise PlannerError(f"the limits' {what} has names, but the dynamics have no mechanism: expected numbers.")
     return mechanism
-
-
-def _component(mechanism: Mechanism | None, i: int) -> str:
-    """A component of the deviation in words."""
-    if mechanism is None or i >= 2 * mechanism.nv:
-        return f"component {i}"
-    what, i = ("position", i) if i < mechanism.nv else ("velocity", i - mechanism.nv)
-    joint = next(j for j, links in enumerate(mechanism.joint_links) if links.start <= i < links.stop)
-    links, name = mechanism.joint_links[joint], mechanism.joint_names[joint] or str(joint)
-    return f"{what} of {name}" + (f" [{i - links.start}]" if links.stop - links.start > 1 else "")
 
 
 def _table(name: str, value: Any) -> Mapping[Any, Any]:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.model.coordinates import Coordinate
 from planner.model.space import StateSpace
 from planner.problem.costs.terms import Quadratic
 
@@ -38,7 +39,7 @@ class StateRanges:
     lower: np.ndarray  # (N+1, H), of the deviation; -inf where there is none
     upper: np.ndarray  # (N+1, H)
     at_end: int  # How many of them, the last ones, are exact goals: for the end alone
-    names: tuple[str, ...]  # (H,) for a reader
+    coordinates: tuple[Coordinate, ...]  # (H,) their names and units
 
     def free(self) -> Hinges:
         """Hinges that weigh nothing."""

@@ -53,6 +53,7 @@ class Touch(NamedTuple):
     first: int  # step
     at_start: float  # depth at step 0; 0 where they do not touch there
     deepest: float  # over all steps
+    force: float  # largest normal force
 
 
 class ContactRecorder:
@@ -156,11 +157,11 @@ class ContactRecorder:
         pairs, which = np.unique(contacts["geoms"], axis=0, return_inverse=True)
         for k, (one, other) in enumerate(pairs.tolist()):
             depths, steps = contacts["depth"][which == k], contacts["step"][which == k]
-            before = self._touches.get((one, other), Touch((one, other), int(steps[0]), 0.0, 0.0))
+            before = self._touches.get((one, other), Touch((one, other), int(steps[0]), 0.0, 0.0, 0.0))
+            force = max(before.force, float(contacts["wrench"][which == k, 0].max()))
             start = max(before.at_start, float(np.max(depths, where=steps == 0, initial=0.0)))
-            self._touches[one, other] = before._replace(
-                at_start=start, deepest=max(before.deepest, float(depths.max()))
-            )
+            deepest = max(before.deepest, float(depths.max()))
+            self._touches[one, other] = before._replace(at_start=start, deepest=deepest, force=force)
 
     def _by_pairs(self, contacts: np.ndarray) -> None:
         """Add contacts between geoms to the sums of their pairs."""

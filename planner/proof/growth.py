@@ -7,7 +7,8 @@ To first order a deviation obeys  dx(n+1) = A(n) dx(n) + d(n),  with the gains  
                                 and the acceleration that driven joints fall short of
 
 so the replay error of a plan whose model is right is known before MuJoCo is asked. A replay that is much worse than
-its prediction differs in the model, not in the step.
+its prediction differs in the model, not in the step. Errors of angles, lengths and velocities are told as shares of
+what passes (planner.proof.scales.path_bounds): 1 is the bound.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.driven_parity import forces_of_prescribed
 from planner.proof.replaying import REFINEMENT, Replay
+from planner.proof.scales import path_bounds, shares_of_bounds
 
-SMALL = 0.1  # rad: beyond, a linear prediction is none
+SMALL = 3.0  # bounds, 3 % of a range of motion: beyond, a linear prediction is none
 FACTOR = 10.0  # between prediction and measurement, where both mean something
-_ROUNDING = 1e-10  # errors below are not of the integrator
+_ROUNDING = 1e-8  # bounds, 1e-10 of a range of motion: errors below are not of the integrator
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Growth:
 
     t: np.ndarray  # (N+1,) s
     transition: dict[str, np.ndarray]  # Mode -> (N+1,) log10 of the norm of the state transition from the start
-    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error predicted, largest component, rad, m, rad/s, m/s
+    predicted: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error predicted, the largest over its bound
     measured: dict[str, np.ndarray]  # Mode -> (N+1,) the replay error measured at the knots, likewise
     switches: bool  # Whether a contact opened or closed during the replay
 
@@ -45,7 +47,7 @@ class Growth:
 
     def ratio(self, mode: str) -> float | None:
         """Measured over predicted error, the largest of each over the path; None where a prediction means nothing."""
-        measured, predicted = self.measured[mode].max(), self.predicted[mode].max()
+        measured, predicted = float(self.measured[mode].max()), float(self.predicted[mode].max())
         if self.switches or not (np.isfinite(measured) and np.isfinite(predicted) and measured < SMALL):
             return None
         return float(max(measured, _ROUNDING) / max(predicted, _ROUNDING))
@@ -60,7 +62,8 @@ class Growth:
             note = f"an error at the start becomes up to 10^{norm:.1f} times as large by the end, {how}"
             measured.append(Measured(f"growth_rate_{words}", self.rate(mode), "1/s", None, note))
             note = f"largest over the path, by the linearised plan {how}; measured {self.measured[mode].max():.2e}"
-            measured.append(Measured(f"predicted_error_{words}", float(self.predicted[mode].max()), "", None, note))
+            largest = float(self.predicted[mode].max())
+            measured.append(Measured(f"predicted_over_bound_{words}", largest, "", None, note))
             ratio = self.ratio(mode)
             if ratio is not None:
                 note = f"a factor of {FACTOR:g} either way is the same error; more is another model"
@@ -74,8 +77,9 @@ def growth(plan: Plan, problem: Problem, runs: dict[str, Replay]) -> Growth:
         A, B = problem.dynamics.linearize(plan.xs, plan.us)
         missed = _missed(plan, problem) + _left_by_motors(plan, problem, B)
         stages = {"open-loop": A, "feedback": A + B @ plan.K}
-        found = {mode: _propagated(F, missed) for mode, F in stages.items()}
-        measured = {mode: np.abs(run.error[:: run.substeps]).max(axis=1) for mode, run in runs.items()}
+        bounds = path_bounds(plan)
+        found = {mode: _propagated(F * bounds / bounds[:, None], missed / bounds) for mode, F in stages.items()}
+        measured = {mode: shares_of_bounds(plan, run.error[:: run.substeps]) for mode, run in runs.items()}
     forces = [run.contact_force > 0.0 for run in runs.values()]
     transition, predicted = ({mode: pair[k] for mode, pair in found.items()} for k in (0, 1))
     switches = any(bool(np.any(touching != touching[0])) for touching in forces)

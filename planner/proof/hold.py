@@ -18,15 +18,20 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
+from planner.dynamics.protocol import Dynamics
+from planner.model.coordinates import coordinates_of
 from planner.model.space import StateSpace, space_of
+from planner.problem.goals import LEAST
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.curve_callback import curves_acting
 from planner.proof.replaying import Replay
+from planner.proof.scales import worst_by_unit
 from planner.proof.simulation import MOST_STEPS, simulate
 from planner.proof.tracking import costs_with_goals
 
-BOUND = 0.01  # largest deviation over the last second, in rad, m, rad/s, m/s: what proofs ask of an end
-EQUILIBRIUM = 1e-3  # how far from the goal the nearest equilibrium may be, the same units: a tenth of the bound
+EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be
+_UNKNOWN = 0.02  # that tolerance, for units that no goal knows
 _WEAKEST = 1e-6  # weight of what the cost leaves free, relative to the largest: it is held too, slowly
 _NEWTON = 20  # iterations
 
@@ -63,7 +68,7 @@ def hold_gain(problem: Problem) -> Hold:
     free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
     x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
     A, B, drift = _about(problem, x, u)
-    _check_equilibrium(A, B, drift, problem.dynamics.dt)
+    _check_equilibrium(A, B, drift, problem.dynamics)
     Q, R = _weights(problem, x, u)
     try:
         P = solve_discrete_are(A, B, Q, R)
@@ -97,16 +102,19 @@ def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.
     return x, u
 
 
-def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dt: float) -> None:
+def _check_equilibrium(A: np.ndarray, B: np.ndarray, drift: np.ndarray, dynamics: Dynamics) -> None:
     """Raise unless an equilibrium is near: drift + (A - 1) dx + B du = 0 with a small dx."""
     J = np.concatenate([A - np.eye(len(A)), B], axis=1)
     z = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
     stands = np.abs(drift + J @ z).max() <= 1e-6 * np.abs(drift).max()
-    if not (stands and np.abs(z[: len(A)]).max() <= EQUILIBRIUM):
-        worst = int(np.abs(drift).argmax())
+    coordinates = coordinates_of(dynamics)
+    near = EQUILIBRIUM * np.array([LEAST.get(one.unit, _UNKNOWN) for one in coordinates])
+    if not (stands and np.all(np.abs(z[: len(A)]) <= near)):
+        worst = int(np.argmax(np.abs(drift) / near))
+        rate = f"{drift[worst] / dynamics.dt:.3g} {coordinates[worst].unit}".rstrip()
         raise PlannerError(
-            f"the goal is no equilibrium: with the best control, component {worst} of the state changes by "
-            f"{drift[worst] / dt:.3g} per second there, expected a goal that some control keeps."
+            f"the goal is no equilibrium: with the best control, {coordinates[worst].name} changes by {rate} per "
+            "second there, expected a goal that some control keeps."
         )
 
 
@@ -129,6 +137,7 @@ def _weights(problem: Problem, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray
 class Held:
     """MuJoCo's motion after a replay, with a regulator acting at every step."""
 
+    plan: Plan  # Whose replay it goes on from
     hold: Hold  # The regulator
     t: np.ndarray  # (M+1,) s; goes on from the replay's
     qpos: np.ndarray  # (M+1, nq)
@@ -159,20 +168,23 @@ def replay_hold(replay: Replay, hold: Hold, seconds: float = 10.0) -> Held:
     with curves_acting(twin, model):
         w, warnings = simulate(model, arrived, ctrl, control=lambda _, w: hold.control(twin.x_of(w)), start=float(t[0]))
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
-    return Held(hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
+    return Held(replay.plan, hold, t, qpos, qvel, act, ctrl, twin.x_of(w), warnings)
 
 
 def hold_section(held: Held) -> Section:
-    """Whether the goal was held: the largest deviation over the last second, beside its bound."""
-    error = np.abs(held.deviation).max(axis=1)
-    error = np.where(np.isfinite(error), error, np.inf)
+    """Whether the goal was held: the largest deviations over the last second by unit, beside what passes of a path."""
     last = held.t >= held.t[-1] - 1.0
-    note = "largest component of the deviation from the goal, rad, m, rad/s, m/s"
     lasting = f"over the last second of {held.t[-1] - held.t[0]:.4g} s"
-    measured = (
-        Measured("held_deviation", float(error[last].max()), "", BOUND, f"{note}, {lasting}"),
-        Measured("final_held_deviation", float(error[-1]), "", None, "the same, at the end"),
-        Measured("largest_held_deviation", float(error.max()), "", None, "the same, on the way"),
-        Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings)),
-    )
-    return Section("hold", measured)
+    parts = (
+        ("held", held.deviation[last], f"{lasting}; the bound is that of its path"),
+        ("final_held", held.deviation[-1:], "at the end"), ("largest_held", held.deviation, "on the way"),
+    )  # fmt: skip
+    measured = [
+        Measured(
+            f"{part}_{one.word}_deviation", one.value, one.unit, one.bound if part == "held" else None,
+            f"of {one.name} from the goal, {words}",
+        )
+        for part, deviation, words in parts for one in worst_by_unit(held.plan, deviation)
+    ]  # fmt: skip
+    warned = Measured("simulator_warnings", float(len(held.warnings)), "", 0.0, " ".join(held.warnings))
+    return Section("hold", (*measured, warned))

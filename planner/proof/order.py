@@ -23,7 +23,7 @@ from planner.proof.contact_history import may_touch
 from planner.proof.curve_callback import curves_acting
 from planner.proof.replaying import Replay
 from planner.proof.same_step import advancing
-from planner.proof.scales import COST_BOUND, judged_cost
+from planner.proof.scales import COST_BOUND, judged_cost, shares_of_bounds
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
@@ -40,13 +40,14 @@ class Order:
     steps: np.ndarray  # (L,) s, halved from one to the next
     ends: np.ndarray  # (L, nx) end states
     costs: np.ndarray  # (L,) J reached
-    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean
+    changes: np.ndarray  # (L-1,) from each end state to the next, Euclidean: the order is seen in them
+    shares: np.ndarray  # (L-1,) the same, the largest as a share of what passes of a path
     nominal: float  # Order of the integrator
     observed: float | None  # Of the end state, over the last steps whose changes are above rounding; None when none are
     judged: str  # Why the order is only shown; "" when it is judged
     extrapolated_cost: float  # J at a step of zero
     cost_uncertainty: float  # Of it
-    end_uncertainty: float  # Of the end state, largest component
+    end_uncertainty: float  # Of the end state, the largest as a share of what passes of a path
     plan_cost: float  # Of the plan itself
     scale: float  # Changes of the cost are relative to it
     whole: bool  # Whether the whole cost is judged; False where its end is a penalty on what the goal judges
@@ -63,7 +64,10 @@ class Order:
                 f"plan {self.plan_cost:.6g}, extrapolated to a step of zero {self.extrapolated_cost:.6g} "
                 f"+- {self.cost_uncertainty:.1e}",
             ),
-            Measured("end_state_uncertainty", self.end_uncertainty, "", None, f"of the extrapolated, steps {steps}"),
+            Measured(
+                "end_state_uncertainty", 100.0 * self.end_uncertainty, "%", None,
+                f"of what passes of a path, of the extrapolated end, steps {steps}",
+            ),
         ]  # fmt: skip
         if self.observed is not None:
             note = f"end state over halvings from {steps}, nominal {self.nominal:g}"
@@ -96,15 +100,16 @@ def order(problem: Problem, run: Replay) -> Order:
             changes, observed = _observed_between(plan, levels)
         ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
         factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
-        step = plan.space.difference(ends[-1], ends[-2])
+        shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
     why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
     return Order(
-        steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, nominal=nominal,
-        observed=observed, judged=why, extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
+        steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, shares=shares,
+        nominal=nominal, observed=observed, judged=why,
+        extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
         cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
-        end_uncertainty=float(_SAFETY * np.abs(step).max() / factor), plan_cost=plan.cost,
+        end_uncertainty=float(_SAFETY * shares[-1] / factor), plan_cost=plan.cost,
         scale=cost.scale(plan, problem), whole=not cost.final,
     )  # fmt: skip
 

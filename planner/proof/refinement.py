@@ -18,8 +18,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.problem.discretisation import finer
@@ -28,6 +26,7 @@ from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.growth import FACTOR
 from planner.proof.replaying import reached_by_plan
+from planner.proof.scales import shares_of_bounds
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
@@ -44,8 +43,8 @@ class Refinement(NamedTuple):
         status: How the solve ended.
         verdict: "PASS" or "FAIL".
         mode: In which it passed, or None.
-        end_state_error: Largest component of the deviation of MuJoCo's end from the plan's, in that mode, else in
-            the one that the proof shows.
+        end_error: The largest error of MuJoCo's end as a share of what passes of a path, in that mode, else in the one
+            that the proof shows.
         seconds: Solve and proof took; nan for the plan that refine() was given.
     """
 
@@ -57,7 +56,7 @@ class Refinement(NamedTuple):
     status: Status
     verdict: str
     mode: str | None
-    end_state_error: float
+    end_error: float
     seconds: float
 
     def __str__(self) -> str:
@@ -65,7 +64,7 @@ class Refinement(NamedTuple):
         took = "" if math.isnan(self.seconds) else f"{self.seconds:.1f}"
         return (
             f"{self.integrator:>19}  {self.dt:9.4g}  {self.horizon:7d}  {self.iterations:10d}  {self.cost:13.6g}  "
-            f"{self.end_state_error:15.2e}  {took:>7}  {verdict:<16}  {self.status.name}"
+            f"{self.end_error:15.2e}  {took:>7}  {verdict:<16}  {self.status.name}"
         )
 
     @staticmethod
@@ -73,7 +72,7 @@ class Refinement(NamedTuple):
         """The heading over the lines that str() makes."""
         return (
             f"{'integrator':>19}  {'stage, s':>9}  {'horizon':>7}  {'iterations':>10}  {'cost':>13}  "
-            f"{'end state error':>15}  {'seconds':>7}  {'verdict':<16}  status"
+            f"{'end error/bound':>15}  {'seconds':>7}  {'verdict':<16}  status"
         )
 
 
@@ -213,7 +212,7 @@ def _other_cause(proof: Proof) -> str:
 def _line(plan: Plan, proof: Proof, seconds: float) -> Refinement:
     assert plan.problem is not None
     dynamics = plan.problem.dynamics
-    error = float(np.abs(proof.replay.error[-1]).max())  # NaN where MuJoCo ran away
+    error = float(shares_of_bounds(plan, proof.replay.error[-1:])[0])  # NaN where MuJoCo ran away
     return Refinement(
         getattr(dynamics, "integrator", ""), dynamics.dt, plan.N, plan.nit, plan.cost, plan.status, proof.verdict,
         proof.mode, error if error < math.inf else math.inf, seconds,

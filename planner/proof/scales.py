@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Measured
-from planner.model.coordinates import coordinates_of
+from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
 from planner.problem.goals import goals_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -23,7 +23,7 @@ OF_LARGEST = 0.1  # of the largest range of the same unit, for what hardly moves
 LEAST_RANGE = 1e-3  # rad, m, rad/s, m/s, for a machine that stands still
 COST_BOUND = 1.0  # %
 
-KINDS = {"final": "exact_goal", "position": "position_range", "velocity": "velocity_range", "component": "state_range"}
+KINDS = ("exact_goal", "position_range", "velocity_range", "state_range")  # of limits of states
 WORDS = {
     "rad": "angle", "m": "distance", "rad/s": "angular_velocity", "m/s": "velocity", "in": "position", "in/s": "rate",
     "": "state",
@@ -56,6 +56,36 @@ def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]
     for unit in dict.fromkeys(one.unit for one in coordinates):
         which = np.array([i for i, one in enumerate(coordinates) if one.unit == unit])
         yield word_of(unit), unit, which, [coordinates[i].name for i in which]
+
+
+class Worst(NamedTuple):
+    """The error of one unit that is nearest to its bound."""
+
+    word: str  # the quantity, for a key
+    unit: str
+    name: str  # of the coordinate
+    value: float  # in the unit, infinite after a runaway
+    bound: float  # in the unit, what passes
+
+    @property
+    def share(self) -> float:
+        """The error over its bound."""
+        return self.value / self.bound
+
+
+def worst_by_unit(plan: Plan, errors: np.ndarray) -> Iterator[Worst]:
+    """Of errors (K, ndx) of a plan's coordinates, the one of each unit that is nearest to its bound."""
+    assert plan.problem is not None  # its dynamics know the units
+    most, bounds = np.abs(errors).max(axis=0), path_bounds(plan)
+    most = np.where(np.isfinite(most), most, np.inf)
+    for word, unit, which, names in by_unit(plan.problem):
+        worst = int(np.argmax(most[which] / bounds[which]))
+        yield Worst(word, unit, names[worst], float(most[which[worst]]), float(bounds[which[worst]]))
+
+
+def shares_of_bounds(plan: Plan, errors: np.ndarray) -> np.ndarray:
+    """(K,) the largest of errors (K, ndx) of a plan's coordinates, each over what passes: 1 is the bound."""
+    return (np.abs(errors) / path_bounds(plan)).max(axis=1)
 
 
 def word_of(unit: str) -> str:
@@ -115,15 +145,24 @@ def limit_violations(
     if ranges is None or limits is None:
         return measured
     beyond = ranges.beyond(xs)
-    allowed = np.full(len(ranges.names), limits.tolerance)
+    allowed = np.full(len(ranges.coordinates), limits.tolerance)
     if tolerances is not None:
         allowed = np.maximum(allowed, tolerances[ranges.component])
-    kinds = [name.split()[0] for name in ranges.names]
-    for kind, word in KINDS.items():
+    kinds = [_kind(one) for one in ranges.coordinates]
+    kinds[len(kinds) - ranges.at_end :] = ["exact_goal"] * ranges.at_end
+    for kind in KINDS:
         which = [h for h, own in enumerate(kinds) if own == kind]
         if which:
             most = beyond[:, which].max(axis=0)
             worst = which[int(np.argmax(np.where(np.isfinite(most), most / allowed[which], np.inf)))]
-            value, note = float(beyond[:, worst].max()), f"largest, {whose}: {ranges.names[worst]}"
-            measured.append(Measured(f"{word}_violation", value, "", float(allowed[worst]), note))
+            value, (name, unit) = float(beyond[:, worst].max()), ranges.coordinates[worst]
+            note = f"largest, {whose}: {name}"
+            measured.append(Measured(f"{kind}_violation", value, unit, float(allowed[worst]), note))
     return measured
+
+
+def _kind(coordinate: Coordinate) -> str:
+    """The kind of a range, by what it is of."""
+    if coordinate.is_rate:
+        return "velocity_range"
+    return "position_range" if coordinate.unit in (ANGLE, LENGTH) else "state_range"

@@ -13,7 +13,7 @@ from planner.problem.plan import Plan
 from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.replaying import Replay, problem_of, replay_in
 from planner.proof.sampled_gains import Sampling, sampling_of
-from planner.proof.scales import by_unit
+from planner.proof.scales import worst_by_unit
 
 _LEVELS = 10  # 500 Hz to 1 Hz
 
@@ -52,13 +52,10 @@ def controller_section(rates: Rates, encoded: Replay) -> Section:
             "passes" if rates.once_a_stage.passed else "fails",
         ),
     ]  # fmt: skip
-    problem, error = problem_of(encoded.plan), np.abs(encoded.error)
-    for part, along in (("end", error[-1:]), ("path", error)):
-        for word, unit, which, names in by_unit(problem):
-            most = along[:, which].max(axis=0)
-            worst = int(np.argmax(np.nan_to_num(most, nan=np.inf)))
-            note = f"of {names[worst]}, with encoders of 17 bits and 1 um, velocities by difference, not filtered"
-            measured.append(Measured(f"encoders_{part}_{word}_error", float(most[worst]), unit, None, note))
+    for part, along in (("end", encoded.error[-1:]), ("path", encoded.error)):
+        for one in worst_by_unit(encoded.plan, along):
+            note = f"of {one.name}, with encoders of 17 bits and 1 um, velocities by difference, not filtered"
+            measured.append(Measured(f"encoders_{part}_{one.word}_error", one.value, one.unit, None, note))
     return Section("controller", tuple(measured))
 
 

@@ -36,9 +36,11 @@ from planner.proof.replaying import Replay, replay_in
 from planner.proof.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.sampled_gains import sampling_of
+from planner.proof.scales import worst_by_unit
 from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
+from planner.proof.your_file import TITLE as FILE
 from planner.proof.your_file import your_file
 
 ROLLOUTS = 512
@@ -105,7 +107,7 @@ def prove(
     seen = mode or "open-loop"
     converged, given = (
         optimality(plan, problem, now),
-        your_file(plan, problem, goals_of(problem, plan.xs), mjcf=mjcf, twin=twin)[0],
+        your_file(plan, problem, goals_of(problem, plan.xs), open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)[0],
     )
     repeated = mode is not None
     mode = mode if given.passed else None
@@ -153,8 +155,11 @@ def prove(
     )  # fmt: skip
 
 
-def with_shown(proof: Proof) -> Proof:
-    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground."""
+def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> Proof:
+    """A proof with the steps that are only shown: what slow gains and encoders change, and another ground.
+
+    `note` is called with a line before each.
+    """
     plan, compiled, runs = proof.replay.plan, proof.replay.compiled, proof.replays
     problem = plan.problem
     assert problem is not None  # it was proved
@@ -163,9 +168,12 @@ def with_shown(proof: Proof) -> Proof:
         return tracking(run, problem).passed and goal(run, problem).passed
 
     with np.errstate(all="ignore"):
+        note("the slowest rate at which the gains still hold")
         rates = slowest_rate(plan, compiled, passes)
+        note("the same with encoders")
         encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
         units = [one.unit for one in coordinates_of(problem.dynamics)]
+        note("another ground")
         ground = another_ground(plan, compiled, units=units, runs=runs)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
@@ -189,10 +197,13 @@ def _held(proof: Proof, held: Held) -> Proof:
     if section.passed or not proof.passed:
         return proof
     plan, warned = proof.replay.plan, "".join(f" {sentence}" for sentence in held.warnings)
-    miss = float(np.abs(plan.space.difference(proof.replays["feedback"].xs[-1], held.hold.x_goal)).max())
+    miss = plan.space.difference(proof.replays["feedback"].xs[-1:], held.hold.x_goal)
+    worst = max(worst_by_unit(plan, miss), key=lambda one: one.share)
     reason = (
-        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends {miss:.2g} from the goal (largest "
-        "component), too far for the regulator; larger final weights end nearer."
+        f"hold: {'; '.join(map(str, section.failures))}.{warned} The replay ends with {worst.name} "
+        f"{worst.value:.2g} {worst.unit}".rstrip()
+        + " from the goal, too far for the regulator; larger final weights "
+        "end nearer."
     )
     return replace(proof, verdict="FAIL", mode=None, reason=reason)
 
@@ -226,7 +237,8 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         if broken.title == "optimal":
             why = run.plan.message if not run.plan.success else f"{broken.failures[0]}."
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
-        failures = "; ".join(map(str, broken.failures))
+        found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
+        failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

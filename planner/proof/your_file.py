@@ -37,13 +37,14 @@ from planner.proof.curve_callback import curves_acting
 from planner.proof.left_out import lacking
 from planner.proof.limits_hit import clamps_hit, stops_hit
 from planner.proof.replaying import Replay, replay_in
-from planner.proof.scales import by_unit
+from planner.proof.scales import worst_by_unit
 from planner.proof.simulation import simulate
 from planner.proof.tracking import misses
 
 TITLE = "your file"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
 GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
 
@@ -53,7 +54,7 @@ class Undriven(ModelError):
 
 @np.errstate(all="ignore")  # a motion may run away: a NaN passes no bound
 def your_file(
-    plan: Plan, problem: Problem, goals: Sequence[Goal], *, ideal: Replay | None = None,
+    plan: Plan, problem: Problem, goals: Sequence[Goal], *, open_loop: Replay | None = None,
     mjcf: str | Path | None = None, twin: Twin | None = None,
 ) -> tuple[Section, Replay | None]:  # fmt: skip
     """Replay a plan with its gains in the model as the user gave it, and judge what the plan did not know.
@@ -62,7 +63,7 @@ def your_file(
         plan: A plan of this problem.
         problem: With a twin.
         goals: What the end is judged by, where the machine has no rule of its own.
-        ideal: The replay with gains in the plan's own model; it is used again where the file is that model.
+        open_loop: The replay without gains in the plan's own model; it is used again where the file is that model.
         mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out of it.
         twin: Another model and other maps in place of the plan's own.
 
@@ -80,17 +81,15 @@ def your_file(
         compiled = as_given(problem, twin, mjcf)
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
-    if ideal is not None and ideal.feedback and _same_model(ideal.twin, compiled.twin):
-        run, shown = ideal, ()
-    else:
-        run = replay_in(compiled, plan, feedback=True)
-        shown = _open_loop(run)
-    section = Section(TITLE, (*_measured(run, problem, goals), *shown))
+    known = open_loop if open_loop is not None and _same_model(open_loop.twin, compiled.twin) else None
+    run = replay_in(known.compiled if known else compiled, plan, feedback=True)
+    end = known.xs[-1] if known else _end_without_gains(run)
+    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
     again = replay_in(run.compiled, plan, feedback=True, integrator=own)
-    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(again)))
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again))))
     return (other, again) if other.passed else (section, run)
 
 
@@ -108,7 +107,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Meas
         for name, (found, meaning) in sentences.items()
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
-    return [*judged, *_goals(run, problem, goals), *_path(run, problem), *_forces(run, overlaps), step]
+    return [*judged, *_goals(run, problem, goals), *_path(run), *_forces(run, overlaps), step]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
@@ -157,11 +156,17 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
         return wrong, overlaps  # nobody can tell what other dynamics know
     known = lacking(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
+    rubs = RUBS * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.touches:
-        if names_of(model, touch.geoms) in known or touch.deepest <= GRAZE * scale:
+        grazes = touch.deepest <= GRAZE * scale
+        if names_of(model, touch.geoms) in known or (grazes and touch.force <= rubs):
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
-        if touch.at_start <= GRAZE * scale:
+        if grazes:
+            wrong.append(
+                f"{pair} lie flush and rub, from t = {run.t[touch.first]:.4g} s with up to {touch.force:.3g} N."
+            )
+        elif touch.at_start <= GRAZE * scale:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
         elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
             wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
@@ -183,12 +188,11 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[Goal]) -> Sequence[Mea
     return misses("replayed", run.xs[-1:], tuple(goals))
 
 
-def _path(run: Replay, problem: Problem) -> list[Measured]:
+def _path(run: Replay) -> list[Measured]:
     """The largest deviation from the plan at any step, of each unit."""
-    error = np.abs(run.error).max(axis=0)
     return [
-        Measured(f"largest_{word}_error", float(error[which].max()), unit, None, "from the plan, at any step")
-        for word, unit, which, _ in by_unit(problem)
+        Measured(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
+        for one in worst_by_unit(run.plan, run.error)
     ]
 
 
@@ -204,13 +208,21 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
     ]  # fmt: skip
 
 
-def _open_loop(run: Replay) -> tuple[Measured, ...]:
-    """How far the file ends from the plan without gains."""
-    plan, compiled = run.plan, run.compiled
+def _open_loop(plan: Plan, end: np.ndarray) -> list[Measured]:
+    """How far the file ends (nx,) from the plan without gains."""
+    error = plan.space.difference(end, plan.xs[-1])[None]
+    return [
+        Measured(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
+        for one in worst_by_unit(plan, error)
+    ]
+
+
+def _end_without_gains(run: Replay) -> np.ndarray:
+    """(nx,) where the file ends without gains, from the start of a replay."""
+    compiled = run.compiled
     model = compiled.stepping(run.timestep, run.integrator)
-    ctrl = compiled.commands(np.repeat(plan.us, run.substeps, axis=0))
+    ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
     with curves_acting(compiled.twin, model):
         w, _ = simulate(model, start, ctrl)
-    error = float(np.abs(plan.space.difference(compiled.twin.x_of(w[-1]), plan.xs[-1])).max())
-    return (Measured("open_loop_end_error", error, "", None, "against the plan's end, largest component"),)
+    return compiled.twin.x_of(w[-1])

@@ -4,8 +4,8 @@ The numbers of plan.npz are in proof.json, those of any other NAME.npz in NAME.p
 rollouts and perturbation of the proof, so that the same is measured again, and the digest of the plan's file: numbers
 of another plan are not compared.
 
-    regressed   the verdict or mode got worse, a number fails the bound that it passed, or got worse by more than
-                the tolerance
+    regressed   the verdict or mode got worse, a plan is no longer feasible, optimal or robust, less was checked, a
+                number fails the bound that it passed, or got worse by more than the tolerance
     moved       any other number changed by more than the tolerance
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import read_text
+from planner.base.files import printable, read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
@@ -39,7 +40,7 @@ class Change(NamedTuple):
     """A number that differs from the stored one.
 
     Attributes:
-        step: Step of the proof, e.g. "refined_feedback"; "verdict" for the verdict itself.
+        step: Step of the proof, e.g. "refined_feedback"; "verdict" and "headline" for the words of its first line.
         name: Of the number.
         stored: Value in the file, or None.
         now: Value in the new proof, or None.
@@ -129,8 +130,8 @@ def _plans(paths: tuple[str | Path, ...]) -> list[Path]:
     if not paths:
         raise PlannerError("check was given nothing, expected folders of plans or plan files.")
     for given in map(Path, paths):
-        if not given.exists():
-            raise FileError(f"{given} does not exist, expected a folder of plans or a plan.npz.")
+        if not os.path.exists(given):  # Path.exists() raises OSError for long names
+            raise FileError(f"{printable(given)} does not exist, expected a folder of plans or a plan.npz.")
         if not given.is_dir() and given.suffix != ".npz":
             raise FileError(f"{given} is not a plan, expected a folder of plans or a plan.npz.")
         inside = sorted(given.rglob("*.npz")) if given.is_dir() else [given]
@@ -185,6 +186,7 @@ def _proved_as(plan: Plan, stored: dict[str, Any] | None) -> Proof:
             raise FileError("its numbers are of another model (prove --mjcf), expected those of its own model.")
         perturbation = Perturbation(**asked["perturbation"]) if asked.get("perturbation") else None
         wanted = {name: asked[name] for name in ("seed", "rollouts", "hold_seconds") if name in asked}
+        wanted |= {"optimal": False} if asked.get("optimal") is False else {}
         count("the rollouts of its proof", wanted.get("rollouts", 0), least=0, most=MOST_ROLLOUTS)
     except (TypeError, AttributeError):
         raise FileError("its proof has no usable 'asked', expected what planner prove wrote.") from None
@@ -196,6 +198,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
     ranks = [_RANK.get((one["verdict"], str(one.get("mode"))), 0) for one in (stored, now)]
     if verdicts[0] != verdicts[1]:
         yield Change("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
+    yield from _words(stored, now)
     for step, section in now.items():
         before = stored.get(step)
         if not (isinstance(section, dict) and "applicable" in section and isinstance(before, dict)):
@@ -203,6 +206,25 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
         new, old = section.get("figures", {}), _numbers(before.get("figures"))
         for name in {**old, **new}:
             yield from _change(step, name, old.get(name), new.get(name), tolerance)
+
+
+def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[Change]:
+    """Changes of the words of the first line; a proof of an older version has none of them."""
+    for word in ("feasible", "optimal"):
+        if isinstance(was := stored.get(word), bool) and was is not now[word]:
+            yield Change("headline", word, _yes(was), _yes(now[word]), None, was)
+    was, robustness = stored.get("robustness"), now["robustness"]
+    if isinstance(was, str) and was != robustness:
+        yield Change("headline", "robustness", was, robustness, None, was == "robust")
+    unchecked = stored.get("not_checked")
+    if isinstance(unchecked, list) and unchecked != now["not_checked"]:
+        less = not set(now["not_checked"]) <= set(map(str, unchecked))
+        before, after = ("; ".join(map(str, one)) or None for one in (unchecked, now["not_checked"]))
+        yield Change("headline", "not checked", before, after, None, less)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
 
 
 def _numbers(figures: Any) -> dict[str, dict[str, Any]]:

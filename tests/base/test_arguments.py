@@ -119,5 +119,5 @@ def test_counts_are_read():
 
 def test_long_values_are_cut():
     assert shown(np.ones((3, 3))) == "array([[1., 1., 1.], [1., 1., 1.], [1., 1., 1.]])"
-    assert len(shown("x" * 1000)) == 200
+    assert len(shown("x" * 1000)) == 100
     assert len(refused(choice, "x" * 1000, ("a", "b"))) < 300

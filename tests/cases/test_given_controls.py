@@ -79,7 +79,7 @@ def test_positions_are_followed(solved, model, tmp_path):
 def test_a_wrong_file_is_refused(text, words, model, tmp_path):
     file = tmp_path / "u.csv"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(PlannerError, match="u.csv") as caught:
+    with pytest.raises(PlannerError, match=r"u\.csv") as caught:
         plan_of_controls(file, model)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)

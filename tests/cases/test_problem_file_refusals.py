@@ -122,8 +122,9 @@ STAYING = {"start": "[0.5, 0.2]", "goal": "[0.55, 0.2]"}
 
 def test_a_start_within_tolerance_of_the_goal_is_refused(tmp_path):
     """The file says how near they are, so a smaller tolerance is easily chosen."""
-    refuse(write(tmp_path, **STAYING), "within tolerance 0.1", "largest difference 0.05", "smaller tolerance")
-    refuse(write(tmp_path, **STAYING, tolerance="0.051"), "within tolerance 0.051")
+    near = {**STAYING, "goal": "[0.504, 0.2]"}  # 4 mm, where 5 mm is the least tolerance
+    refuse(write(tmp_path, **near), "within the tolerance 0.005 m", "largest difference 0.004", "smaller tolerance")
+    refuse(write(tmp_path, **STAYING, tolerance="0.051"), "within the tolerance 0.051 m", "at slider")
     assert load(write(tmp_path, **STAYING, tolerance="0.049")).problem.N == 20
 
 
@@ -131,7 +132,7 @@ def test_only_what_final_weights_act_on_must_be_away_from_the_goal(tmp_path):
     keys = {"start": "[0.0, 0.0]", "goal": "[0.05, 2.0]"}
     assert load(write(tmp_path, **keys)).problem.N == 20
     slider = "[weights]\nfinal_position = { slider = 1e4 }\n"
-    refuse(write(tmp_path, slider, **keys), "within tolerance 0.1", "largest difference 0.05")
+    refuse(write(tmp_path, slider, **keys, tolerance="0.1"), "within the tolerance 0.1 m", "largest difference 0.05")
     moving = {"start": "[0.0, 0.0, 0.0, 0.0]", "goal": "[0.05, 0.0, 0.0, 0.5]"}
     assert load(write(tmp_path, **moving)).problem.N == 20
 

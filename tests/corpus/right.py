@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from corpus import machines
-from corpus.machines import arm, between, cart, gantry
 
 import planner
+from corpus import machines
+from corpus.machines import arm, between, cart, gantry
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.contact import ContactLaw
 from planner.dynamics.algorithms import mass_matrix

@@ -4,6 +4,7 @@ import re
 
 import pytest
 import verdicts
+
 from corpus import right, wrong
 
 QUICK_RIGHT = [

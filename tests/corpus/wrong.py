@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from corpus import machines, right
-from corpus.machines import arm, cart
-from corpus.right import CAPSULE, WALL, reach, servo
 
 import planner
+from corpus import machines, right
+from corpus.machines import arm, cart
+from corpus.right import CAPSULE, reach, servo
 from planner import FrameCost, Limits, Mechanism, Plan, Problem, RigidBodyDynamics, Status, TrackingCost, cases
 from planner.contact import ContactLaw
 from planner.model.mjcf.text import edited
@@ -762,7 +762,9 @@ def stiff_end(rng: Rng) -> Attempt:
     plan = of("arm")(rng)
     q = plan.xs[:, 0]
     limit = machines.number(q.max() - 0.02)
-    edits = {".//joint[@name='j0']": {"range": f"-3 {limit}", "solreflimit": "-1e9 0", "solimplimit": "0.99 0.999 1e-4"}}
+    edits = {
+        ".//joint[@name='j0']": {"range": f"-3 {limit}", "solreflimit": "-1e9 0", "solimplimit": "0.99 0.999 1e-4"}
+    }
     return plan, {"mjcf": edited(plan.twin.mjcf, edits)}
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import Bounds, NonlinearConstraint, minimize
 import planner
 from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, cases
 from planner.cases.problem_file import load
-from planner.proof.consistency import consistency
+from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
 from planner.solvers.box import box_minimum
 from planner.solvers.engine import CompiledEngine, NumpyEngine
@@ -197,7 +197,7 @@ def test_ranges_and_goal_of_a_mechanism():
     assert plan.problem.ranges.beyond(plan.xs).max() <= 1e-4
     assert plan.history[-1].iteration == plan.nit
     assert plan.cost == problem.cost.value(plan.xs, plan.us)
-    section = consistency(plan, problem)
+    section = consistency(plan, problem, recomputed(plan, problem, plan.xs, plan.us))
     assert all(figure.passed for figure in section.measured), [str(f) for f in section.measured]
     names = [figure.name for figure in section.measured]
     assert {"control_violation", "velocity_range_violation", "exact_goal_violation"} <= set(names)

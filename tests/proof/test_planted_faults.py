@@ -103,7 +103,7 @@ def test_the_hoppers_start_activation_missing(hopper_plan):
 
 def test_a_plan_of_coarse_euler_steps():
     plan = planner.solve(cases.acrobot(integrator="semi-implicit-euler", horizon=150))
-    assert failure(plan).startswith("refined, open loop: end state error ")
+    assert failure(plan).startswith("refined, open loop: end angle error ")
 
 
 @pytest.mark.parametrize(

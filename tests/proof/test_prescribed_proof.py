@@ -174,7 +174,8 @@ def test_contacts_and_stops_keep_their_force(monkeypatch):
 
 
 def test_a_leg_on_a_belt_is_repeated(leg):
-    proof = planner.prove(leg, rollouts=0)
+    soft = replace(leg, problem=replace(leg.problem, tolerance="soft"))
+    proof = planner.prove(soft, rollouts=0, optimal=False)
     assert proof.passed, proof.reason
     run = proof.replays["open-loop"]
     assert run.contact_force.max() > 30.0

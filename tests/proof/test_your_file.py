@@ -76,7 +76,9 @@ def test_a_plan_from_its_file_says_the_same(through, tmp_path):
     assert left_out(again.problem) == left_out(through.problem) == ("contacts of 1 pair",)
     assert judged(again, 1.6)[0] == judged(through, 1.6)[0]
     other = [planner.prove(plan, mjcf=WALLED, rollouts=0) for plan in (through, again)]
-    assert [proof.verdict for proof in other] == ["PASS", "PASS"]  # both without the wall: the step below tells
+    for proof in other:
+        assert proof.refined_open_loop.passed  # without the wall
+        assert proof.reason.startswith("your file: geom 'wall' and geom 'arm' touch from t = ")
     assert not judged(again, 1.6, mjcf=WALLED)[0].passed
 
 
@@ -167,11 +169,11 @@ def test_actuators_that_were_taken_out_stay_idle():
     assert run.ctrl.shape[1] == 1  # the plan's controls alone
 
 
-def test_a_file_that_is_the_plans_own_is_not_simulated_again():
+def test_a_file_that_is_the_plans_own_is_not_compiled_again():
     plan = planner.solve(planner.cases.two_link())
-    ideal = replay_in(CompiledTwin(plan.twin), plan, feedback=True)
-    section, run = your_file(plan, plan.problem, (), ideal=ideal)
-    assert run is ideal
+    open_loop = replay_in(CompiledTwin(plan.twin), plan)
+    section, run = your_file(plan, plan.problem, (), open_loop=open_loop)
+    assert run.compiled is open_loop.compiled
     assert section.passed
     assert left_out(plan.problem) == ()
 

@@ -2,11 +2,13 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 
 import planner
 from planner.__main__ import main
+from planner.problem.plan import Status
 from planner.sweeps import stored_plans
 from planner.sweeps.stored_plans import check, stored_proof
 
@@ -45,21 +47,21 @@ def test_plans_that_prove_as_stored_pass(folder):
 
 def test_a_figure_that_was_better_is_a_regression(folder, capsys):
     def better(stored):
-        stored["refined_open_loop"]["figures"]["end_state_error"]["value"] = 1e-12
+        stored["refined_open_loop"]["figures"]["end_angle_error"]["value"] = 1e-12
 
     change(folder, better)
     (moved,) = [one for done in check(folder) for one in done.changes]
     assert moved.regressed
-    assert (moved.step, moved.name, moved.stored) == ("refined_open_loop", "end_state_error", 1e-12)
+    assert (moved.step, moved.name, moved.stored) == ("refined_open_loop", "end_angle_error", 1e-12)
     assert main(["check", str(folder), "--quiet"]) == 1
-    assert "refined open loop end state error" in capsys.readouterr().out
+    assert "refined open loop end angle error" in capsys.readouterr().out
     assert main(["check", str(folder), "--quiet", "--update"]) == 0
     assert main(["check", str(folder), "--quiet"]) == 0
 
 
 def test_a_figure_that_was_worse_has_moved(folder):
     def worse(stored):
-        stored["refined_open_loop"]["figures"]["end_state_error"]["value"] = 1.0
+        stored["refined_open_loop"]["figures"]["end_angle_error"]["value"] = 1.0
 
     change(folder, worse)
     (moved,) = [one for done in check(folder) for one in done.changes]
@@ -74,6 +76,34 @@ def test_a_verdict_that_was_better_is_a_regression(folder):
     assert not done.passed
     assert done.changes[0].step == "verdict"
     assert done.changes[0].now == "FAIL (None)"
+
+
+@pytest.mark.parametrize(
+    ("before", "regressed"),
+    [
+        ({"feasible": False}, False), ({"optimal": False}, False), ({"robustness": "robust"}, True),
+        ({"robustness": "fragile"}, False), ({"not_checked": ["no goal was asked for"]}, False),
+    ],
+)  # fmt: skip
+def test_words_of_the_first_line_are_compared(folder, before, regressed):
+    """A robust plan that is so no longer is a regression; what is better than stored has moved."""
+    change(folder, lambda document: document.update(before))
+    (moved,) = check(folder / "arm")[0].changes
+    assert (moved.step, moved.name) == ("headline", next(iter(before)).replace("_", " "))
+    assert moved.regressed is regressed
+
+
+def test_a_plan_that_is_no_longer_optimal_is_a_regression(folder):
+    """Feasible as before, with the same numbers, but the solve did not converge."""
+    plan = planner.load_plan(folder / "arm" / "plan.npz")
+    replace(plan, status=Status.MAX_ITERATIONS).save(folder / "arm" / "plan.npz")
+    change(folder, lambda document: document["asked"].update(optimal=False))
+    changed = {f"{one.step} {one.name}": one for one in check(folder / "arm")[0].changes}
+    assert changed["headline optimal"].regressed
+    assert (changed["headline optimal"].stored, changed["headline optimal"].now) == ("yes", "no")
+    assert "verdict " not in changed  # which feasibility alone decides here
+    change(folder, lambda document: [document.pop(name) for name in ("feasible", "optimal", "not_checked")])
+    assert not any("headline" in str(one) for one in check(folder / "arm")[0].changes)  # of an older version
 
 
 def test_a_figure_that_is_no_longer_measured_is_a_regression(folder):
