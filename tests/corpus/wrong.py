@@ -427,7 +427,7 @@ def by_some_per_cent(rng: Rng) -> Problem:
 
 
 missed("a goal missed by some per cent", by_some_per_cent)
-missed("a goal missed by a weak motor", lambda rng: reach(arm(rng, 2), [0.8, -0.7], limits=Limits(control=2.0)))
+missed("a goal missed by a weak motor", lambda rng: reach(arm(rng, 2), [0.8, -0.7], limits=Limits(control=0.3)))
 
 
 def out_of_reach(rng: Rng) -> Problem:
