@@ -15,10 +15,10 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests"), str(Path(__file__).resolve().parents[1])]
 
-import numpy as np
-from corpus import decide, right, wrong
+import numpy as np  # noqa: E402 (the corpus is with the tests)
+from corpus import decide, right, wrong  # noqa: E402
 
-import planner
+import planner  # noqa: E402
 
 FAST = 6  # every so many members
 

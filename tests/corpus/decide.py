@@ -82,9 +82,10 @@ def motion(plan: Plan, *, gains: bool) -> tuple[np.ndarray, np.ndarray]:
             correction = late
             late = plan.K[n] @ plan.space.difference(x, nominal[k])
         u = plan.within_bounds(int(n), plan.us[n] + correction) if gains else plan.us[n]
+        whole = times[k + 1] - times[k]
         solver = DOP853(
-            lambda t, y, u=u: rates(dynamics, y, u), times[k], x, times[k + 1], rtol=TOLERANCE, atol=TOLERANCE * scale(x),
-            first_step=times[k + 1] - times[k],
+            lambda t, y, u=u: rates(dynamics, y, u), times[k], x, times[k + 1],
+            rtol=TOLERANCE, atol=TOLERANCE * scale(x), first_step=whole,
         )  # fmt: skip
         while solver.status == "running":
             message, steps = solver.step(), steps + 1
@@ -139,11 +140,11 @@ def outside(plan: Plan, xs: np.ndarray) -> str:
         return ""
     e = plan.space.difference(xs, ranges.reference[-1])[:, ranges.component]
     beyond = np.maximum(np.maximum(e - ranges.upper[-1], ranges.lower[-1] - e), 0.0)
-    beyond[:-1, len(ranges.names) - ranges.at_end :] = 0.0  # exact goals are of the end
+    beyond[:-1, len(ranges.coordinates) - ranges.at_end :] = 0.0  # exact goals are of the end
     most = beyond[1:].max(axis=0)
     allowed = plan.problem.limits.tolerance + share(plan) * ranges_of_motion(plan)[ranges.component]
     worst = int(np.argmax(most - allowed))
-    return f"{ranges.names[worst]} by {most[worst]:.3g}" if most[worst] > allowed[worst] else ""
+    return f"{ranges.coordinates[worst].name} by {most[worst]:.3g}" if most[worst] > allowed[worst] else ""
 
 
 def astray(plan: Plan, knots: np.ndarray) -> str:

@@ -135,7 +135,7 @@ class FrameCost(Term):
         )
 
     def _missed(self, part: slice, xs: np.ndarray) -> np.ndarray:
-        """(K,) m or rad, the length of the residual along the axes that are weighed; infinite where a motion ran away."""
+        """(K,) m or rad, the residual's length along the axes that are weighed; infinite where a motion ran away."""
         q = xs[:, : self.mechanism.nq]
         known, missed = np.isfinite(q).all(axis=1), np.full(len(q), np.inf)
         r = self._residual(q[known], self._position[-1], self._orientation[-1])
