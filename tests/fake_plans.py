@@ -24,6 +24,7 @@ APPEARANCE = Appearance(
         Panel("Piston", "piston (in)", states=((2, "piston"),), controls=((0, "flow (in/s)"),)),
     ),
 )
+COORDINATES = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
 N, SUBSTEPS, DT = 20, 5, 0.1
 
 
@@ -36,8 +37,9 @@ def make_plan():
     """Twenty stages of what nobody solved."""
     t = np.linspace(0.0, N * DT, N + 1)
     problem = SimpleNamespace(
-        appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3), bounds=None, ranges=None, limits=None
-    )
+        appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3, coordinates=COORDINATES), bounds=None, ranges=None,
+        limits=None,
+    )  # fmt: skip
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))
     twin = Twin("<mujoco model='a & b'/>", np.eye(3), np.zeros(3), np.eye(3)[None], np.zeros((1, 3)))
@@ -82,8 +84,9 @@ def make_proof(plan, open_error=1e-3, gains_error=1e-4):
     errors = Growth(plan.t, zeros, {mode: 1.1 * values for mode, values in measured.items()}, measured, False)
     steps = DT / 2.0 ** np.arange(5)
     order = Order(
-        steps, np.zeros((5, 3)), np.full(5, 5.0), steps[:-1] ** 4, 4.0, 4.01, "", 5.0123, 1e-6, 1e-7, 5.0, 5.0
-    )
+        steps, np.zeros((5, 3)), np.full(5, 5.0), steps[:-1] ** 4, 100.0 * steps[:-1] ** 4, 4.0, 4.01, "", 5.0123, 1e-6,
+        1e-7, 5.0, 5.0, True,
+    )  # fmt: skip
     proof = proof_of()
     vars(proof).update({
         "replay": replays["open-loop"], "replays": replays, "errors": errors, "convergence": order,
@@ -102,4 +105,8 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
         "refined_feedback": Section("refined, with feedback", (Measured("growth_rate", 1.5, "1/s"),)),
         "goal": Section("goal", (Measured("height_error", 0.1, "%", 0.2),)),
     } | sections
-    return SimpleNamespace(verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None)
+    words = f"{verdict} ({mode}), without friction loss; feasible, optimal, robust"
+    return SimpleNamespace(
+        verdict=verdict, mode=mode, reason="Within every bound.", sections=every, replay=None, headline=words,
+        not_checked=("without friction loss",), monte_carlo=None, held=None, replays={},
+    )  # fmt: skip

@@ -7,8 +7,6 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from planner.base.arguments import choice, count
 from planner.base.arguments import shown as quoted
 from planner.base.errors import PlannerError
@@ -26,6 +24,8 @@ from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.engines.section import NOTES, another_engine, require
 from planner.proof.perturbation import Perturbation
 from planner.proof.replaying import Replay
+from planner.proof.scales import worst_by_unit
+from planner.proof.success_rule import end_errors
 
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
@@ -126,12 +126,18 @@ def _perturbation(plan: Plan, arguments: argparse.Namespace) -> Perturbation:
 
 def _show_rollout(plan: Plan, arguments: argparse.Namespace, console: Console) -> int:
     run = rollout_of(plan, arguments)
-    end, largest = float(np.abs(run.error[-1]).max()), float(np.abs(run.error).max())
+    errors = [
+        (f"{part}_{one.word}_error", one) for part, along in (("end", run.error[-1:]), ("path", run.error))
+        for one in worst_by_unit(plan, along)
+    ]  # fmt: skip
     facts = {
-        "case": arguments.replay_case, "seed": arguments.seed, "mode": arguments.mode, "end_error": end,
-        "largest_error": largest, "cost": run.cost, "timestep": run.timestep, "warnings": list(run.warnings),
-        "reached": list(run.reached),
+        "case": arguments.replay_case, "seed": arguments.seed, "mode": arguments.mode,
+        "end_error": float(end_errors(plan, run.xs[-1:])[0]),  # over its range of motion, as the Monte Carlo has it
+        **{name: one.value for name, one in errors}, "cost": run.cost, "timestep": run.timestep,
+        "warnings": list(run.warnings), "reached": list(run.reached),
     }  # fmt: skip
-    console.table(("rollout", "value"), [(name.replace("_", " "), shown(value)) for name, value in facts.items()])
+    told = facts | {name: f"{one.value:.5g} {one.unit}, {one.name}" for name, one in errors}
+    told["end_error"] = f"{facts['end_error']:.5g} of its range of motion"
+    console.table(("rollout", "value"), [(name.replace("_", " "), shown(value)) for name, value in told.items()])
     console.say(f"film: planner render {arguments.plan} --replay-case {arguments.replay_case} --mode {arguments.mode}")
     return console.finish("prove", 0, replay_case=facts)

@@ -64,7 +64,12 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
 def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
     """What the terms of a problem's cost ask of its end, without tolerances."""
     coordinates = coordinates_of(problem.dynamics)
-    return tuple(one for term in _terms(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
+    found = tuple(one for term in _terms(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
+    if problem.periodic is None:
+        return found
+    # What is to come back has no goal of its own: its reference at the end is a multiplier (planner.solvers.periodic).
+    returning = {one for one, closes in zip(coordinates, problem.periodic.closes, strict=True) if closes}
+    return tuple(one for one in found if (one.name, one.unit) not in returning)
 
 
 def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:

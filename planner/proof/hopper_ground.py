@@ -18,6 +18,7 @@ from planner.proof.simulation import set_state
 
 STATES = 3
 _HALVINGS = 60
+_OF_REST = 0.02
 _DEEPEST = 0.5  # of the compression
 
 
@@ -28,7 +29,8 @@ def hopper_ground(
     rng, name = np.random.default_rng(seed), "the leg on the ground"
     k, smooth = dynamics.stiffness, dynamics.smoothing
     for _ in range(STATES):
-        height, c = rng.uniform(0.0, 20.0), smooth * rng.uniform(2.0, 20.0)
+        # Beyond the smoothing, and as deep as matters: at rest the leg is pressed in by g over k.
+        height, c = rng.uniform(0.0, 20.0), max(smooth, _OF_REST * dynamics.gravity / k) * rng.uniform(2.0, 20.0)
         speed = -c * np.sqrt(k)
 
         def both(compression: float, rate: float, height: float = height) -> tuple[float, float]:
@@ -39,9 +41,9 @@ def hopper_ground(
         held, deeper, closing = both(c, 0.0), both(2.0 * c, 0.0), both(c, speed)
         K = [(two - one) / c for one, two in zip(held, deeper, strict=True)]
         B = [(moved - one) / -speed for one, moved in zip(held, closing, strict=True)]
-        begins = [c - one / slope for one, slope in zip(held, K, strict=True)]
+        begins = [float(c - np.divide(one, slope)) for one, slope in zip(held, K, strict=True)]  # of no ground, NaN
         yield "contact_stiffness", name, K[1], K[0], k
-        yield "contact_surface", name, begins[1], begins[0], smooth
+        yield "contact_surface", name, c - begins[1], c - begins[0], c  # where it begins, as how deep the leg is then
         yield "contact_damping", name, B[1], B[0], 1e3 * np.sqrt(k)  # 0 but for the foot's own inertia
 
 

@@ -44,7 +44,7 @@ class Perturbation:
         friction: Dry friction added to a joint, uniform in 0 to this times the largest force that the plan asks of it
             (actuator, or weight with Coriolis forces). Free and prescribed joints have none.
         contact_friction: All friction coefficients of contacts are scaled by one factor uniform in 1 +- this.
-        start: Standard deviation of the start from the plan's, in each direction: rad, m, rad/s, m/s.
+        start: Standard deviation of the start from the plan's, in each direction, in its unit.
         noise: Standard deviation of white noise on a control, held over a stage, as a fraction of the largest that the
             plan applies.
         delay: The controls come late by a time uniform in 0 to this, s, in whole steps of the simulator. Until then
@@ -88,7 +88,7 @@ class Perturbation:
         return asdict(self)
 
     def __str__(self) -> str:
-        units = {"drag": " 1/s", "start": " rad, m, rad/s, m/s", "delay": " s"}
+        units = {"drag": " 1/s", "start": " in each coordinate's unit", "delay": " s"}
         parts = [
             f"{name.replace('_', ' ')} {value:.3g}{units[name]}" if name in units
             else f"{name.replace('_', ' ')} {100.0 * value:.3g} %"

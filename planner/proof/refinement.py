@@ -212,7 +212,7 @@ def _other_cause(proof: Proof) -> str:
 def _line(plan: Plan, proof: Proof, seconds: float) -> Refinement:
     assert plan.problem is not None
     dynamics = plan.problem.dynamics
-    error = float(shares_of_bounds(plan, proof.replay.error[-1:])[0])  # NaN where MuJoCo ran away
+    error = float(shares_of_bounds(proof.replay.plan, proof.replay.error[-1:])[0])  # NaN where MuJoCo ran away
     return Refinement(
         getattr(dynamics, "integrator", ""), dynamics.dt, plan.N, plan.nit, plan.cost, plan.status, proof.verdict,
         proof.mode, error if error < math.inf else math.inf, seconds,

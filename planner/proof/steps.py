@@ -8,6 +8,7 @@ never the plan's.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -175,7 +176,8 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
         encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("another ground")
-        ground = another_ground(plan, compiled, units=units, runs=runs)
+        as_judged = functools.partial(replay_in, sampling=sampling_of(plan))
+        ground = another_ground(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
 

@@ -163,3 +163,40 @@ def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["run", "prove", "report"])
+def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monkeypatch, command):
+    """The verdict, then a live line for each of the other steps, then the table and the verdict with its last word."""
+    order = []
+    from planner.cli.console import Console
+
+    say, note = Console.say, Console.note
+    monkeypatch.setattr(Console, "say", lambda self, text="": (order.append(text.strip()), say(self, text)))
+    monkeypatch.setattr(Console, "note", lambda self, text: (order.append(text.strip()), note(self, text)))
+    plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    words = {
+        "run": ["run", "two-link", "--horizon", "100", "--no-video", "--out", str(tmp_path / "o")],
+        "prove": ["prove", str(plan)], "report": ["report", str(plan), "--no-video", "--out", str(tmp_path / "o")],
+    }  # fmt: skip
+    assert main([*words[command], "--rollouts", "4"]) == 0
+    starts = (
+        "PASS (open-loop); feasible, optimal, robustness: counting\nMuJoCo repeats", "The verdict is known.",
+        "the slowest rate", "another ground", "step ", "PASS (open-loop); feasible, optimal, robustness: counting\n",
+    )  # fmt: skip
+    seen = [line for line in order if "not applicable" not in line]
+    places = [[i for i, line in enumerate(seen) if line.startswith(start)] for start in starts]
+    assert [len(found) for found in places[1:5]] == [1, 1, 1, 1]
+    assert places[0][0] < places[1][0] < places[2][0] < places[3][0] < places[4][0] < places[5][-1]
+    assert "rollouts: " in capsys.readouterr().err
+
+
+def test_without_rollouts_nothing_is_waited_for(tmp_path, capsys):
+    plan = planner.solve(planner.cases.two_link(horizon=100)).save(tmp_path / "plan.npz")
+    assert main(["prove", str(plan), "--rollouts", "0", "--json"]) == 0
+    printed = capsys.readouterr()
+    proof = json.loads(printed.out)["proof"]
+    words = {name: proof[name] for name in ("headline", "feasible", "optimal", "robustness", "not_checked")}
+    headline = "PASS (open-loop); feasible, optimal"
+    assert words == {"headline": headline, "feasible": True, "optimal": True, "robustness": "", "not_checked": []}
+    assert "The verdict is known" not in printed.err

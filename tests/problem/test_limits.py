@@ -255,7 +255,7 @@ def test_limits_of_the_hopper():
         ({"control": (np.zeros(3), np.ones(3))}, "expected \\(2,\\)"),
         ({"position": {"wrist": (0.0, 1.0)}}, "expected one of"),
         ({"position": {"elbow": (1.0, 0.5)}}, "lower bound below the upper"),
-        ({"position": {"elbow": (0.5, 1.0)}}, "the start has the position of elbow"),
+        ({"position": {"elbow": (0.5, 1.0)}}, "the start has elbow at 0, expected 0.5 ... 1 rad"),
         ({"position": {"elbow": 1.0}, "final": "all"}, "expected one of: exact"),
         ({"velocity": 0.0}, "greater than 0"),
         ({"state": {9: (0.0, 1.0)}}, "expected an index of 0 to 3"),

@@ -274,7 +274,8 @@ def test_extras_name_the_releases_that_the_sentence_names():
 def test_the_command_appends_engines_and_leaves_the_verdict(monkeypatch, tmp_path, capsys):
     stand_in(monkeypatch)
     stand_in(monkeypatch, Wild, "drake")
-    path = lifting(5).save(tmp_path / "plan.npz")
+    plan = lifting(5)
+    path = replace(plan, problem=replace(plan.problem, tolerance="soft")).save(tmp_path / "plan.npz")
     out = tmp_path / "proof.json"
     flags = ["--engine", "pinocchio", "--engine", "drake", "--rollouts", "0", "--out", str(out)]
     assert main(["prove", str(path), *flags]) == 0

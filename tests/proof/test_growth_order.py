@@ -9,6 +9,7 @@ import planner
 from planner import Problem, cases
 from planner.proof.growth import FACTOR, SMALL
 from planner.proof.order import ORDER_BOUND, _level, _observed
+from planner.proof.scales import path_bounds, shares_of_bounds
 
 
 def proof_of(problem, **options):
@@ -26,6 +27,19 @@ def proofs():
         "acrobot, hanging": cases.acrobot(start="hanging"), "acrobot, 0.005 s": cases.acrobot(horizon=600),
     }  # fmt: skip
     return {name: proof_of(problem) for name, problem in problems.items()}
+
+
+def test_growth_is_told_in_shares_of_what_passes(proofs):
+    proof = proofs["acrobot"]
+    run = proof.replays["open-loop"]
+    knots = run.error[:: run.substeps]
+    np.testing.assert_array_equal(proof.errors.measured["open-loop"], shares_of_bounds(run.plan, knots))
+    assert proof.errors.measured["open-loop"].max() <= 1.0  # it passes
+    assert values(proof.growth)["predicted_over_bound_open_loop"] == proof.errors.predicted["open-loop"].max()
+    np.testing.assert_allclose(
+        proof.convergence.shares,
+        shares_of_bounds(run.plan, run.plan.space.difference(proof.convergence.ends[1:], proof.convergence.ends[:-1])),
+    )
 
 
 @pytest.mark.parametrize("mode", ["open-loop", "feedback"])
@@ -57,7 +71,8 @@ def test_the_transition_is_the_product_of_the_stages(proofs):
     plan = proof.replay.plan
     A, B = plan.problem.dynamics.linearize(plan.xs, plan.us)
     for mode, stages in (("open-loop", A), ("feedback", A + B @ plan.K)):
-        phi = np.linalg.multi_dot(list(stages[::-1]))
+        bounds = path_bounds(plan)  # errors are shares of these
+        phi = np.linalg.multi_dot(list(stages[::-1])) * bounds / bounds[:, None]
         norm = np.linalg.norm(phi, 2)
         assert proof.errors.transition[mode][-1] == pytest.approx(np.log10(norm))
         assert proof.errors.rate(mode) == pytest.approx(np.log(norm) / plan.t[-1])

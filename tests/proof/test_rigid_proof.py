@@ -43,8 +43,8 @@ def test_a_runge_kutta_plan_of_the_acrobot_passes(acrobot_plan):
     assert feedback["path_angle_error"] < 0.1 * open_loop["path_angle_error"]
     assert 0.5 < values(proof.growth)["growth_rate_open_loop"] < 6.0  # a rod of 2 m upright: 2.7 / s
     assert values(proof.growth)["growth_rate_feedback"] < 0.0
-    assert values(proof.goal)["replayed_goal_error"] == pytest.approx(
-        values(proof.goal)["planned_goal_error"], abs=1e-2
+    assert values(proof.goal)["replayed_angle_miss"] == pytest.approx(
+        values(proof.goal)["planned_angle_miss"], abs=1e-2
     )
 
 

@@ -101,7 +101,7 @@ class NoHorizon:
         ({"horizon": 19}, "the cost is made for N = 20, expected horizon = 19."),
         ({"horizon": 0}, "horizon is 0, expected a whole number of at least 1."),
         ({"cost": NoHorizon(), "horizon": 10**15}, f"horizon is {10**15}, {HORIZONS}"),
-        ({"cost": NoHorizon(), "horizon": 10**400}, f"horizon is {str(10**400)[:197]}..., {HORIZONS}"),
+        ({"cost": NoHorizon(), "horizon": 10**400}, f"horizon is {str(10**400)[:97]}..., {HORIZONS}"),
         ({"cost": NoHorizon(), "horizon": True}, "horizon is True, expected a whole number of at least 1."),
         ({"x0": [True, False]}, "x0 is not an array of numbers, expected shape (2,)."),
         ({"us": np.zeros((20, 1), dtype=bool)}, "us is not an array of numbers, expected shape (N, 1)."),

@@ -10,6 +10,10 @@ from fake_plans import APPEARANCE, MODES, N, make_perturbed, make_plan, make_pro
 from PIL import Image
 
 from planner.base.errors import FileError
+from planner.base.measured import Measured, Section
+from planner.proof.hold import Held, Hold
+from planner.proof.sampled_gains import Sampling
+from planner.proof.scales import path_bounds
 from planner.view.plots import draw_plan, draw_proof, save
 
 
@@ -105,6 +109,13 @@ def test_a_plan_without_a_stage_shows_all_states_and_controls(plan, replay):
     assert figure.get_suptitle() == "spring"
 
 
+def test_states_without_an_appearance_are_drawn_by_unit_with_their_names(plan):
+    plan.problem.appearance = None
+    figure = draw_plan(plan, None)
+    assert titles(figure) == ["States, in", "States, in/s", "Controls", "Convergence"]
+    assert [line.get_label() for line in panel(figure, "States, in").get_lines()] == ["height", "piston"]
+
+
 def test_convergence_shows_the_costs_above_the_last(plan):
     figure = draw_plan(plan, None)
     axes = panel(figure, "Convergence")
@@ -197,7 +208,8 @@ def lines_of(axes, words):
 def test_the_panels_of_a_proof(proof):
     found = titles(draw_proof(proof))
     assert [title.split(",")[0].split(":")[0] for title in found] == [
-        "Growth of errors", "Order of the open-loop replay as MuJoCo's step is halved",
+        "Errors of the replay", "Errors of the replay", "Growth of errors",
+        "Order of the open-loop replay as MuJoCo's step is halved",
         "Monte Carlo", "Monte Carlo", "Monte Carlo",
     ]  # fmt: skip
 
@@ -211,28 +223,89 @@ def test_growth_is_drawn_as_measured_and_as_predicted_on_a_log_scale(proof):
         np.testing.assert_array_equal(predicted.get_ydata()[1:], proof.errors.predicted[mode][1:])
         assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
         assert measured.get_color() == predicted.get_color()
-    (bound,) = lines_of(axes, "bound at the end, 0.01")
-    assert set(bound.get_ydata()) == {1e-2}
+    assert axes.get_ylabel() == "largest error / bound"
 
 
-def test_the_general_bound_is_not_drawn_for_a_case_with_rules_of_its_own(plan, proof):
-    plan.problem.requirements = type("Own", (), {"tracking": lambda replay: None})
-    assert not lines_of(panel(draw_proof(proof), "Growth"), "bound at the end, 0.01")
+def test_path_errors_are_shares_of_their_bounds_by_unit_and_name_the_coordinate(proof):
+    """The height drifts by 1e-3 in a second; what passes is 1 % of its range, which is 2."""
+    axes = panel(draw_proof(proof), "Errors of the replay, open loop")
+    (height,) = lines_of(axes, "height, in")
+    run = proof.replays["open-loop"]
+    bound = path_bounds(run.plan)[0]
+    np.testing.assert_allclose(height.get_ydata()[10:], np.abs(run.error[10:, 0]) / bound)
+    assert bound == pytest.approx(0.01 * np.ptp(run.plan.xs[:, 0]))
+    assert set(lines_of(axes, "bound")[0].get_ydata()) == {1.0}
+    assert axes.get_ylabel() == "error / bound"
+    assert "component" not in str(axes.get_legend().get_texts())
+
+
+def test_the_title_says_how_the_gains_act(proof):
+    run = proof.replays["feedback"]
+    proof.replays["feedback"] = replace(run, sampling=Sampling(2e-3))
+    assert "Errors of the replay, with gains at 500 Hz, held, one period late" in titles(draw_proof(proof))
+
+
+def test_legends_lie_apart_from_the_curves(proof):
+    """Every curve of the path errors is above the legend."""
+    figure = draw_proof(proof)
+    figure.draw_without_rendering()
+    for axes in figure.axes[:2]:
+        box = axes.get_legend().get_window_extent()
+        for line in axes.get_lines():
+            heights = axes.transData.transform(np.column_stack([line.get_xdata(), line.get_ydata()]))[:, 1]
+            assert np.nanmin(heights) > box.y1
+
+
+def test_titles_and_labels_do_not_run_into_the_next_panel(proof):
+    figure = draw_proof(proof)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        panel_box, label = axes.get_window_extent(), axes.yaxis.label.get_window_extent()
+        assert label.height <= 1.1 * panel_box.height
+        assert axes._left_title.get_window_extent().width <= 1.02 * panel_box.width  # the font's rounding
+
+
+def test_the_hold_of_the_goal_is_a_panel(plan, proof):
+    space = plan.space
+    hold = Hold(np.zeros(3), np.zeros(1), np.zeros((1, 3)), space)
+    t, xs = np.linspace(2.0, 3.0, 11), 0.01 * np.ones((11, 3))
+    proof.held = Held(plan, hold, t, xs[:, :2], xs[:, :2], xs[:, 2:], np.zeros((10, 1)), xs, ())
+    axes = panel(draw_proof(proof), "Deviations from the goal")
+    assert axes.get_xlim() == (2.0, 3.0)
+    (rate,) = lines_of(axes, "velocity of height, in/s")
+    np.testing.assert_allclose(rate.get_ydata(), 0.01 / path_bounds(plan)[1])
+
+
+def test_other_grounds_are_bars_with_their_peak_forces(proof):
+    measured = [
+        Measured(f"{ground}_{part}_{mode}", value, unit)
+        for ground, error in (("planned_contact", 0.01), ("default_contact", math.inf))
+        for mode in ("open_loop", "feedback")
+        for part, value, unit in (
+            ("path_distance_error", 1e-6, "m"), ("path_angle_error", error, "rad"), ("peak_force", 3944.0, "N"),
+        )
+    ]  # fmt: skip
+    proof.sections["another_ground"] = Section("another ground", tuple(measured))
+    axes = panel(draw_proof(proof), "Another ground")
+    assert axes.get_xlabel() == "largest error of a path, angle rad"
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["planned\ncontact", "default\ncontact"]
+    said = [note.get_text() for note in axes.texts]
+    assert said.count("peak 3,944 N") == said.count("runs away, peak 3,944 N") == 2
 
 
 def test_order_is_drawn_beside_the_integrators_slope_with_its_extrapolation(proof):
     axes = panel(draw_proof(proof), "Order")
     (measured,), (slope,) = lines_of(axes, "measured"), lines_of(axes, "order 4, the integrator's")
     np.testing.assert_array_equal(measured.get_xdata(), proof.convergence.steps[:-1])
-    np.testing.assert_array_equal(measured.get_ydata(), proof.convergence.changes)
-    np.testing.assert_allclose(slope.get_ydata(), proof.convergence.changes, rtol=1e-12)
+    np.testing.assert_array_equal(measured.get_ydata(), proof.convergence.shares)
+    np.testing.assert_allclose(slope.get_ydata(), proof.convergence.shares, rtol=1e-12)
     for words in ("observed order 4.01", "5.0123", "1.0e-06", "1.0e-07"):
         assert words in axes.get_xlabel()
 
 
 def test_a_fan_holds_the_component_that_strays_farthest(proof):
     axes = panel(draw_proof(proof), "Monte Carlo, open loop")
-    assert axes.get_ylabel() == "deviation of height (in)"
+    assert axes.get_ylabel() == "deviation of height, in"
     (median,) = lines_of(axes, "median")
     np.testing.assert_array_equal(median.get_ydata(), proof.monte_carlo.fans["open-loop"][2, :, 0])
     outer, inner = (np.concatenate([path.vertices[:, 1] for path in band.get_paths()]) for band in axes.collections)
@@ -253,11 +326,11 @@ def test_the_histogram_says_how_many_succeed_and_draws_the_tolerance(proof):
 
 def test_panels_that_do_not_apply_are_left_out(proof):
     proof.monte_carlo = None
-    assert len(titles(draw_proof(proof))) == 2
+    assert len(titles(draw_proof(proof))) == 4
     proof.convergence = None
-    assert len(titles(draw_proof(proof))) == 1
+    assert len(titles(draw_proof(proof))) == 3
     proof.monte_carlo = make_perturbed(done=0)
-    assert len(titles(draw_proof(proof))) == 1
+    assert len(titles(draw_proof(proof))) == 3
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, 1e300])
@@ -265,7 +338,7 @@ def test_nothing_that_a_proof_measures_breaks_its_figure(plan, proof, tmp_path, 
     every = np.full(N + 1, bad)
     proof.errors = replace(proof.errors, measured=dict.fromkeys(MODES, every), predicted=dict.fromkeys(MODES, every))
     proof.convergence = replace(
-        proof.convergence, changes=np.full(4, bad), observed=None, extrapolated_cost=bad, end_uncertainty=bad
+        proof.convergence, shares=np.full(4, bad), observed=None, extrapolated_cost=bad, end_uncertainty=bad
     )
     rollouts = proof.monte_carlo
     proof.monte_carlo = replace(

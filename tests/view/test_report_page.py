@@ -18,6 +18,7 @@ from planner import cases
 from planner.base.errors import FileError
 from planner.base.measured import Measured, Section
 from planner.cases.problem_file import load
+from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.problem.recipe import Recipe
@@ -71,8 +72,10 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
     Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
-        "PASS", "open-loop", "Within every bound.", "Video", "Not asked for.", "Pictures", "Proof", "Mass matrix",
-        "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "0.002 in", "1.5 1/s", "shown", "Solver",
+        "PASS", "(open-loop), without friction loss; feasible, optimal, robust", "Within every bound.",
+        "Not checked: without friction loss.", "Video", "Not asked for.", "Pictures", "Proof", "Code verification",
+        "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
+        "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
         Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",
         "<mujoco model='a & b'/>",
     )  # fmt: skip
@@ -147,6 +150,36 @@ def test_a_name_that_is_no_unicode(plan, tmp_path):
 def test_a_missing_folder_is_one_sentence(plan, tmp_path):
     with pytest.raises(FileError, match="missing' does not exist"):
         write_report(plan, proof_of(), tmp_path / "missing")
+
+
+def test_the_proof_is_told_in_the_three_parts_of_an_assessment(plan, tmp_path):
+    """Every figure is in one part, and each part says what was done, what it does not cover and what it is for."""
+    order = Section("order, open loop", (Measured("observed_order", 4.0), Measured("cost_change", 0.1, "%", 1.0)))
+    given = Section("your file", (Measured("unknown_contacts", 0.0, "", 0.0),))
+    proof = proof_of(order=order, your_file=given, drake=Section("drake", (Measured("acceleration_error", 1e-9),)))
+    text = page_of(plan, proof, tmp_path).text
+    code, rest = text.split("Code verification")[1].split("Solution verification")
+    solution, rest = rest.split("Validation", 1)
+    validation = rest.split("Solver")[0]
+    for part, figures in (
+        (code, ("Mass matrix", "Observed order", "Acceleration error")),
+        (solution, ("End state", "Growth rate", "Cost change", "Height error")),
+        (validation, ("Unknown contacts",)),
+    ):
+        assert all(words in part for words in figures)
+        assert part.count("Done.") == part.count("Not covered.") == part.count("Use.") == 1
+        assert sum(text.count(words) for words in figures) == len(figures)
+
+
+def test_the_page_says_what_is_independent_of_mujoco_and_what_is_not(plan, tmp_path):
+    """MuJoCo's compiler reads the file of a mechanism for both sides; other machines' equations are not of a file."""
+    written = "they are written without the file that MuJoCo reads"
+    assert written in page_of(plan, proof_of(), tmp_path).text
+    mechanism = Mechanism.from_mjcf(MODEL)
+    plan.problem.dynamics.mechanism = mechanism
+    text = page_of(plan, proof_of(), tmp_path).text
+    assert "Not independent is the reading of the file" in text
+    assert written not in text
 
 
 # How to make it again
@@ -272,7 +305,7 @@ def page(plan, tmp_path):
 def test_a_browser_shows_the_verdict_and_complains_of_nothing(page):
     dom, console = browse(page, "--dump-dom")
     assert console == []
-    assert re.search(r'<div class="verdict pass"[^>]*><strong>PASS</strong><span>open-loop</span>', dom)
+    assert re.search(r'<div class="verdict pass"[^>]*><strong>PASS</strong><span>\(open-loop\), without', dom)
     assert dom.count("<img ") == 3
     assert dom.count("<video ") == 1
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
@@ -95,12 +96,17 @@ def _replays(shown: Proof | Replay | None) -> list[Replay]:
 
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
-    """The panels that the plan's appearance lists; for a plan without any, its states and its controls."""
-    nx, nu = min(plan.xs.shape[1], _MOST_CURVES), min(plan.us.shape[1], _MOST_CURVES)
-    return appearance_of(plan.problem).plots or (
-        Panel("States", "x", states=tuple((index, f"x[{index}]") for index in range(nx))),
-        Panel("Controls", "u", controls=tuple((index, f"u[{index}]") for index in range(nu))),
-    )
+    """The panels that the plan's appearance lists; for a plan without any, its states by unit and its controls."""
+    if own := appearance_of(plan.problem).plots:
+        return own
+    nx, nu = plan.xs.shape[1], min(plan.us.shape[1], _MOST_CURVES)
+    known = coordinates_of(plan.problem.dynamics) if plan.problem is not None else ()
+    states = known if len(known) == nx else tuple(Coordinate(f"x[{index}]", "") for index in range(nx))
+    panels = []
+    for unit in dict.fromkeys(one.unit for one in states):
+        of_unit = [(index, one.name) for index, one in enumerate(states) if one.unit == unit][:_MOST_CURVES]
+        panels.append(Panel(f"States, {unit}" if unit else "States", unit or "x", states=tuple(of_unit)))
+    return (*panels, Panel("Controls", "u", controls=tuple((index, f"u[{index}]") for index in range(nu))))
 
 
 def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:

@@ -1,21 +1,26 @@
-"""The figure of a proof: growth of errors, order of the replay and Monte Carlo, as far as they apply."""
+"""The figure of a proof: errors of both replays and their growth, order, Monte Carlo, hold and other grounds.
+
+Panels that do not apply are left out. Errors are shares of what passes: 1 is the bound, whatever the unit.
+"""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.model.mechanism import Mechanism
-from planner.problem.default_appearance import appearance_of
+from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.growth import Growth
 from planner.proof.order import Order
 from planner.proof.perturbed import Perturbed
+from planner.proof.scales import ranges_of_motion
+from planner.view.plots.proof_paths import SHARE, draw_grounds, draw_hold, draw_path_errors
 from planner.view.plots.style import (
     DASHED,
     INK,
@@ -35,22 +40,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ERROR = "largest component: rad, m, rad/s, m/s"
 _DECADES = 16  # decades below the largest error that are drawn; smaller errors are rounding
 _HIGHEST = 1e6  # largest error that is drawn; beyond it a replay has long left the plan
 _BINS = 36
+_LABEL = 36  # characters beside an axis
 _LINEAR = 1e3  # a fan with larger deviations is drawn on a symmetric log scale
 
 
 def draw_proof(proof: Proof) -> Figure:
     """The figure of a proof's measurements."""
     plan, rollouts = proof.replay.plan, proof.monte_carlo
-    panels: list[Callable[[Axes], None]] = [partial(_draw_growth, errors=proof.errors)]
+    panels: list[Callable[[Axes], None]] = [partial(draw_path_errors, run=run) for run in proof.replays.values()]
+    panels.append(partial(_draw_growth, errors=proof.errors))
     if proof.convergence is not None:
         panels.append(partial(_draw_order, order=proof.convergence))
     if rollouts is not None and rollouts.done:
         panels += [partial(_draw_fan, rollouts=rollouts, mode=mode, plan=plan) for mode in rollouts.fans]
         panels.append(partial(_draw_ends, rollouts=rollouts))
+    if proof.held is not None:
+        panels.append(partial(draw_hold, held=proof.held))
+    ground = proof.sections.get("another_ground")
+    if ground is not None and ground.measured:
+        panels.append(partial(draw_grounds, section=ground))
     figure, axes = panels_of(len(panels))
     for draw, on in zip(panels, axes, strict=True):
         draw(on)
@@ -59,16 +70,17 @@ def draw_proof(proof: Proof) -> Figure:
 
 
 def _draw_growth(axes: Axes, errors: Growth) -> None:
-    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", ERROR, "time (s)")
+    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time (s)")
     drawn = []
     for mode, colour in MODE_COLOURS.items():
-        for values, line, words in (
-            (errors.measured[mode], "-", MODE_WORDS[mode]),
-            (errors.predicted[mode], DASHED, f"{MODE_WORDS[mode]}, predicted"),
+        for values, line, width, words in (
+            (errors.measured[mode], "-", 2.6, MODE_WORDS[mode]),
+            (errors.predicted[mode], DASHED, 1.1, f"{MODE_WORDS[mode]}, predicted"),
         ):
             shown = positive(values)
-            if np.isfinite(shown).any():
-                axes.plot(errors.t, shown, color=colour, ls=line, lw=1.5 if line == "-" else 1.1, label=words)
+            if np.isfinite(shown).any():  # the prediction is seen on top of what it predicts
+                alpha = 0.5 if line == "-" else 1.0
+                axes.plot(errors.t, shown, color=colour, ls=line, lw=width, alpha=alpha, label=words)
                 drawn.append(shown)
     axes.set_xlim(0.0, float(errors.t[-1]))
     if not drawn:
@@ -89,12 +101,12 @@ def _draw_order(axes: Axes, order: Order) -> None:
     with np.errstate(all="ignore"):  # at h = 0: Richardson's extrapolation, its grid convergence index
         words = (
             "step h (s), halved to h/2\n"
-            f"observed order {observed}; end state at h = 0 known to {order.end_uncertainty:.1e}\n"
+            f"observed order {observed}; end at h = 0 known to {order.end_uncertainty:.1e} bounds\n"
             f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
         )
-    dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end state", words)
+    dress(axes, "Order of the open-loop replay as MuJoCo's step is halved", "change of the end / bound", words)
     axes.xaxis.label.set_fontsize(7.5)
-    steps, changes = order.steps[: len(order.changes)], positive(order.changes)
+    steps, changes = order.steps[: len(order.shares)], positive(order.shares)
     seen = np.isfinite(changes)
     if not seen.any():
         say(axes, "no change above zero")
@@ -109,16 +121,18 @@ def _draw_order(axes: Axes, order: Order) -> None:
     low, high = np.nanmin(changes), np.nanmax(changes)
     axes.plot(steps, line, color=SOFT, lw=1.1, ls=DASHED, label=f"order {order.nominal:g}, the integrator's", zorder=2)
     axes.set_ylim(0.2 * max(low, high / 10.0**_DECADES), 5.0 * high)
-    axes.legend(fontsize=7.5, loc="lower right", framealpha=0.85, edgecolor="none")
+    axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none")
 
 
 def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
     """Draw percentiles over time of the coordinate with the largest deviation in this mode."""
     fan = drawable(rollouts.fans[mode].astype(float))
     reach = np.nan_to_num(np.abs(fan), nan=0.0).max(axis=(0, 1), initial=0.0)  # of each component
-    worst = int(np.argmax(reach)) if reach.size else 0
+    worst = int(np.argmax(reach / ranges_of_motion(plan))) if reach.size else 0
+    name, unit = coordinates_of(getattr(plan.problem, "dynamics", None))[worst]
     title = f"Monte Carlo, {MODE_WORDS[mode]}: the coordinate that strays farthest"
-    dress(axes, title, _deviation(plan, worst), "time (s)")
+    label = textwrap.fill(f"deviation of {name}{f', {unit}' if unit else ''}", _LABEL)
+    dress(axes, title, label, "time (s)")
     if fan.size == 0 or not np.isfinite(fan).any():
         say(axes, "no rollout is left")
         return
@@ -132,25 +146,10 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
         axes.set_yscale("symlog", linthresh=1.0)
     elif reach[worst] == 0.0:
         axes.set_ylim(-1.0, 1.0)
+    bottom, top = axes.get_ylim()  # room for the legend
+    axes.set_ylim(bottom, 20.0 * top if reach[worst] > _LINEAR else top + 0.15 * (top - bottom))
     axes.set_xlim(float(rollouts.t[0]), float(rollouts.t[-1]))
     axes.legend(fontsize=7.5, loc="upper left", framealpha=0.85, edgecolor="none", ncols=3)
-
-
-def _deviation(plan: Plan, index: int) -> str:
-    """Label with name and unit of entry `index` of a deviation: as in the machine's plots, else by joint and axis."""
-    for panel in appearance_of(plan.problem).plots:
-        for state, label in panel.states:
-            if plan.space.in_deviation(state) == index:
-                same = panel.ylabel.startswith(label)
-                return f"deviation of {panel.ylabel if same else f'{label}, {panel.ylabel}'}"
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or index >= 2 * mechanism.nv:
-        return f"deviation of x[{index}]"
-    i, unit = index % mechanism.nv, "/s" if index >= mechanism.nv else ""
-    joint = next(n for n, links in enumerate(mechanism.joint_links) if links.start <= i < links.stop)
-    links, name = mechanism.joint_links[joint], mechanism.joint_names[joint] or f"joint {joint}"
-    axis = f" {'xyz'[(i - links.start) % 3]}" if links.stop - links.start > 1 else ""
-    return f"deviation of {name}{axis}, {'rad' if mechanism.S[i, :3].any() else 'm'}{unit}"
 
 
 def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:

@@ -17,9 +17,10 @@ from planner.cases import CASES
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
+from planner.view.report.assessment import assessment
 from planner.view.report.reproduce import command, problem_text, typed
 from planner.view.report.style import STYLE
-from planner.view.report.tables import measured_table, number, table
+from planner.view.report.tables import number, table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
@@ -30,7 +31,7 @@ NAME = "report.html"
 _PICTURES = (
     ("strip.png", "Poses over the motion"),
     ("plots.png", "Plan and replays over time, and the convergence of the solver"),
-    ("proof.png", "Growth of errors, order of the replay, and how often perturbed machines succeed"),
+    ("proof.png", "Errors beside their bounds, their growth, order, perturbed machines and other grounds"),
 )
 
 
@@ -60,7 +61,7 @@ def write_report(
         _film(plan, folder, video_note),  # people look before they read
         _pictures(plan, proof, folder),
         _refinement(path),
-        "" if proof is None else "\n".join(["<h2>Proof</h2>", *map(measured_table, proof.sections.values())]),
+        "" if proof is None else assessment(plan, proof),
         _solver(plan),
         _parameters(plan),
         _again(plan, proof, path, options or {}),
@@ -86,18 +87,24 @@ def _word(proof: Proof | None) -> str:
 def _verdict(plan: Plan, proof: Proof | None) -> str:
     kind = "pass" if _word(proof) == "PASS" else "fail"
     if proof is None:
-        mode = ""
+        words = ""
         reason = "The plan was not replayed in MuJoCo, so nothing is proven."
         if not math.isfinite(plan.cost):
             reason = "There is no finite plan that could be replayed."
     else:
         reason = proof.reason
-        mode = f"<span>{escape(proof.mode)}</span>" if proof.mode else ""
+        words = f"<span>{escape(proof.headline.removeprefix(proof.verdict).strip(' ;'))}</span>"
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     return (
-        f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{mode}'
-        f"<p>{escape(reason)}</p>{doubt}</div>"
+        f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{words}'
+        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}</div>"
     )
+
+
+def _unchecked(proof: Proof | None) -> str:
+    """What the verdict does not speak of."""
+    phrases = () if proof is None else proof.not_checked
+    return f"<p>Not checked: {escape('; '.join(phrases))}.</p>" if phrases else ""
 
 
 def _film(plan: Plan, folder: Path, note: str) -> str:

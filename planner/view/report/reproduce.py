@@ -41,7 +41,7 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
     """The problem file of a plan as TOML; "" for a plan that was made from none."""
     if plan.case != problem_file.NAME:
         return ""
-    table = _at_first(plan, path)
+    table = {name: value for name, value in _at_first(plan, path).items() if value is not None}  # TOML has no null
     lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits")]
     for name in ("weights", "limits") if table.get("limits") else ("weights",):
         lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.get(name, {}).items())]

@@ -11,14 +11,15 @@ body { margin: 0 auto; padding: 1.2rem; max-width: 62rem; background: var(--pape
   font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
 h1 { font-size: 1.5rem; margin: 0 0 .8rem; }
 h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
-h3 { font-size: 1rem; margin: 1.4rem 0 .4rem; }
+h3 { font-size: 1.08rem; margin: 1.8rem 0 .4rem; border-bottom: 2px solid var(--line); }
+h4 { font-size: 1rem; margin: 1.2rem 0 .3rem; }
 p { margin: .4rem 0; overflow-wrap: anywhere; }
 .soft { color: var(--soft); }
 .verdict { border-left: .5rem solid; border-radius: .4rem; padding: .8rem 1.1rem; }
 .verdict.pass { color: var(--good); background: var(--good-tint); }
 .verdict.fail { color: var(--bad); background: var(--bad-tint); }
 .verdict strong { font-size: 2.3rem; line-height: 1.2; letter-spacing: .02em; margin-right: .6rem; }
-.verdict span { font-size: 1.15rem; white-space: nowrap; }
+.verdict span { font-size: 1.15rem; }
 .verdict p { color: var(--ink); }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-size: .92rem; }

@@ -15,7 +15,7 @@ NBSP = "\N{NO-BREAK SPACE}"
 
 def measured_table(section: Section) -> str:
     """A step of a proof: every measured number beside its bound."""
-    title = f"<h3>{escape(_capital(section.title))} {_mark(section)}</h3>"
+    title = f"<h4>{escape(_capital(section.title))} {_mark(section)}</h4>"
     if section.not_applicable:
         return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
     if not section.measured:
