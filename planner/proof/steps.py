@@ -9,6 +9,7 @@ never the plan's.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
-from planner.problem.goals import goals_of, unjudged_ends, wanted_of
+from planner.problem.goals import goals_of, unjudged_ends
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.another_ground import another_ground
@@ -222,7 +223,11 @@ def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
         return ()
     unjudged = unjudged_ends(problem, plan.xs, plan.us)
     phrases = [f"the end of {name} was not judged" for name in unjudged]
-    if not unjudged and not wanted_of(problem):
+    goals = goals_of(problem, plan.xs)
+    soft = sum(not math.isfinite(one.tolerance) for one in goals)
+    if soft:
+        phrases.append(f"{soft} of {len(goals)} goals not judged")
+    if not unjudged and not goals:
         phrases.append("no goal was asked for")
     return tuple(phrases)
 

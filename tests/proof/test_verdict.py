@@ -87,6 +87,7 @@ def test_a_soft_goal_is_shown_and_not_judged():
     plan = planner.solve(pendulum(final=1e-3, effort=10.0, tolerance="soft"))
     proof = proof_of(plan)
     assert proof.passed, proof.reason
+    assert proof.headline == "PASS (open-loop), 2 of 2 goals not judged; feasible, optimal"
     assert all(one.bound is None for one in proof.goal.measured)
 
 
@@ -189,3 +190,33 @@ def test_coordinates_have_names_and_units():
     own = planner.FunctionDynamics(lambda x, u: u, 1, 1, 0.1, coordinates=[("level", "l")])
     assert coordinates_of(own)[0] == ("level", "l")
     assert coordinates_of(planner.FunctionDynamics(lambda x, u: u, 1, 1, 0.1))[0] == ("x[0]", "")
+
+
+def test_a_plan_that_only_stays_at_its_goal_is_optimal():
+    """Its cost is rounding, and so is what another step promises of it."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(PENDULUM), DT)
+    still = [np.pi / 2, 0.0]
+    cost = TrackingCost.joints(dynamics, still, N, effort=0.01, final_position=1e4, final_velocity=1e4)
+    plan = planner.solve(Problem(dynamics, cost, [np.pi / 2 + 1e-15, 0.0]))
+    assert plan.cost < 1e-20
+    proof = proof_of(plan)
+    assert proof.passed, proof.reason
+
+
+def test_the_cost_of_a_light_machine_is_what_its_solve_stops_at():
+    """A gram on a tenth of a metre costs 1e-10: a solve ends where it promises less than that."""
+    light = PENDULUM.replace('mass="1" diaginertia="0.01 0.02 0.02"', 'mass="1e-5" diaginertia="1e-8 2e-8 2e-8"')
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(light.replace('damping="0.1"', 'damping="1e-6"')), DT)
+    cost = TrackingCost.joints(dynamics, [1.5, 0.0], N, effort=0.01, final_position=100.0, final_velocity=100.0)
+    proof = proof_of(planner.solve(Problem(dynamics, cost, [0.0, 0.0])))
+    assert proof.passed, proof.reason
+
+
+def test_stops_that_a_plan_keeps_to_its_tolerance_are_not_of_the_same_step():
+    text = PENDULUM.replace('damping="0.1"', 'damping="0.1" range="-1 1.2" limited="true"').replace(
+        "<mujoco>", '<mujoco><compiler angle="radian"/>')  # fmt: skip
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text), DT)
+    cost = TrackingCost.joints(dynamics, [1.19, 0.0], N, effort=0.01, final_position=1e3, final_velocity=1.0)
+    limits = planner.Limits(position="model", tolerance=1e-3)
+    plan = planner.solve(Problem(dynamics, cost, [0.0, 3.0], limits=limits))
+    assert proof_of(plan).same_step.passed
