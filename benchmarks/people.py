@@ -22,7 +22,7 @@ from planner.cases.human_step.measures import CLEAR, measures
 from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
-from planner.proof.replaying import replay
+from planner.proof.replays.replaying import replay
 
 BOX = {"mass": (45.0, 110.0), "height": (1.50, 1.95), "cycle_time": (1.0, 1.8)}  # kg, m, s
 SEED, MOST = 2026, 60

@@ -21,9 +21,9 @@ import numpy as np
 
 import planner
 from planner.base.gl import load_mujoco, load_rollout
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.perturbation import Perturbation, draw
-from planner.proof.rollouts import MODES, Batch, Rollouts
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.perturbation import Perturbation, draw
+from planner.proof.robustness.rollouts import MODES, Batch, Rollouts
 
 CASES = ("two-link", "acrobot", "hopper")
 ROLLOUTS = 512

@@ -21,10 +21,10 @@ from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status
 from planner.problem.problem import Problem as Problem
-from planner.proof.model_parity import parity as parity
+from planner.proof.compare.model_parity import parity as parity
 from planner.proof.refinement import refine as refine
-from planner.proof.replaying import Replay as Replay
-from planner.proof.replaying import replay as replay
+from planner.proof.replays.replaying import Replay as Replay
+from planner.proof.replays.replaying import replay as replay
 from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof
 from planner.solvers.free_time import solve_for as solve_for

@@ -9,12 +9,12 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Panel
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.recipe import Recipe
-from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.growth import Growth
 from planner.proof.order import Order
-from planner.proof.perturbation import Perturbation
-from planner.proof.perturbed import Perturbed
-from planner.proof.replaying import Replay
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import Replay
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.perturbed import Perturbed
 
 MODES = ("open-loop", "feedback")
 APPEARANCE = Appearance(

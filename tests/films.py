@@ -11,9 +11,9 @@ from planner.model.mjcf.text import model_path, model_text
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout
 from planner.problem.plan import Plan, Status
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactHistory
-from planner.proof.replaying import Replay
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactHistory
+from planner.proof.replays.replaying import Replay
 
 SMALL = {"width": 320, "height": 180}
 

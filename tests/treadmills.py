@@ -11,9 +11,9 @@ from planner.model.mjcf.survey import compile_model
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance, Readout, View
 from planner.problem.plan import Plan, Status
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactRecorder
-from planner.proof.replaying import Replay
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.replaying import Replay
 
 BELT_SPEED = 1.0  # m/s, backward
 FRICTION, IMPRATIO = 0.6, 1000.0

@@ -38,7 +38,7 @@ from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 PAPER = {
     "integrator": "euler", "horizon": 50, "final_weight": 1000.0, "speed_weight": 2.0, "piston_weight": 1000.0,

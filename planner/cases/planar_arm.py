@@ -25,7 +25,7 @@ from planner.problem.appearance import Appearance, Panel, Readout
 from planner.problem.costs.tracking import TrackingCost
 
 if TYPE_CHECKING:
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 LIGHTEST, HEAVIEST = 1e-3, 1e3  # kg and m, of a link
 UPRIGHT = np.array([0.5 * np.pi, 0.0])  # q_d of Eq. 5, rad

@@ -47,7 +47,7 @@ from planner.problem.problem import Problem, Requirements
 from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 Style = Literal["straight", "tucked", "swung", "swung-tucked"]
 Torques = Literal["bounded", "free"]

@@ -9,7 +9,7 @@ from planner import cases
 from planner.cli.console import Console
 from planner.kernels.numba.jit import is_warm
 from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_together
-from planner.proof.model_parity import parity
+from planner.proof.compare.model_parity import parity
 from planner.solvers.slq import solve
 
 

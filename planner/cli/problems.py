@@ -19,7 +19,7 @@ from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.replaying import proven_cost
+from planner.proof.replays.replaying import proven_cost
 from planner.solvers.free_time import solve_for
 from planner.solvers.multistart import MOST_STARTS
 from planner.solvers.periodic import solve_periodic

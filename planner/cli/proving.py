@@ -19,13 +19,13 @@ from planner.cli.results import completed, plan_facts, show_proof
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import prove
-from planner.proof.case_replay import replay_case
-from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.engines.section import NOTES, another_engine, require
-from planner.proof.perturbation import Perturbation
-from planner.proof.replaying import Replay
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import Replay
+from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.success_rule import end_errors
 from planner.proof.scales import worst_by_unit
-from planner.proof.success_rule import end_errors
 
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:

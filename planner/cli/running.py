@@ -21,8 +21,8 @@ from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof, prove
+from planner.proof.compare.model_parity import parity
 from planner.proof.hold import hold_gain
-from planner.proof.model_parity import parity
 from planner.proof.refinement import Refinement, refine
 
 INTERRUPTED = 130

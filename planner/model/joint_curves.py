@@ -6,7 +6,7 @@ span two joints couple them. Riener and Edrich (J Biomech 32, 1999) describe bot
     tau_i = amplitude exp(constant + sum_j slope_j q_j),
 
 of which a constant torque is the one without slopes. MJCF has no such spring: a replay adds it to MuJoCo's passive
-forces (planner.proof.curve_callback).
+forces (planner.proof.replays.curve_callback).
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class Twin:
         assets: Files that the text names, meshes for example, by the name it uses.
         source: The text that the plan's mechanism was read from, where it is another one: see model.mjcf.driven.
         original: The text as the user gave it, where it was edited before planning; "" where it was not.
-        curves: Torques that act beside what the text says: see planner.proof.curve_callback.
+        curves: Torques that act beside what the text says: see planner.proof.replays.curve_callback.
     """
 
     mjcf: str

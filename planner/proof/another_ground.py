@@ -27,10 +27,10 @@ from planner.dynamics import kinematics
 from planner.model.contact.laws import Contact
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.replaying import Replay, replay_in
-from planner.proof.rigid_parity import turns
-from planner.proof.rollouts import MODES
+from planner.proof.compare.rigid_parity import turns
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.robustness.rollouts import MODES
 
 TITLE = "another ground"
 LIGHT = 0.01  # of the mass that hangs together with a body: lighter ones do not stand on MuJoCo's default contact

@@ -22,8 +22,8 @@ from planner.dynamics import RigidBodyDynamics
 from planner.model.mjcf.driven import HEAVY
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.driven_parity import forces_of_prescribed
-from planner.proof.replaying import REFINEMENT, Replay
+from planner.proof.compare.driven_parity import forces_of_prescribed
+from planner.proof.replays.replaying import REFINEMENT, Replay
 from planner.proof.scales import path_bounds, shares_of_bounds
 
 SMALL = 3.0  # bounds, 3 % of a range of motion: beyond, a linear prediction is none

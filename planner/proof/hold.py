@@ -24,10 +24,10 @@ from planner.model.space import StateSpace, space_of
 from planner.problem.goals import LEAST
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.curve_callback import curves_acting
-from planner.proof.replaying import Replay
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import MOST_STEPS, simulate
 from planner.proof.scales import worst_by_unit
-from planner.proof.simulation import MOST_STEPS, simulate
 from planner.proof.tracking import costs_with_goals
 
 EQUILIBRIUM = 0.05  # of the least tolerance of a goal, by unit: how far from it the nearest equilibrium may be

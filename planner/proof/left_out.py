@@ -8,7 +8,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.left_out import LeftOut
 from planner.model.mjcf.left_out import left_out as compare
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import CompiledTwin
+from planner.proof.replays.compiled_twin import CompiledTwin
 
 _found: WeakKeyDictionary[Problem, LeftOut] = WeakKeyDictionary()
 

@@ -19,9 +19,9 @@ import numpy as np
 from planner.base.measured import Measured, Section
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.contact_history import may_touch
-from planner.proof.curve_callback import curves_acting
-from planner.proof.replaying import Replay
+from planner.proof.replays.contact_history import may_touch
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.replaying import Replay
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, judged_cost, shares_of_bounds
 

@@ -25,7 +25,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.growth import FACTOR
-from planner.proof.replaying import reached_by_plan
+from planner.proof.replays.replaying import reached_by_plan
 from planner.proof.scales import shares_of_bounds
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start

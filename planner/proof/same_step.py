@@ -22,9 +22,9 @@ from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.curve_callback import curves_acting
-from planner.proof.simulation import set_state, state_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.simulation import set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, rounding is 1e-14

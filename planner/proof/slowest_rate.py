@@ -10,9 +10,9 @@ import numpy as np
 
 from planner.base.measured import Measured, Section
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.replaying import Replay, problem_of, replay_in
-from planner.proof.sampled_gains import Sampling, sampling_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import Replay, problem_of, replay_in
+from planner.proof.replays.sampled_gains import Sampling, sampling_of
 from planner.proof.scales import worst_by_unit
 
 _LEVELS = 10  # 500 Hz to 1 Hz

@@ -25,19 +25,19 @@ from planner.problem.goals import goals_of, unjudged_ends
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.another_ground import another_ground
-from planner.proof.compiled_twin import CompiledTwin, another_model
+from planner.proof.compare.model_parity import parity_in
 from planner.proof.consistency import consistency, optimality, recomputed
 from planner.proof.growth import growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
 from planner.proof.left_out import left_out
-from planner.proof.model_parity import parity_in
 from planner.proof.order import order
-from planner.proof.perturbation import Perturbation
-from planner.proof.perturbed import Trials, perturbed
-from planner.proof.replaying import Replay, replay_in
-from planner.proof.rollouts import MODES
+from planner.proof.replays.compiled_twin import CompiledTwin, another_model
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.sampled_gains import sampling_of
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
-from planner.proof.sampled_gains import sampling_of
 from planner.proof.scales import worst_by_unit
 from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking

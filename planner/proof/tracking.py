@@ -15,7 +15,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import Goal, goals_of
 from planner.problem.problem import Problem
-from planner.proof.replaying import Replay
+from planner.proof.replays.replaying import Replay
 from planner.proof.scales import (
     COST_BOUND,
     SHARE,

@@ -19,8 +19,8 @@ from planner.base.measured import Section
 from planner.proof.growth import Growth
 from planner.proof.hold import Held
 from planner.proof.order import Order
-from planner.proof.perturbed import Perturbed
-from planner.proof.replaying import Replay
+from planner.proof.replays.replaying import Replay
+from planner.proof.robustness.perturbed import Perturbed
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,13 +32,13 @@ from planner.model.twin import Twin
 from planner.problem.goals import Goal
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import CompiledTwin, with_model
-from planner.proof.curve_callback import curves_acting
 from planner.proof.left_out import lacking
-from planner.proof.limits_hit import clamps_hit, stops_hit
-from planner.proof.replaying import Replay, replay_in
+from planner.proof.replays.compiled_twin import CompiledTwin, with_model
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.limits_hit import clamps_hit, stops_hit
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.simulation import simulate
 from planner.proof.scales import worst_by_unit
-from planner.proof.simulation import simulate
 from planner.proof.tracking import misses
 
 TITLE = "your file"

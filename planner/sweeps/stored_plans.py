@@ -27,7 +27,7 @@ from planner.cases.plan_file import load_plan
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan
 from planner.proof import Proof, prove
-from planner.proof.perturbation import Perturbation
+from planner.proof.robustness.perturbation import Perturbation
 
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding

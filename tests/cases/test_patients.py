@@ -13,11 +13,11 @@ from planner.cases.human_step.gait import ANGLES, NORMAL_GAIT, basis
 from planner.cases.human_step.measures import CLEAR, FOLLOWS, PATIENT, follows, measures, robot_wrench
 from planner.cases.human_step.walker import Walker
 from planner.model.mjcf.text import edited, written
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.model_parity import parity
-from planner.proof.perturbation import Perturbation, Sizes, draw
-from planner.proof.perturbed import Trials, perturbed
-from planner.proof.replaying import replay
+from planner.proof.compare.model_parity import parity
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay
+from planner.proof.robustness.perturbation import Perturbation, Sizes, draw
+from planner.proof.robustness.perturbed import Trials, perturbed
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 

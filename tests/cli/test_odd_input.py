@@ -20,7 +20,7 @@ from planner.cli import listing
 from planner.cli.commands import INTERNAL, TRACEBACK
 from planner.cli.console import Console
 from planner.problem.limits import Limits
-from planner.proof.perturbation import Perturbation
+from planner.proof.robustness.perturbation import Perturbation
 
 HUGE = 10**400
 

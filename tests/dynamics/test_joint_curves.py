@@ -20,10 +20,10 @@ from planner.dynamics.contacts import generalized_force_derivatives, generalized
 from planner.kernels.tree import joint_curves as kernels
 from planner.model import joint_curves
 from planner.model.mjcf.survey import compile_model
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.curve_callback import curves_acting
-from planner.proof.perturbation import Perturbation, draw
-from planner.proof.rollouts import Rollouts
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.robustness.perturbation import Perturbation, draw
+from planner.proof.robustness.rollouts import Rollouts
 
 # Two arms on a cart that slides: curves couple all three, as muscles do that span several joints.
 ARMS = """

@@ -9,7 +9,7 @@ from planner import Mechanism, RigidBodyDynamics, TrackingCost
 from planner.contact import ContactLaw
 from planner.model.mjcf import survey
 from planner.model.mjcf.text import edited
-from planner.proof.replaying import reached_by_plan
+from planner.proof.replays.replaying import reached_by_plan
 from planner.proof.steps import prove
 
 ARM = """

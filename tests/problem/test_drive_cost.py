@@ -19,7 +19,7 @@ from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.jerk import driven_by_jerk
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.criteria import with_objective
-from planner.proof.perturbation import Nominal
+from planner.proof.robustness.perturbation import Nominal
 
 
 def standing(K, spread=0.02):

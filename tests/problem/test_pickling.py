@@ -13,7 +13,7 @@ from carts import CART
 import planner
 from planner import cases
 from planner.costs import EnergyCost, FrameCost, Height, JerkCost, PenaltyCost, Point, TrackingCost, with_objective
-from planner.proof.case_replay import replay_case
+from planner.proof.robustness.case_replay import replay_case
 
 WAYS = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy, "copy": copy.copy}
 

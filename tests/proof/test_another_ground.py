@@ -10,10 +10,10 @@ from rolled_out_plans import acrobot, problem_of, rolled_out
 import planner
 from planner.model.mechanism import Mechanism
 from planner.proof.another_ground import GROUNDS, PLAN, another_ground, ground_table
-from planner.proof.compiled_twin import CompiledTwin, with_model
-from planner.proof.contact_parity import contact_parity
-from planner.proof.replaying import replay_in
-from planner.proof.rollouts import MODES
+from planner.proof.compare.contact_parity import contact_parity
+from planner.proof.replays.compiled_twin import CompiledTwin, with_model
+from planner.proof.replays.replaying import replay_in
+from planner.proof.robustness.rollouts import MODES
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from planner.cases.problem_file import load
 from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
-from planner.proof.compiled_twin import with_model
+from planner.proof.replays.compiled_twin import with_model
 
 CART = """
 <mujoco model="cart">

@@ -52,7 +52,7 @@ def test_a_tree_with_every_kind_of_joint_and_actuator_is_its_mjcfs(tree):
 )
 def test_a_term_that_differs_is_traced_to_its_joint(tree, path, attributes, term, words, monkeypatch):
     """Also where the two models' numbers agree and the dynamics do not, which takes a mistake of ours."""
-    monkeypatch.setattr("planner.proof.rigid_parity.differences", lambda *_: "")
+    monkeypatch.setattr("planner.proof.compare.rigid_parity.differences", lambda *_: "")
     section = planner.parity(tree, edited(tree.mjcf, {"option" if path is None else f".//{path}": attributes}))
     assert not section.passed
     assert section.failures[0].name == term
@@ -124,7 +124,7 @@ def test_a_problems_own_accelerations_are_compared(tree):
 
 
 def test_states_are_all_over_the_space(tree):
-    from planner.proof.rigid_parity import random_states
+    from planner.proof.compare.rigid_parity import random_states
 
     xs = random_states(tree, np.random.default_rng(0), 2000)
     for address, _ in tree.quaternions:

@@ -14,16 +14,16 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.survey import compile_model
 from planner.problem.goals import Goal
 from planner.problem.problem import Requirements
-from planner.proof.campaign import LEVELS, Campaign
-from planner.proof.case_replay import replay_case
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.partial import Partial
-from planner.proof.perturbation import Nominal, Perturbation, draw, draw_masses
-from planner.proof.perturbed import Trials, perturbed
-from planner.proof.replaying import replay
-from planner.proof.rollouts import MODES, Rollouts
-from planner.proof.success_rate import LOOKS, Rate, enough, next_look
-from planner.proof.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay
+from planner.proof.robustness.campaign import LEVELS, Campaign
+from planner.proof.robustness.case_replay import replay_case
+from planner.proof.robustness.partial import Partial
+from planner.proof.robustness.perturbation import Nominal, Perturbation, draw, draw_masses
+from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.proof.robustness.rollouts import MODES, Rollouts
+from planner.proof.robustness.success_rate import LOOKS, Rate, enough, next_look
+from planner.proof.robustness.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
 
 NOTHING = dict.fromkeys(Perturbation().to_dict(), 0.0)
 NONE = Perturbation(**NOTHING)
@@ -163,7 +163,7 @@ def test_rollouts_are_drawn_until_the_rate_with_gains_is_settled(arm, monkeypatc
 
 
 def test_without_goals_each_coordinate_has_a_tenth_of_its_range(arm, monkeypatch):
-    monkeypatch.setattr("planner.proof.success_rule.goals_of", lambda problem, xs: ())
+    monkeypatch.setattr("planner.proof.robustness.success_rule.goals_of", lambda problem, xs: ())
     ranges = ranges_of_motion(arm)
     moved = np.ptp(arm.xs, axis=0)
     floors = np.repeat([0.1 * moved[:2].max(), 0.1 * moved[2:].max()], 2)  # angles, angular velocities
@@ -281,7 +281,7 @@ def test_the_hopper_in_detail_is_the_rollout():
 def test_euler_takes_the_place_of_rk4_only_where_it_agrees(monkeypatch):
     plan = planner.solve(planner.cases.hopper(duration=0.25, horizon=50, height=5.0))
     assert plan.twin is not None
-    monkeypatch.setattr("planner.proof.rollouts.AGREES", 1e-12)
+    monkeypatch.setattr("planner.proof.robustness.rollouts.AGREES", 1e-12)
     with Rollouts(plan, CompiledTwin(plan.twin)) as rollouts:
         assert rollouts.integrator == "RK4"
         assert rollouts.nominal.model.opt.integrator == load_mujoco().mjtIntegrator.mjINT_RK4

@@ -21,8 +21,8 @@ from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
 from planner.problem.discretisation import finer
-from planner.proof.driven_parity import driven_parity
-from planner.proof.perturbation import Nominal, Perturbation, Sizes, draw
+from planner.proof.compare.driven_parity import driven_parity
+from planner.proof.robustness.perturbation import Nominal, Perturbation, Sizes, draw
 
 
 @pytest.fixture(scope="module")

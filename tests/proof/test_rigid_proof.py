@@ -14,8 +14,8 @@ from planner.model.mjcf.survey import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.problem import Problem, Requirements
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import may_touch
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import may_touch
 from planner.proof.same_step import munthe_kaas, rounding_amplification, same_step
 from planner.view.render.film import Film
 

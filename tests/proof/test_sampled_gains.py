@@ -12,9 +12,9 @@ from swings import mechanism, swing
 import planner
 from planner.base.errors import PlannerError
 from planner.model.mjcf.survey import compile_model
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.replaying import replay
-from planner.proof.sampled_gains import HINGE, SLIDE, Encoders, Sampling, sampling_in, sampling_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay
+from planner.proof.replays.sampled_gains import HINGE, SLIDE, Encoders, Sampling, sampling_in, sampling_of
 from planner.proof.slowest_rate import slowest_rate
 
 DT = 0.01

@@ -5,9 +5,9 @@ import pytest
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import compile_model
-from planner.proof import contact_history, simulation
-from planner.proof.contact_history import ContactRecorder
-from planner.proof.simulation import simulate
+from planner.proof.replays import contact_history, simulation
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.simulation import simulate
 
 ARM = """
 <mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody>

@@ -9,9 +9,9 @@ from planner.cases.plan_file import load_plan
 from planner.contact import ContactLaw
 from planner.model.mjcf.text import edited
 from planner.problem.goals import Goal
-from planner.proof.compiled_twin import CompiledTwin
 from planner.proof.left_out import left_out, pairs_left_out
-from planner.proof.replaying import replay_in
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay_in
 from planner.proof.your_file import your_file
 
 # An arm of 1 m on a vertical axis, and a wall that its tip meets at 0.8 rad.

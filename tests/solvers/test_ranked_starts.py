@@ -10,7 +10,7 @@ from wells import judged, wells
 
 import planner
 from planner import PlannerError, Status
-from planner.proof.replaying import proven_cost
+from planner.proof.replays.replaying import proven_cost
 from planner.solvers import multistart
 
 GOOD, SLOW = Status.CONVERGED, Status.MAX_ITERATIONS

@@ -12,7 +12,7 @@ from PIL import Image
 from planner.base.errors import FileError
 from planner.base.measured import Measured, Section
 from planner.proof.hold import Held, Hold
-from planner.proof.sampled_gains import Sampling
+from planner.proof.replays.sampled_gains import Sampling
 from planner.proof.scales import path_bounds
 from planner.view.plots import draw_plan, draw_proof, save
 

@@ -16,8 +16,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance, Ghost, View
 from planner.problem.default_appearance import default_appearance
-from planner.proof import contact_history
-from planner.proof.contact_history import ContactRecorder
+from planner.proof.replays import contact_history
+from planner.proof.replays.contact_history import ContactRecorder
 from planner.view.render.drawing import Job, carry_out
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene

@@ -44,7 +44,7 @@ from planner.problem.recipe import Recipe
 
 if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 POSTURE, CALM = 20.0, 0.05
 """Weights per s, with a factor 1/2: POSTURE on the squared distance of a joint from the middle of its range over half

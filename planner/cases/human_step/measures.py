@@ -22,7 +22,7 @@ from planner.model.mechanism import Frame
 from planner.problem.periodicity import Periodic
 
 if TYPE_CHECKING:
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
 MIDDLE = (0.1, 0.9)  # of a swing

@@ -21,7 +21,7 @@ from planner.problem.pictures import Band, CasePicture, Chart, Charts, Curve, Mo
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 POSES = 9
 Motions = list[tuple[str, np.ndarray, np.ndarray]]  # label ("" for the plan), times in cycles (K,), states (K, nx)

@@ -27,7 +27,7 @@ from planner.problem.guess import rolled
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 TIMES = 2.0  # the predicted error
 BESIDE = 0.02  # deg, RMS: what smoothing does not explain, and all there is where nothing is smoothed

@@ -20,7 +20,7 @@ from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
 from planner.problem.guess import rolled
 from planner.problem.plan import Plan
-from planner.proof.replaying import replay
+from planner.proof.replays.replaying import replay
 from planner.solvers.slq import solve
 from planner.view.plots.style import dress, grid_of, save
 

@@ -24,14 +24,14 @@ from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import may_touch
+from planner.proof.compare.rigid_parity import random_states, rounded, turns
 from planner.proof.engines import ENGINES, drake, pinocchio
 from planner.proof.engines.applied import Applied, joints_with
 from planner.proof.engines.motion import PARTS, Rates, motion
 from planner.proof.engines.text import Prepared, prepared
-from planner.proof.replaying import problem_of
-from planner.proof.rigid_parity import random_states, rounded, turns
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import may_touch
+from planner.proof.replays.replaying import problem_of
 
 NOTES = ("acceleration_difference", "forces_and_numbers_added", "changes_of_the_text")  # values to be read with theirs
 STATES = 64  # at which accelerations are compared

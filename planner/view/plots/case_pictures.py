@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from planner.problem.plan import Plan
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.replaying import Replay
 
 CASE_PICTURES = {StickFigures: "poses.png", Charts: "measures.png", Paths: "paths.png"}
 """The file of each kind of picture; a case has at most one of a kind."""

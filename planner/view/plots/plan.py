@@ -18,7 +18,7 @@ from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
-from planner.proof.replaying import Replay
+from planner.proof.replays.replaying import Replay
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (

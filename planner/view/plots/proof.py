@@ -18,7 +18,7 @@ from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.growth import Growth
 from planner.proof.order import Order
-from planner.proof.perturbed import Perturbed
+from planner.proof.robustness.perturbed import Perturbed
 from planner.proof.scales import ranges_of_motion
 from planner.view.plots.proof_paths import SHARE, draw_grounds, draw_hold, draw_path_errors
 from planner.view.plots.style import (

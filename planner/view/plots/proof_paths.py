@@ -13,7 +13,7 @@ import numpy as np
 from planner.base.measured import Section
 from planner.problem.plan import Plan
 from planner.proof.hold import Held
-from planner.proof.replaying import Replay
+from planner.proof.replays.replaying import Replay
 from planner.proof.scales import by_unit, path_bounds, touches
 from planner.view.plots.style import (
     DASHED,

@@ -17,8 +17,8 @@ from planner.problem.appearance import Appearance, Ghost
 from planner.problem.default_appearance import appearance_of
 
 if TYPE_CHECKING:
-    from planner.proof.contact_history import ContactHistory
-    from planner.proof.replaying import Replay
+    from planner.proof.replays.contact_history import ContactHistory
+    from planner.proof.replays.replaying import Replay
 
 # A frame shows the mean force over this time, s: a light foot rings with each simulator step, and an arrow of single
 # samples would flicker.

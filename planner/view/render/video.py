@@ -15,7 +15,7 @@ from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.problem.default_appearance import appearance_of
-from planner.proof.replaying import Replay
+from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import MODE_WORDS
 from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film

@@ -57,8 +57,8 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
     yield _Part(
         "Code verification",
         "Are the equations solved rightly? The plan's dynamics are compared with MuJoCo's at random states, contact "
-        "forces included. Where nothing touches, MuJoCo also repeats the plan at the plan's own step, and its error must "
-        f"shrink by the integrator's order as that step is halved. {independence(plan)}",
+        "forces included. Where nothing touches, MuJoCo also repeats the plan at the plan's own step, and its error "
+        f"must shrink by the integrator's order as that step is halved. {independence(plan)}",
         tuple(_chosen(sections, (*_CODE, *others), code=True)),
         "An error that both sides share. The states at which the equations are compared are drawn at random: a fault "
         "that shows nowhere among them is not seen.",

@@ -30,7 +30,7 @@ from planner.paper.studies.study import timed
 from planner.problem.guess import rolled
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.replaying import replay
+from planner.proof.replays.replaying import replay
 from planner.solvers import lq
 from planner.solvers.engine import borrow, give_back
 from planner.solvers.slq import solve

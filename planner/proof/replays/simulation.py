@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
 from planner.model.mjcf.survey import named
-from planner.proof.contact_history import ContactRecorder
+from planner.proof.replays.contact_history import ContactRecorder
 
 MOST_STEPS = 5_000_000  # some minutes and 1 GB
 RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation

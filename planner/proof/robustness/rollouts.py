@@ -26,13 +26,13 @@ from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import may_touch
-from planner.proof.curve_callback import curves_acting
-from planner.proof.perturbation import Draw, Nominal, Perturbation, draw
-from planner.proof.replaying import problem_of
-from planner.proof.simulation import MOST_STEPS, RUNAWAY
-from planner.proof.success_rule import ranges_of_motion
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import may_touch
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.replaying import problem_of
+from planner.proof.replays.simulation import MOST_STEPS, RUNAWAY
+from planner.proof.robustness.perturbation import Draw, Nominal, Perturbation, draw
+from planner.proof.robustness.success_rule import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
 CONTROL_RATE = 500.0  # Hz, of a controller

@@ -13,8 +13,8 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.dynamics.hopper import HopperDynamics
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.simulation import set_state
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.simulation import set_state
 
 STATES = 3
 _HALVINGS = 60

@@ -1,4 +1,4 @@
-"""The exponential torques of planner.proof.curve_callback as a C function that MuJoCo calls without Python.
+"""The exponential torques of planner.proof.replays.curve_callback as a C function that MuJoCo calls without Python.
 
 MuJoCo hands it the addresses of a model and of its data. What it needs to know of them is in one table of numbers:
 

@@ -7,13 +7,13 @@ import numpy as np
 from planner.base.arguments import count
 from planner.base.gl import load_mujoco
 from planner.problem.plan import Plan
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactRecorder
-from planner.proof.perturbation import Perturbation, draw
-from planner.proof.ranges import ranges_reached
-from planner.proof.replaying import Replay
-from planner.proof.rollouts import MODES, Rollouts
-from planner.proof.simulation import RUNAWAY, set_state, state_of, warnings_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.ranges import ranges_reached
+from planner.proof.replays.replaying import Replay
+from planner.proof.replays.simulation import RUNAWAY, set_state, state_of, warnings_of
+from planner.proof.robustness.perturbation import Perturbation, draw
+from planner.proof.robustness.rollouts import MODES, Rollouts
 
 
 def replay_case(

@@ -19,12 +19,12 @@ from planner.base.gl import load_mujoco
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.contact_history import ContactHistory, ContactRecorder, Touch
-from planner.proof.curve_callback import curves_acting
-from planner.proof.ranges import ranges_reached
-from planner.proof.sampled_gains import Gains, Sampling
-from planner.proof.simulation import MOST_STEPS, simulate
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactHistory, ContactRecorder, Touch
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.ranges import ranges_reached
+from planner.proof.replays.sampled_gains import Gains, Sampling
+from planner.proof.replays.simulation import MOST_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
 

@@ -20,7 +20,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.joint_curves import LARGEST, ExponentialTorque
 from planner.model.twin import Twin
-from planner.proof.compiled_curves import compiled_curves
+from planner.proof.replays.compiled_curves import compiled_curves
 
 _lock = threading.RLock()  # one owner of the callback at a time
 

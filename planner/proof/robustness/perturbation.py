@@ -20,7 +20,7 @@ from planner.model.mjcf.driven import HEAVY, driven_dofs
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.simulation import set_state
+from planner.proof.replays.simulation import set_state
 
 _FACTORS = ("mass", "inertia", "damping", "stiffness", "contact_friction", "common_mass", "common_stiffness")
 _LARGEST = {"drag": 1e6, "friction": 1e3, "start": 1e3, "noise": 1e3, "delay": 10.0}  # far beyond what any plan bears

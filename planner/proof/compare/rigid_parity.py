@@ -30,7 +30,7 @@ from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.space import unit
-from planner.proof.differences import actuator_of, differences, joint_of
+from planner.proof.compare.differences import actuator_of, differences, joint_of
 
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
 LARGE = 10.0  # of the torque of a curve over all other forces

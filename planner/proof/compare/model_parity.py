@@ -15,12 +15,12 @@ from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
-from planner.proof.compiled_twin import CompiledTwin, another_model, with_model
-from planner.proof.contact_parity import contact_parity
-from planner.proof.curve_callback import curves_acting
-from planner.proof.driven_parity import driven_parity
-from planner.proof.rigid_parity import rigid_parity
-from planner.proof.simulation import set_state
+from planner.proof.compare.contact_parity import contact_parity
+from planner.proof.compare.driven_parity import driven_parity
+from planner.proof.compare.rigid_parity import rigid_parity
+from planner.proof.replays.compiled_twin import CompiledTwin, another_model, with_model
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.simulation import set_state
 
 STATES = 256
 BOUND = 1e-10  # relative; rounding is 1e-13
@@ -34,8 +34,8 @@ def parity(
     """Compare a machine's dynamics with MuJoCo's at random states, before or after planning.
 
     A mechanism is compared term by term (mass matrix, bias force, actuator force, acceleration), and a term that
-    differs names its joint; where joints are prescribed, see planner.proof.driven_parity. Other dynamics are compared
-    by dx/dt where the problem's requirements say so.
+    differs names its joint; where joints are prescribed, see driven_parity. Other dynamics are compared by dx/dt where
+    the problem's requirements say so.
 
     Args:
         machine: A mechanism, or a problem.

@@ -1,6 +1,6 @@
 """The order in which the rollouts of a Monte Carlo are run, and what is known after each.
 
-    1  with gains, until the rate of success is settled (planner.proof.success_rate)
+    1  with gains, until the rate of success is settled (planner.proof.robustness.success_rate)
     2  open loop, the same machines
     3  the mass margins, by bisection over the levels
 
@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.proof.partial import Partial, fingerprint
-from planner.proof.perturbation import Draw, Perturbation, draw, draw_masses
-from planner.proof.rollouts import MODES, Rollouts
-from planner.proof.success_rate import LOOKS, enough, next_look
-from planner.proof.success_rule import Rule
+from planner.proof.robustness.partial import Partial, fingerprint
+from planner.proof.robustness.perturbation import Draw, Perturbation, draw, draw_masses
+from planner.proof.robustness.rollouts import MODES, Rollouts
+from planner.proof.robustness.success_rate import LOOKS, enough, next_look
+from planner.proof.robustness.success_rule import Rule
 
 ENOUGH = 0.95  # of the rollouts must succeed for a mass error to be within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative

@@ -30,13 +30,13 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.survey import Survey
 from planner.problem.problem import Problem
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.differences import joint_of
-from planner.proof.hopper_ground import hopper_ground
-from planner.proof.pressing import AnyContact, Pressing, beyond_ramps
-from planner.proof.rigid_parity import random_states
-from planner.proof.simulation import set_state
-from planner.proof.touching import Shapes, contact_name, force_between, shapes_of
+from planner.proof.compare.differences import joint_of
+from planner.proof.compare.hopper_ground import hopper_ground
+from planner.proof.compare.pressing import AnyContact, Pressing, beyond_ramps
+from planner.proof.compare.rigid_parity import random_states
+from planner.proof.compare.touching import Shapes, contact_name, force_between, shapes_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.simulation import set_state
 
 BOUND = 1.0  # %
 INERTIA_BOUND = 5.0  # %: laws are read from impedances up to 1e-3, where it is 0.1 % of A over MuJoCo's estimate of A

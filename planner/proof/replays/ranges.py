@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.survey import disabled, field, named
 from planner.model.space import log_quaternion
-from planner.proof.simulation import set_state
+from planner.proof.replays.simulation import set_state
 
 _ROUNDING = 1e-9  # as far beyond a range is still on it
 

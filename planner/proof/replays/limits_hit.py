@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.proof.ranges import Excess, efforts_in, joints_in
-from planner.proof.replaying import Replay, stopped_dofs
+from planner.proof.replays.ranges import Excess, efforts_in, joints_in
+from planner.proof.replays.replaying import Replay, stopped_dofs
 
 ROUNDING = 1e-6  # of a clamp's range, as far as the plan itself is concerned
 OVERLAP = 1e-3  # of a joint's range: a plan that keeps its limits at the knots bulges out between them

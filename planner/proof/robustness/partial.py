@@ -10,8 +10,8 @@ import numpy as np
 
 from planner.base.files import file_error, write_atomically
 from planner.base.gl import load_mujoco
-from planner.proof.perturbation import Perturbation
-from planner.proof.rollouts import Rollouts
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.rollouts import Rollouts
 
 _FORMAT = "perturbed 2"
 

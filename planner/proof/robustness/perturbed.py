@@ -20,12 +20,12 @@ from planner.base.arguments import count, number
 from planner.base.jsonable import finite
 from planner.base.measured import Measured, Section
 from planner.problem.plan import Plan
-from planner.proof.campaign import Campaign
-from planner.proof.compiled_twin import CompiledTwin
-from planner.proof.perturbation import Perturbation
-from planner.proof.rollouts import MODES, OutOfTime, Rollouts
-from planner.proof.success_rate import Rate
-from planner.proof.success_rule import Rule, end_errors, rule_of
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.campaign import Campaign
+from planner.proof.robustness.perturbation import Perturbation
+from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
+from planner.proof.robustness.success_rate import Rate
+from planner.proof.robustness.success_rule import Rule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
 _WORST = 5
@@ -64,7 +64,7 @@ class Perturbed:
 
     @property
     def robustness(self) -> str:
-        """The word "robust", "fragile" or, of too few rollouts to know, "counting": see planner.proof.success_rate.
+        """The word "robust", "fragile" or, of too few rollouts to know, "counting": see success_rate.
 
         Of the rate with gains; where other errors than the standard ones were drawn, it is about those.
         """
@@ -130,7 +130,7 @@ class Trials:
     rollouts: int = 512  # Most machines in each mode; the k-th is the same whatever their number
     seed: int = 0  # Of the random numbers, at least 0
     perturbation: Perturbation | None = None  # The errors drawn; None for Perturbation.usual() of the plan's problem
-    rule: Rule | None = None  # Which succeed; None for planner.proof.success_rule.rule_of() the plan
+    rule: Rule | None = None  # Which succeed; None for planner.proof.robustness.success_rule.rule_of() the plan
 
     def __post_init__(self) -> None:
         count("rollouts", self.rollouts)

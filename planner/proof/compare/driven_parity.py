@@ -25,8 +25,8 @@ from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
-from planner.proof.rigid_parity import random_states, rigid_parity, rounded, unlimited
-from planner.proof.simulation import set_state
+from planner.proof.compare.rigid_parity import random_states, rigid_parity, rounded, unlimited
+from planner.proof.replays.simulation import set_state
 
 _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
 
