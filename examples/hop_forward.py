@@ -212,6 +212,7 @@ def problem(
     return planner.Problem(
         dynamics, cost, drawn[0], us=us, twin=planner.Twin.of(machine), limits=planner.Limits(control="model"),
         gain_tolerance=LATE if hand is None else EARLY,
+        tolerance={"position": 0.1, "velocity": 0.3},  # to land and to stand, also on the file's own contact
     )  # fmt: skip
 
 

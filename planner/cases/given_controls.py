@@ -37,6 +37,7 @@ from planner.solvers import lq
 TIME, POSITION = "time", "position of "
 EVEN = 0.01  # relative, of the spacing of times
 _PER_SIZE = 0.01  # weight of a control of the motion's largest size, beside 1 of a radian and of a radian per second
+_APART = 0.01  # rad or m, between a start that is given and the first row of positions
 _EFFORT = 1e-6  # of controls that nobody optimized: the cost is only shown
 
 
@@ -64,21 +65,28 @@ def plan_of_controls(
         raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
     dt = _spacing(table[:, 0], path)
     actuators, joints = _columns(header[1:], mechanism, path)
-    dynamics = RigidBodyDynamics(mechanism, dt)
+    dynamics, asked = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
     if joints:
         xs, us, K = _followed(dynamics, table[:, 1:], joints, x0 if start is not None else None)
+        goal = _last(table[-1, 1:], joints, mechanism) if goal is None else goal
     else:
         us = np.zeros((len(table), mechanism.nu))
         us[:, actuators] = table[:, 1:]
         xs, K = rolled(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
     if not np.isfinite(xs).all():
         raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
-    return _planned(dynamics, xs, us, K, goal, tolerance)
+    return _planned(dynamics, xs, us, K, goal, tolerance, moving=bool(joints) and not asked)
 
 
 def _planned(
-    dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any, tolerance: Any
+    dynamics: RigidBodyDynamics,
+    xs: np.ndarray,
+    us: np.ndarray,
+    K: np.ndarray,
+    goal: Any,
+    tolerance: Any,
+    moving: bool,
 ) -> Plan:
     mechanism, N = dynamics.mechanism, len(us)
     Q = np.zeros((N + 1, dynamics.ndx, dynamics.ndx))
@@ -88,6 +96,8 @@ def _planned(
         at_rest = xs[-1].copy()
         at_rest[mechanism.nq :] = 0.0
         x_ref[-1], Q[N] = state_of("goal", goal, mechanism, at_rest), np.eye(dynamics.ndx)
+        if moving:  # what is followed need not be at rest
+            Q[N, mechanism.nv :] = 0.0
         Q[N, 2 * mechanism.nv :] = 0.0
     cost = TrackingCost(Q, R, x_ref, 0.0, dynamics.space)
     problem = Problem(dynamics, cost, xs[0], us=us, tolerance=tolerance)
@@ -161,6 +171,11 @@ def _columns(names: list[str], mechanism: Mechanism, path: str | Path) -> tuple[
     )
 
 
+def _last(row: np.ndarray, joints: list[int], mechanism: Mechanism) -> dict[str, float]:
+    """The last row as a goal: a motion that is to be followed is to end where it says."""
+    return {mechanism.joint_names[j]: float(value) for j, value in zip(joints, row, strict=True)}
+
+
 def _followed(
     dynamics: RigidBodyDynamics, positions: np.ndarray, joints: list[int], x0: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -188,6 +203,11 @@ def _followed(
     )  # fmt: skip
     sweep = lq.riccati(A, B, weights.quadratize(wanted, us))
     assert sweep is not None  # R is positive definite, Q semidefinite
+    if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _APART:
+        raise PlannerError(
+            f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
+            "same: leave --start out."
+        )
     xs = np.empty_like(wanted)
     xs[0] = wanted[0] if x0 is None else x0
     for n in range(N):

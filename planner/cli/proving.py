@@ -30,6 +30,7 @@ from planner.proof.scales import worst_by_unit
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
+    count("rollouts", arguments.rollouts, least=0)
     plan, digest = _plan_of(arguments)
     if arguments.replay_case is not None:
         for flag in ("mjcf", "out", "engine"):
@@ -92,7 +93,7 @@ def _state(words: str) -> str | list[float] | dict[str, float]:
     """A keyframe's name, numbers 0,1.57, or positions elbow=0.3,wrist=0, as a problem file has them."""
     parts = [part.partition("=") for part in words.split(",")]
     try:
-        if all(sign for _, sign, _ in parts):
+        if all(sign for _, sign, _ in parts) and len({name.strip() for name, _, _ in parts}) == len(parts):
             return {name.strip(): float(value) for name, _, value in parts}
         return [float(part) for part in words.split(",")]
     except ValueError:

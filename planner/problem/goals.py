@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.model.coordinates import coordinates_of
+from planner.problem.costs.terms import SumCost
 from planner.problem.costs.wanted import Wanted
 from planner.problem.problem import Problem
 
@@ -64,7 +65,7 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
 def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
     """What the terms of a problem's cost ask of its end, without tolerances."""
     coordinates = coordinates_of(problem.dynamics)
-    found = tuple(one for term in _terms(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
+    found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
     if problem.periodic is None:
         return found
     # What is to come back has no goal of its own: its reference at the end is a multiplier (planner.solvers.periodic).
@@ -75,7 +76,7 @@ def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
 def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
     """The terms with a final part that do not say what they ask for, by their type: a user's own costs."""
     found = []
-    for term in _terms(problem.cost):
+    for term in terms_of(problem.cost):
         if not hasattr(term, "wanted"):
             model = term.quadratize(xs, us)
             if np.any(model.Q[-1]) or np.any(model.q[-1]):
@@ -83,8 +84,9 @@ def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str
     return tuple(found)
 
 
-def _terms(cost: Any) -> tuple[Any, ...]:
-    return getattr(cost, "costs", (cost,))
+def terms_of(cost: Any) -> tuple[Any, ...]:
+    """The terms of a sum, or the one cost."""
+    return cost.costs if isinstance(cost, SumCost) else (cost,)
 
 
 def _nothing(_: Any) -> tuple[Wanted, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.base.measured import Measured
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
-from planner.problem.goals import goals_of
+from planner.problem.goals import goals_of, terms_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
@@ -121,7 +121,7 @@ def judged_cost(problem: Problem) -> JudgedCost:
     """The running cost where the final part is a penalty on what the goal judges, else the whole cost."""
     own_rule = problem.requirements is not None and problem.requirements.goal is not None
     judged = own_rule or any(np.isfinite(goal.tolerance) for goal in goals_of(problem))
-    terms = getattr(problem.cost, "costs", (problem.cost,))
+    terms = terms_of(problem.cost)
     final = tuple(term for term in terms if judged and hasattr(term, "final_cost"))
     return JudgedCost("running cost" if final else "cost", final)
 

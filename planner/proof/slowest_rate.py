@@ -46,10 +46,10 @@ def controller_section(rates: Rates, encoded: Replay) -> Section:
     slowest = rates.slowest
     tried = ", ".join(f"{one.sampling.rate:.4g} Hz {'passes' if one.passed else 'fails'}" for one in rates.tried)
     measured = [
-        Measured("slowest_rate", slowest.rate if slowest else math.nan, "Hz", None, f"one period late; {tried}"),
+        Measured("slowest_rate", slowest.rate if slowest else math.inf, "Hz", None, f"one period late; {tried}"),
         Measured(
-            "once_a_stage", rates.once_a_stage.sampling.rate, "Hz", None,
-            "passes" if rates.once_a_stage.passed else "fails",
+            f"once_a_stage_{'passes' if rates.once_a_stage.passed else 'fails'}", rates.once_a_stage.sampling.rate,
+            "Hz", None, "gains once a stage, one stage late",
         ),
     ]  # fmt: skip
     for part, along in (("end", encoded.error[-1:]), ("path", encoded.error)):

@@ -42,10 +42,11 @@ from planner.proof.scales import worst_by_unit
 from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
+from planner.proof.your_file import OPEN_LOOP_MISSES, your_file
 from planner.proof.your_file import TITLE as FILE
-from planner.proof.your_file import your_file
 
 ROLLOUTS = 512
+_ROUNDING = 1e-9  # a start that is nearer to its goal is at it
 _LATER = "it was not asked for: it follows the verdict, with rollouts"
 
 
@@ -82,6 +83,11 @@ def prove(
             "the plan comes without its problem, which is its maker's own Python: expected prove() of a plan just "
             "solved, or load_plan(path, problem=...)."
         )
+    for name, value, kind in (("twin", twin, Twin), ("perturbation", perturbation, Perturbation)):
+        if value is not None and not isinstance(value, kind):
+            raise PlannerError(f"{name} is {shown(value)}, expected a {kind.__name__} or None.")
+    if not isinstance(optimal, bool):
+        raise PlannerError(f"optimal is {shown(optimal)}, expected True or False.")
     count("seed", seed, least=0)
     count("rollouts", rollouts, least=0)
     number("hold_seconds", hold_seconds, least=0.0)
@@ -105,12 +111,13 @@ def prove(
     steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
-    mode = next((m for m in MODES if sound and all(step.passed for step in judged[m])), None)
-    seen = mode or "open-loop"
-    converged, given = (
-        optimality(plan, problem, now),
-        your_file(plan, problem, goals_of(problem, plan.xs), open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)[0],
-    )
+    converged, goals = optimality(plan, problem, now), goals_of(problem, plan.xs)
+    given, _ = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
+    # A plan that your file follows only with its gains is no open-loop plan.
+    lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
+    modes = MODES[1:] if lost else MODES
+    mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
+    seen = mode or modes[0]
     repeated = mode is not None
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
@@ -142,7 +149,8 @@ def prove(
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
         reason=_reason(
-            passed, (*required.values(), *(() if repeated else judged[seen]), given, converged), steps[seen], runs[seen]
+            passed, (*required.values(), *(() if repeated else judged[seen]), given, converged),
+            [*steps[seen], given], runs[seen],
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         not_checked=(*_without(problem, compiled), *_unjudged(plan, problem)),
@@ -217,12 +225,22 @@ def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
     return (f"without {' and '.join(phrases)}",) if phrases else ()
 
 
+def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
+    """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
+    goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
+    away = [float(one.missed(problem.x0[None])[0]) for one in goals]
+    near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
+    return bool(goals) and near and max(away) > _ROUNDING
+
+
 def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
     """What the cost asks for and nobody judged."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ()
     unjudged = unjudged_ends(problem, plan.xs, plan.us)
     phrases = [f"the end of {name} was not judged" for name in unjudged]
+    if _stands_at_goal(plan, problem):
+        phrases.append("the start is within the goal's tolerance")
     goals = goals_of(problem, plan.xs)
     soft = sum(not math.isfinite(one.tolerance) for one in goals)
     if soft:
@@ -246,6 +264,8 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
             return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
         found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
+        in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
+        more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
         if run.reached and broken.title != "plan":  # what was reached is why the rest differs
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import Goal, goals_of
+from planner.problem.goals import Goal, goals_of, terms_of
 from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
 from planner.proof.scales import (
@@ -84,7 +84,7 @@ def _controls(run: Replay) -> np.ndarray | None:
 
 def costs_with_goals(problem: Problem) -> list[TrackingCost]:
     """The terms of a problem's cost with a final weight, and so with a goal state."""
-    costs = getattr(problem.cost, "costs", (problem.cost,))
+    costs = terms_of(problem.cost)
     return [cost for cost in costs if isinstance(cost, TrackingCost) and np.any(cost.Q[-1])]
 
 

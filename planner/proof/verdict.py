@@ -20,6 +20,7 @@ from planner.proof.growth import Growth
 from planner.proof.hold import Held
 from planner.proof.order import Order
 from planner.proof.replays.replaying import Replay
+from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import Perturbed
 
 
@@ -71,8 +72,9 @@ class Proof:
         """The word "robust" or "fragile", "robustness: counting", or "" where no rollouts were asked for."""
         if self.monte_carlo is None:
             return "robustness: counting" if self.asked.get("rollouts") else ""
-        word = self.monte_carlo.robustness
-        return f"robustness: {word}" if word == "counting" else word
+        word, drawn = self.monte_carlo.robustness, self.monte_carlo.perturbation
+        other = "" if drawn == Perturbation.usual(self.replay.plan.problem) else " at other than the standard errors"
+        return f"robustness: {word}{other}" if word == "counting" else f"{word}{other}"
 
     @property
     def headline(self) -> str:

@@ -38,13 +38,15 @@ from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.limits_hit import clamps_hit, stops_hit
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.simulation import simulate
-from planner.proof.scales import worst_by_unit
+from planner.proof.scales import path_bounds, worst_by_unit
 from planner.proof.tracking import misses
 
 TITLE = "your file"
+OPEN_LOOP_MISSES = "open_loop_goals_missed"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
 GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
+FELT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
 
@@ -84,12 +86,12 @@ def your_file(
     known = open_loop if open_loop is not None and _same_model(open_loop.twin, compiled.twin) else None
     run = replay_in(known.compiled if known else compiled, plan, feedback=True)
     end = known.xs[-1] if known else _end_without_gains(run)
-    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end)))
+    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
     again = replay_in(run.compiled, plan, feedback=True, integrator=own)
-    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again))))
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again), goals)))
     return (other, again) if other.passed else (section, run)
 
 
@@ -158,21 +160,30 @@ def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     scale = min(1.0, float(model.stat.extent))
     rubs = RUBS * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.touches:
-        grazes = touch.deepest <= GRAZE * scale
-        if names_of(model, touch.geoms) in known or (grazes and touch.force <= rubs):
+        grazes, presses = touch.deepest <= GRAZE * scale, touch.force > rubs
+        if names_of(model, touch.geoms) in known or (grazes and not presses):
             continue
         pair = " and ".join(named(model, "geom", geom) for geom in sorted(touch.geoms))
-        if grazes:
-            wrong.append(
-                f"{pair} lie flush and rub, from t = {run.t[touch.first]:.4g} s with up to {touch.force:.3g} N."
-            )
-        elif touch.at_start <= GRAZE * scale:
+        overlap = touch.at_start > GRAZE * scale
+        if presses and (grazes or (overlap and _pushed(run))):  # shapes that overlap may carry load all the same
+            how = f"overlap by {touch.at_start:.3g} m at the start" if overlap else "lie flush"
+            when = f"from t = {run.t[touch.first]:.4g} s"
+            wrong.append(f"{pair} {how} and press on each other {when} with up to {touch.force:.3g} N.")
+        elif not overlap:
             wrong.append(f"{pair} touch from t = {run.t[touch.first]:.4g} s, by up to {touch.deepest:.3g} m.")
         elif touch.deepest > touch.at_start + max(DEEPER[0] * scale, DEEPER[1] * touch.at_start):
             wrong.append(f"{pair} touch at the start by {touch.at_start:.3g} m, later by up to {touch.deepest:.3g} m.")
         else:
             overlaps.append(f"{pair} touch at the start by {touch.at_start:.3g} m and go no deeper.")
     return wrong, overlaps
+
+
+def _pushed(run: Replay) -> bool:
+    """Whether forces that the plan does not know are felt: off the path, or in what gains must add to stay on it."""
+    us = np.repeat(run.plan.us, run.substeps, axis=0)
+    size = np.abs(us).max(axis=0)
+    added = np.abs(run.ctrl - us).max(axis=0) > FELT * np.maximum(size, FELT * size.max(initial=0.0))
+    return bool(np.any(added)) or not bool(np.all(np.abs(run.error) <= path_bounds(run.plan)))
 
 
 def _together(sentences: list[str]) -> str:
@@ -208,13 +219,17 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
     ]  # fmt: skip
 
 
-def _open_loop(plan: Plan, end: np.ndarray) -> list[Measured]:
-    """How far the file ends (nx,) from the plan without gains."""
+def _open_loop(plan: Plan, end: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
+    """How far the file ends (nx,) from the plan without gains, and how many goals it misses so."""
     error = plan.space.difference(end, plan.xs[-1])[None]
-    return [
+    own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
+    missed = [] if own_rule else [one for one in misses("open loop", end[None], tuple(goals)) if not one.passed]
+    note = "; ".join(map(str, missed)) or "without gains"
+    ends = [
         Measured(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
         for one in worst_by_unit(plan, error)
     ]
+    return [Measured(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
 
 
 def _end_without_gains(run: Replay) -> np.ndarray:

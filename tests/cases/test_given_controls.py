@@ -58,7 +58,10 @@ def test_positions_are_followed(solved, model, tmp_path):
     assert np.any(plan.K)
     proof = planner.prove(plan, rollouts=0, optimal=False)
     assert proof.passed, proof.reason
-    assert "no goal was asked for" in proof.headline
+    assert "no goal was asked for" not in proof.headline  # the last row is
+    assert proof.goal.passed
+    with pytest.raises(PlannerError, match="leave --start out"):
+        plan_of_controls(tmp_path / "q.csv", model, start=[1.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -186,7 +186,7 @@ def test_at_whatever_time_a_run_is_stopped_it_is_resumed_to_the_same_plan_and_pr
         _, err = child.communicate(timeout=300)
         whole(tmp_path / "o")
         if kill == signal.SIGINT:
-            assert child.returncode in (0, 1, 130), err  # 1: in the solve, whose best plan is proved
+            assert child.returncode in (0, 1, 130, -2), err  # 1: in the solve; -2: while Python itself begins or ends
             assert err == "" or (err.startswith("planner: interrupted") and err.count("\n") == 1), err
     last = begin("o")
     _, err = last.communicate(timeout=300)
