@@ -149,18 +149,12 @@ def test_a_stop_that_the_plan_does_not_know_is_named():
     assert "joint 'hinge' is outside its range from t = " in judged(plan, -1.6)[1]["unknown_stops"]
 
 
-@pytest.mark.parametrize("friction", ["0 0 0", "1 0.005 0.0001"], ids=["not felt", "felt"])
-def test_shapes_that_overlap_where_the_file_puts_them_fail_where_they_are_felt(friction):
-    """A base that the arm is drawn into, as in many models of others: without friction the joint bears it."""
-    base = f'<geom name="base" type="cylinder" size="0.25 0.1" friction="{friction}" priority="1"/>'
+def test_shapes_that_overlap_where_the_file_puts_them_fail_where_they_are_felt():
+    """A base that the arm is drawn into, as in many models of others: it rubs, and the gains must overcome it."""
+    base = '<geom name="base" type="cylinder" size="0.25 0.1"/>'
     plan = planner.solve(problem(WALLED.replace("<body>", f"{base}<body>"), -0.5, contacts="off"))
-    section, _, _ = judged(plan, -0.5)
-    named = {one.name: one for one in section.measured}
-    if friction.startswith("0"):
-        assert named["unknown_contacts"].value == 0.0, named["unknown_contacts"].note
-        assert "geom 'base' and geom 'arm' touch at the start" in named["overlaps_at_the_start"].note
-    else:
-        assert "geom 'base' and geom 'arm' overlap by " in named["unknown_contacts"].note
+    found = judged(plan, -0.5)[1]["unknown_contacts"]
+    assert "geom 'base' and geom 'arm' overlap by " in found
 
 
 def test_actuators_that_were_taken_out_stay_idle():
