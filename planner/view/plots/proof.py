@@ -178,7 +178,7 @@ def _draw_ends(axes: Axes, rollouts: Perturbed) -> None:
     if math.isfinite(rollouts.tolerance):
         axes.axvline(rollouts.tolerance, color=RED, lw=1.1, label=f"tolerance {rollouts.tolerance:g}")
     else:
-        axes.plot([], [], " ", label="success by the machine's own rule")
+        axes.plot([], [], " ", label=f"success: {rollouts.rule or 'by its own rule'}")
     axes.set_xscale("log")
     axes.locator_params(axis="y", integer=True)
     _, highest_bar = axes.get_ylim()
