@@ -117,7 +117,7 @@ def prove(
     lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
     modes = MODES[1:] if lost else MODES
     mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
-    seen = mode or modes[0]
+    seen = mode or next((m for m in MODES if not all(step.passed for step in judged[m])), "open-loop")
     repeated = mode is not None
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
