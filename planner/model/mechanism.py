@@ -105,6 +105,7 @@ class Mechanism:
         joint_links: One per joint: its links, a slice of the degrees of freedom.
         joint_range: (nv, 2) infinite where there is none.
         joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
+        velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, MJCF does not.
         body_names: MuJoCo's bodies in order, the world first.
         bodies: Their frames.
         contacts: Spheres and points that touch planes of the world.
@@ -143,6 +144,7 @@ class Mechanism:
     joint_links: tuple[slice, ...]
     joint_range: np.ndarray
     joint_force_range: np.ndarray
+    velocity_limit: np.ndarray
     body_names: tuple[str, ...]
     bodies: tuple[Frame, ...]
     contacts: tuple[Contact, ...] = ()

@@ -136,6 +136,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
+        velocity_limit=np.full(model.nv, np.inf),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
