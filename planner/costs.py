@@ -9,6 +9,7 @@ from planner.problem.costs.penalty_terms import Distance, Gap, Height, Point, Se
 from planner.problem.costs.terms import Cost, Quadratic, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.criteria import with_objective
+from planner.problem.default_weights import default_cost
 from planner.problem.objective import Objective
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "SumCost",
     "TrackingCost",
     "Velocity",
+    "default_cost",
     "driven_by_jerk",
     "with_objective",
 ]

@@ -31,7 +31,7 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
         parameters = {parameter.name: parameter.default for parameter in shown}
         document.append({"case": name, "summary": summary(case), "parameters": parameters})
     keys = {**problem_keys.KEYS, **{f"weights.{name}": text for name, text in problem_keys.WEIGHTS.items()}}
-    defaults = {**problem_keys.DEFAULTS, **{f"weights.{n}": v for n, v in problem_keys.DEFAULT_WEIGHTS.items()}}
+    defaults = problem_keys.DEFAULTS
     console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
     lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]
     console.table(("  key", "default", ""), lines, COLUMNS)

@@ -39,7 +39,7 @@ from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
-from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED
+from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
 from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
@@ -52,6 +52,7 @@ from planner.model.twin import Twin
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
+from planner.problem.default_weights import default_weights
 from planner.problem.guess import holding_controls
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
@@ -110,7 +111,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     """
     if twin is None:
         raise PlannerError("its model is missing.")
-    table = with_defaults(table, "the plan")
+    table = with_defaults(table, "the plan", stored=True)
     mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
     return _problem(table, mechanism, "the plan")
 
@@ -128,7 +129,7 @@ def load_problem(path: str | Path) -> Problem:
 
 
 def _again(mechanism: Mechanism, **table: Any) -> Problem:
-    return _problem(with_defaults(table, "the problem file"), mechanism, "the problem file")
+    return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
 def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
@@ -177,7 +178,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
-    cost = TrackingCost.joints(dynamics, goal, N, **table["weights"])
+    table = _resolved(table, dynamics, x0, goal)
+    cost = TrackingCost.joints(dynamics, goal, N, **table[RESOLVED]["weights"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
@@ -188,6 +190,19 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     )  # fmt: skip
     check_departure(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
+
+
+def _resolved(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray) -> dict[str, Any]:
+    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
+    if RESOLVED in table:
+        return table
+    default = default_weights(
+        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
+    )
+    given = table["weights"]
+    chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
+    reasons = {name: reason for name, reason in default.reasons.items() if name not in given}
+    return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
 
 
 def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:

@@ -37,11 +37,11 @@ LIMITS = {
     "tolerance": "how far a state may be outside its range, or from an exact goal",
 }
 WEIGHTS = {
-    "effort": "on |u|^2 / 2, per second",
-    "final_position": "on the squared distance from the goal / 2 at the end",
-    "final_velocity": "on the squared velocity error / 2 at the end",
-    "position": "on the squared distance from the goal / 2 on the way, per second",
-    "velocity": "on the squared velocity error / 2 on the way, per second",
+    "effort": "on |u|^2 / 2, per second; by default 1 / limit^2",
+    "final_position": "on the squared distance from the goal / 2 at the end; by default 4 / tolerance^2",
+    "final_velocity": "on the squared velocity error / 2 at the end; by default 10 / tolerance^2",
+    "position": "on the squared distance from the goal / 2 on the way, per second; by default 0",
+    "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
 }
 LAW = {
     "stiffness": "N/m",
@@ -58,11 +58,9 @@ GROUND = {
     "slip": "m/s, at which viscous friction would be all there is",
     "ramp": "m of smoothing",
 }
+RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
     "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
     "starts": 1, "seed": 0, "title": "",
-}  # fmt: skip
-DEFAULT_WEIGHTS: dict[str, Any] = {
-    "effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0,
 }  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
-from planner.cases.problem_file.keys import DEFAULT_WEIGHTS, DEFAULTS, KEYS, LIMITS, WEIGHTS
+from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, RESOLVED, WEIGHTS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
 from planner.problem.limits import Limits
@@ -44,17 +44,20 @@ def read_table(path: Path) -> dict[str, Any]:
         raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
 
 
-def with_defaults(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """The table with its defaults; PlannerError where it has an unknown key or no model."""
-    check_keys(table, KEYS, where)
-    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS)):
+def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> dict[str, Any]:
+    """The table with its defaults; PlannerError where it has an unknown key or no model.
+
+    A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
+    """
+    check_keys(table, (*KEYS, RESOLVED) if stored else KEYS, where)
+    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS), (RESOLVED, ("weights", "reasons"))):
         part = table.get(name, {})
         if not isinstance(part, dict):
             raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
         check_keys(part, keys, f"[{name}] of {where}")
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
-    return {**DEFAULTS, **table, "weights": {**DEFAULT_WEIGHTS, **table.get("weights", {})}}
+    return {**DEFAULTS, **table, "weights": dict(table.get("weights", {}))}
 
 
 def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.cases import CASES
+from planner.cases.problem_file.chosen import chosen
+from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
@@ -64,6 +66,7 @@ def write_report(
         "" if proof is None else assessment(plan, proof),
         _solver(plan),
         _parameters(plan),
+        _chosen(plan),
         _again(plan, proof, path, options or {}),
         "<h2>Made with</h2>\n" + table(plan.versions),
         _model(plan),
@@ -160,7 +163,14 @@ def _parameters(plan: Plan) -> str:
         return ""
     case = f" of the case {plan.case}" if plan.case else ""
     told = typed(plan.parameters) if plan.case in CASES else plan.parameters
+    told = {name: value for name, value in told.items() if name != RESOLVED}
     return f"<h2>Parameters{escape(case)}</h2>\n" + table(told)
+
+
+def _chosen(plan: Plan) -> str:
+    """What the problem file left to be chosen, with the reasons."""
+    reasons = chosen(plan.parameters)
+    return f"<h2>Chosen by itself</h2>\n{table(reasons)}" if reasons else ""
 
 
 def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:

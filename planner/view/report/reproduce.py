@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from planner import cases
 from planner.base.errors import PlannerError
 from planner.cases import problem_file
+from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.plan import Plan
 
 if TYPE_CHECKING:
@@ -42,9 +43,10 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
     if plan.case != problem_file.NAME:
         return ""
     table = {name: value for name, value in _at_first(plan, path).items() if value is not None}  # TOML has no null
-    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits")]
-    for name in ("weights", "limits") if table.get("limits") else ("weights",):
-        lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.get(name, {}).items())]
+    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits", RESOLVED)]
+    for name in ("weights", "limits"):
+        if table.get(name):
+            lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table[name].items())]
     return "\n".join(lines)
 
 

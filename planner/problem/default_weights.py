@@ -1,0 +1,168 @@
+"""Weights that need no tuning: of a motion to a goal, from the machine's own limits, its way and its duration.
+
+Every weight makes its term a number without unit that is about 1:
+
+    effort          1 / limit^2 of each control, the limit being what the model says; where it says none, what holds the
+                    machine and moves its inertia over the way in half of the time
+    velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
+                    only of machines whose actuators reach every joint: another one needs its swing
+    final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
+    final_velocity  10 / tolerance^2
+
+The effort of a servo, whose control is a position, is counted from the control that holds the goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.algorithms import bias, mass_matrix
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.driven import driven_dofs
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.goals import LEAST
+from planner.problem.guess import holding_controls
+
+LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
+LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
+POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
+SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
+
+
+@dataclass(frozen=True, eq=False)
+class DefaultWeights:
+    """Weights by the arguments of TrackingCost.joints, and the reason of each in a sentence."""
+
+    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), velocity, final_position and final_velocity (nv,)
+    reasons: dict[str, str]
+
+
+def default_weights(
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
+    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False,
+) -> DefaultWeights:  # fmt: skip
+    """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
+
+    Args:
+        dynamics: The machine.
+        x0: (nx,) start.
+        goal: (nx,) end.
+        duration: s.
+        tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
+        effort_alone: Whether velocities on the way are free.
+    """
+    mechanism = dynamics.mechanism
+    nv = mechanism.nv
+    units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
+    way = np.abs(mechanism.space.difference(x0, goal)[:nv])
+    speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
+    effort, control, known = _effort(dynamics, x0, goal, duration, way)
+    velocity = np.zeros(nv)
+    reach = reaches_all(dynamics)
+    if reach and not effort_alone:
+        velocity = 1.0 / speed**2
+    position, rate = _tolerances(mechanism, units, tolerance)
+    weights = {
+        "effort": effort, "control": control, "velocity": velocity, "final_position": POSITION / position**2,
+        "final_velocity": VELOCITY / rate**2,
+    }  # fmt: skip
+    return DefaultWeights(weights, {
+        "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
+                  "force that holds the machine and moves its inertia"),
+        "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
+                    "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
+                    "must be free",
+        "final_position": f"{POSITION:g} / tolerance^2", "final_velocity": f"{VELOCITY:g} / tolerance^2",
+    })  # fmt: skip
+
+
+def default_cost(
+    dynamics: RigidBodyDynamics, x0: Any, goal: Any, horizon: int, *,
+    tolerance: float | Mapping[str, float] | None = None, **weights: Any,
+) -> TrackingCost:  # fmt: skip
+    """A cost that brings a machine from x0 (nx,) to a goal (nx,), with weights that need no tuning.
+
+    Args:
+        dynamics: The machine.
+        x0: (nx,) start.
+        goal: (nx,) end.
+        horizon: N, number of stages.
+        tolerance: How far from the goal the end may be, as Problem has it.
+        **weights: Arguments of TrackingCost.joints in place of the default ones.
+
+    Raises:
+        PlannerError: As TrackingCost.joints.
+    """
+    x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
+    chosen = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
+    return TrackingCost.joints(dynamics, goal, horizon, **chosen | weights)
+
+
+def reaches_all(dynamics: RigidBodyDynamics) -> bool:
+    """Whether actuators and prescribed joints can accelerate every joint as they like."""
+    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
+    own = np.eye(mechanism.nv)[driven]
+    return bool(np.linalg.matrix_rank(np.vstack([moment, own])) == mechanism.nv)
+
+
+def _effort(
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[bool]]:
+    """Weights and zero of the controls (nu,), and whether the model limits each."""
+    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    actuators, nq = mechanism.actuators, mechanism.nq
+    units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
+    swift = 4.0 * np.maximum(way, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
+    still = np.zeros(mechanism.nv)
+    held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
+    force = held + np.diagonal(mass_matrix(mechanism, x0[:nq])) * swift
+    limits, known = np.empty(dynamics.nu), []
+    servo = actuators.bias[:, 1] != 0.0
+    for a in range(mechanism.nu):
+        limit = _limit(mechanism, a, bool(servo[a]))
+        known.append(np.isfinite(limit))
+        if not known[-1]:
+            push = np.abs(actuators.gain[a] * actuators.moment[a])
+            limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
+        limits[a] = limit
+    limits[mechanism.nu :] = swift[driven]
+    control = np.zeros(dynamics.nu)
+    if np.any(servo):
+        control[: mechanism.nu] = np.where(servo, holding_controls(mechanism, goal), 0.0)
+    return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
+
+
+def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
+    """How large a control can usefully be, by the model; infinite where it says nothing."""
+    actuators = mechanism.actuators
+    low, high = actuators.control_range[a]
+    found = [0.5 * (high - low) if servo else max(abs(low), abs(high))]
+    gain = abs(actuators.gain[a])
+    if gain > 0.0:
+        found.append(np.abs(actuators.force_range[a]).max() / gain)
+        for i in np.flatnonzero(actuators.moment[a]):
+            found.append(np.abs(mechanism.joint_force_range[i]).max() / (gain * abs(actuators.moment[a, i])))
+    found = [one for one in found if 0.0 < one < np.inf]
+    return float(min(found, default=np.inf))
+
+
+def _tolerances(
+    mechanism: Mechanism, units: list[str], tolerance: float | Mapping[str, float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of positions and velocities (nv,): those that are asked for, where finite; never more than a proof's least."""
+    names = [one.name for one in coordinates_of_mechanism(mechanism)]
+    usual = np.array([LEAST[unit] for unit in units])
+    asked = usual.copy()
+    for i, (name, unit) in enumerate(zip(names[: len(units)], units, strict=True)):
+        kind = "velocity" if unit.endswith("/s") else "position"
+        given = tolerance.get(name, tolerance.get(kind)) if isinstance(tolerance, Mapping) else tolerance
+        if given is not None:
+            asked[i] = min(asked[i], given)
+    return asked[: mechanism.nv], asked[mechanism.nv :]
