@@ -83,18 +83,21 @@ def _coarse_obj(model: Any, index: int) -> bytes:
     vertices = model.mesh_vert[at : at + count] @ T[:3, :3].T + T[:3, 3]
     size = float(np.ptp(vertices, axis=0).max())
     cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
-    _, place, members = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    numbers = cells @ [(GRID + 1) ** 2, GRID + 1, 1]
+    _, place, members = np.unique(numbers, return_inverse=True, return_counts=True)
     place = place.reshape(-1)
     means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
     corners = place[model.mesh_face[face : face + faces]]
     whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
     corners = corners[whole]
     first = np.argmin(corners, axis=1)[:, None]  # the least corner goes first, so that equal faces are
-    corners = np.unique(np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1), axis=0)
+    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
+    _, once = np.unique(corners @ [len(means) ** 2, len(means), 1], return_index=True)
+    corners = corners[once]
     a, b, c = (means[corners[:, k]] for k in range(3))
     if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
         return b""
     digits = max(0, 4 - math.floor(math.log10(size)))  # a ten-thousandth of the mesh
-    lines = [" ".join(["v", *(f"{number:.{digits}f}" for number in row)]) for row in means]
-    lines += [" ".join(["f", *map(str, row)]) for row in (corners + 1).tolist()]
-    return "\n".join(lines).encode()
+    line = f"v %.{digits}f %.{digits}f %.{digits}f\n"
+    points = (line * len(means)) % tuple(means.ravel().tolist())
+    return (points + ("f %d %d %d\n" * len(corners)) % tuple((corners + 1).ravel().tolist())).encode()
