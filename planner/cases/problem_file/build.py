@@ -59,6 +59,7 @@ from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
+DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 
 
 class ProblemFile(NamedTuple):
@@ -186,7 +187,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
-        tolerance=table["tolerance"],
+        tolerance=table["tolerance"], decrease_tolerance=DECREASE,
     )  # fmt: skip
     check_departure(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem

@@ -1,0 +1,104 @@
+"""Default weights: dimensionless, from the model's limits; no goal needs tuning."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.costs import default_cost
+from planner.problem.default_weights import default_weights, reaches_all
+
+ARM = """
+<mujoco>
+  <option gravity="0 0 -9.81"/>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="{damping}"/>
+      <geom type="capsule" fromto="0 0 0 {length} 0 0" size="{width}" mass="{mass}"/>
+      <body pos="{length} 0 0">
+        <joint name="elbow" axis="0 1 0" damping="{damping}"/>
+        <geom type="capsule" fromto="0 0 0 {length} 0 0" size="{width}" mass="{mass}"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+MOTORS = """<motor name="one" joint="shoulder" ctrllimited="{limited}" ctrlrange="-{one} {one}" gear="{gear}"/>
+<motor name="two" joint="elbow" ctrllimited="{limited}" ctrlrange="-{two} {two}"/>"""
+
+
+def arm(length=0.5, mass=1.0, one=40.0, two=20.0, limited="true", gear=1.0, actuators=MOTORS):
+    actuators = actuators.format(one=one, two=two, limited=limited, gear=gear)
+    damping = 0.1 * mass * length**2
+    text = ARM.format(length=length, damping=damping, width=length / 20, mass=mass, actuators=actuators)
+    return planner.RigidBodyDynamics(planner.Mechanism.from_mjcf(text, contacts="off"), 0.01)
+
+
+def chosen(dynamics, way, duration=1.0, **more):
+    goal = dynamics.mechanism.home.copy()
+    goal[: len(way)] = way
+    return default_weights(dynamics, dynamics.mechanism.home, goal, duration, **more)
+
+
+def test_effort_is_one_over_the_square_of_the_limit():
+    weights = chosen(arm(), [1.0, 0.0]).weights
+    np.testing.assert_allclose(weights["effort"], [1 / 40**2, 1 / 20**2])
+    np.testing.assert_array_equal(weights["control"], 0.0)
+
+
+def test_without_limits_the_effort_does_not_depend_on_the_unit_of_the_control():
+    plain, geared = (chosen(arm(limited="false", gear=gear), [1.0, 0.0]) for gear in (1.0, 50.0))
+    np.testing.assert_allclose(geared.weights["effort"] / plain.weights["effort"], [50.0**2, 1.0])
+    assert "no limit" in plain.reasons["effort"]
+    # What holds two rods of 1 kg and 0.5 m at the shoulder, 9.81 (0.25 + 0.75), is a part of the limit.
+    assert plain.weights["effort"][0] < 1 / 9.81**2
+
+
+def test_speed_is_twice_the_mean_one():
+    weights = chosen(arm(), [1.5, 0.1], duration=2.0).weights
+    np.testing.assert_allclose(weights["velocity"], [1 / 1.5**2, 1 / 0.5**2])  # the elbow at the least speed
+
+
+def test_a_machine_with_a_free_joint_keeps_its_swing():
+    one_motor = arm(actuators='<motor name="two" joint="elbow"/>')
+    assert not reaches_all(one_motor)
+    found = chosen(one_motor, [1.0, 0.0])
+    assert not np.any(found.weights["velocity"])
+    assert "swing" in found.reasons["velocity"]
+    assert reaches_all(planner.RigidBodyDynamics(one_motor.mechanism, 0.01, prescribed=["shoulder"]))
+
+
+def test_effort_alone_leaves_velocities_free():
+    found = chosen(arm(), [1.0, 0.0], effort_alone=True)
+    assert not np.any(found.weights["velocity"])
+
+
+def test_goals_are_as_tight_as_they_are_judged():
+    usual = chosen(arm(), [1.0, 0.0]).weights
+    np.testing.assert_allclose(usual["final_position"], 4 / 0.02**2)
+    np.testing.assert_allclose(usual["final_velocity"], 10 / 0.1**2)
+    fine = chosen(arm(), [1.0, 0.0], tolerance={"elbow": 1e-3, "velocity": 1.0}).weights
+    np.testing.assert_allclose(fine["final_position"], [4 / 0.02**2, 4 / 1e-3**2])
+    np.testing.assert_allclose(fine["final_velocity"], usual["final_velocity"])  # never softer than by default
+
+
+def test_a_servo_is_counted_from_what_holds_the_goal():
+    servos = """<position name="one" joint="shoulder" kp="200" kv="20" ctrlrange="-3 3" forcerange="-50 50"/>
+                <position name="two" joint="elbow" kp="100" kv="10"/>"""
+    dynamics = arm(actuators=servos)
+    weights = chosen(dynamics, [1.0, 0.5]).weights
+    held = planner.dynamics.bias(dynamics.mechanism, [1.0, 0.5], [0.0, 0.0])
+    np.testing.assert_allclose(weights["control"], [1.0 + held[0] / 200, 0.5 + held[1] / 100])
+    assert weights["effort"][0] == pytest.approx((200 / 50) ** 2)  # its force is the nearer limit
+
+
+@pytest.mark.parametrize("size", [0.02, 0.5, 3.0])
+def test_arms_of_any_size_arrive_in_a_few_iterations(size):
+    mass = 1000.0 * size**3
+    dynamics = arm(length=size, mass=mass, limited="false")
+    goal = np.array([0.8, -0.6, 0.0, 0.0])
+    cost = default_cost(dynamics, dynamics.mechanism.home, goal, 100)
+    plan = planner.solve(planner.Problem(dynamics, cost, dynamics.mechanism.home))
+    assert plan.success
+    assert plan.nit <= 20  # issue: 3 to 15 on nine arms of others
+    assert planner.prove(plan, rollouts=0).passed
