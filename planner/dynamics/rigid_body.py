@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from threading import local
 from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, shown
+from planner.base.arguments import array, choice, count, number, shown
 from planner.base.errors import PlannerError
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.integrators import SEMI_IMPLICIT_EULER
@@ -27,6 +28,10 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
 
+MOST_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
+ROUNDING = 1e-9  # relative, of a length divided by another
+
+
 class RigidBodyDynamics:
     """Discrete dynamics of a mechanism: x = (qpos, qvel, act), u = the controls, then prescribed accelerations.
 
@@ -36,18 +41,28 @@ class RigidBodyDynamics:
         integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler) or "rk4".
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators do
             nothing.
+        substeps: Equal steps of RK4 in a stage, 1 to 16, for machines whose fastest motions need them (see
+            planner.dynamics.stiffness). The control is held over all of them.
 
     Raises:
-        PlannerError: dt is not positive, no such integrator or joint, or nothing drives the mechanism.
+        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, or substeps of
+            another integrator than RK4.
     """
 
     def __init__(
-        self, mechanism: Mechanism, dt: float, integrator: str = "rk4", prescribed: Collection[str] = ()
-    ) -> None:
+        self, mechanism: Mechanism, dt: float, integrator: str = "rk4", prescribed: Collection[str] = (),
+        substeps: int = 1,
+    ) -> None:  # fmt: skip
         if not isinstance(mechanism, Mechanism):
             raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
         self.integrator = choice("integrator", integrator, INTEGRATORS)
+        self.substeps = count("substeps", substeps, most=MOST_SUBSTEPS)
+        if self.substeps > 1 and self.integrator != "rk4":
+            raise PlannerError(
+                f'substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "rk4", '
+                "the only one with substeps, or substeps = 1."
+            )
         if not isinstance(prescribed, (str, Collection)):
             raise PlannerError(f"prescribed is {shown(prescribed)}, expected names of joints.")
         self.prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
@@ -83,20 +98,30 @@ class RigidBodyDynamics:
     def __repr__(self) -> str:
         n = len(self.mechanism.joint_names)
         joints = "1 joint" if n == 1 else f"{n} joints"
-        return f"{type(self).__name__}({joints}, {self.integrator}, dt {self.dt:g})"
+        substeps = "" if self.substeps == 1 else f" in {self.substeps} substeps"
+        return f"{type(self).__name__}({joints}, {self.integrator}, dt {self.dt:g}{substeps})"
 
     def with_step(self, dt: float, integrator: str) -> RigidBodyDynamics:
-        """The same machine with another stage, s, and integrator.
+        """The same machine with another stage, s, and integrator; substeps of RK4 become no longer than they were.
 
         Raises:
-            PlannerError: The class is derived from RigidBodyDynamics and has no with_step of its own.
+            PlannerError: The class is derived from RigidBodyDynamics and has no with_step of its own, or the stage
+                needs more than 16 substeps.
         """
         if type(self) is not RigidBodyDynamics:  # it may take other arguments
             raise PlannerError(
                 f"the dynamics are of the type {type(self).__name__}, expected RigidBodyDynamics, or a class with "
                 "with_step(dt, integrator) of its own."
             )
-        return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed)
+        substeps = 1
+        if self.substeps > 1 and integrator == self.integrator:
+            substeps = max(math.ceil(self.substeps * dt / self.dt - ROUNDING), 1)
+            if substeps > MOST_SUBSTEPS:
+                raise PlannerError(
+                    f"a stage of {dt:.4g} s needs {substeps} substeps as long as those of {self.dt:.4g} s, expected at "
+                    f"most {MOST_SUBSTEPS}: stages of at most {MOST_SUBSTEPS * self.dt / self.substeps:.4g} s."
+                )
+        return RigidBodyDynamics(self.mechanism, dt, integrator, self.prescribed, substeps)
 
     def _checked(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         us = array("us", us, ("K", self.nu), any_value=True)
@@ -114,7 +139,7 @@ class RigidBodyDynamics:
     def _scratch(self) -> TreeMemory:
         """For single steps, one for each thread: to allocate it takes longer than a step does."""
         if not hasattr(self._steps, "memory"):
-            self._steps.memory = TreeMemory(self._model, self._code, 0, linearizing=False)
+            self._steps.memory = TreeMemory(self._model, self._code, 0, False, self.substeps)
         return self._steps.memory
 
     def rates(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -181,10 +206,15 @@ class RigidBodyDynamics:
 
     def memory(self, N: int) -> TreeMemory:
         """Scratch of one solve of N stages."""
-        return TreeMemory(self._model, self._code, N)
+        return TreeMemory(self._model, self._code, N, substeps=self.substeps)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses balls, free joints, contacts, stops and curves."""
+        """Scratch of second_order_nominal; refuses substeps, balls, free joints, contacts, stops and curves."""
+        if self.substeps > 1:
+            raise PlannerError(
+                f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
+                f'hessian="gauss-newton", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1.'
+            )
         if self.space.quaternions:
             raise PlannerError(
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '

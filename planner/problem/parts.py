@@ -41,6 +41,8 @@ def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     facts: dict[str, Any] = {"dt": dynamics.dt, "integrator": dynamics.integrator}
     if dynamics.prescribed:
         facts["prescribed"] = list(dynamics.prescribed)
+    if dynamics.substeps > 1:
+        facts["substeps"] = dynamics.substeps
     if problem.periodic is not None:
         facts["periodic"] = problem.periodic.to_dict()
     arrays = {name: getattr(problem.cost, name) for name in _COST} | {"x0": problem.x0, "us": problem.first_guess}
@@ -57,7 +59,9 @@ def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | 
     mechanism: Mechanism = read(twin.planned, assets=twin.assets).with_curves(twin.curves)
     mechanism = replace(mechanism, original=twin.original)
     prescribed = facts.get("prescribed", [])
-    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), facts.get("integrator"), prescribed)  # pyright: ignore
+    dynamics = RigidBodyDynamics(  # it checks what a file may have wrong
+        mechanism, facts.get("dt"), facts.get("integrator"), prescribed, facts.get("substeps", 1)  # pyright: ignore
+    )
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
     return Problem(
         dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin,

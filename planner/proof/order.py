@@ -27,7 +27,7 @@ from planner.proof.scales import COST_BOUND, judged_cost, shares_of_bounds
 
 NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
-LEVELS = 5  # steps h ... h/16
+LEVELS = 5  # steps h ... h/16, h being a stage or, of a stage of several substeps, one of these
 MOST_LEVELS = 7  # while errors are so large that no order shows
 _SEEN = 1e-9  # changes below are rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
@@ -87,7 +87,8 @@ def order(problem: Problem, run: Replay) -> Order:
     integrator = getattr(problem.dynamics, "integrator", "rk4")
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
-    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [1 << k for k in range(LEVELS)]
+    own = getattr(problem.dynamics, "substeps", 1)
+    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(LEVELS)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     with np.errstate(all="ignore"):

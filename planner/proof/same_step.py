@@ -6,6 +6,8 @@ integrator is applied here to MuJoCo's accelerations, mj_forward at each of its 
 
 So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.driven), which is
 not the transcription's. Here they are asked again for what is missing.
+
+A plan's stage of several substeps is as many steps here.
 """
 
 from __future__ import annotations
@@ -51,10 +53,18 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     # Stops that the plan does not have are not transcribed. The refined replays and the user's file judge them.
     model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_LIMIT
     integrator = getattr(problem.dynamics, "integrator", "")
-    found = stage_function(integrator, problem.dynamics.dt, model, twin, space, driven_dofs(problem.dynamics))
+    substeps = getattr(problem.dynamics, "substeps", 1)
+    dt = problem.dynamics.dt / substeps
+    found = stage_function(integrator, dt, model, twin, space, driven_dofs(problem.dynamics))
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
-    how, stage = found
+    how, one = found
+
+    def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        for _ in range(substeps):
+            x = one(x, u)
+        return x
+
     path = np.empty_like(plan.xs)
     path[0] = problem.x0
     with curves_acting(twin, model):

@@ -43,6 +43,7 @@ from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
 from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
+from planner.dynamics.stiffness import substeps_for
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.driven import driven_dofs
@@ -112,7 +113,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     """
     if twin is None:
         raise PlannerError("its model is missing.")
-    table = with_defaults(table, "the plan", stored=True)
+    table = with_defaults({"substeps": 1} | table, "the plan", stored=True)  # older plans know of no substeps
     mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
     return _problem(table, mechanism, "the plan")
 
@@ -178,7 +179,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
     table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
-    dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
+    dynamics = RigidBodyDynamics(
+        mechanism, table["dt"], table["integrator"], prescribed, _substeps(table, mechanism, prescribed, (x0, goal))
+    )
     table = _resolved(table, dynamics, x0, goal)
     cost = TrackingCost.joints(dynamics, goal, N, **table[RESOLVED]["weights"])
     appearance = default_appearance(mechanism, prescribed)
@@ -212,6 +215,17 @@ def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
     if not isinstance(names, list):
         raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)
+
+
+def _substeps(
+    table: dict[str, Any], mechanism: Mechanism, prescribed: tuple[str, ...], states: tuple[np.ndarray, ...]
+) -> int:
+    """The table's count, or what the machine needs at these states and at home."""
+    if table["substeps"] != "auto":
+        return table["substeps"]
+    if table["integrator"] != "rk4":
+        return 1
+    return substeps_for(mechanism, table["dt"], (*states, mechanism.home), prescribed)
 
 
 def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:

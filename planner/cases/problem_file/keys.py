@@ -14,6 +14,7 @@ KEYS = {
     "duration": "s, a whole number of stages",
     "dt": "length of a stage, s",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
+    "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
     "contacts": "on, off to take them out of a model whose shapes may collide, ground, or a table of their law, below",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them",
@@ -61,6 +62,6 @@ GROUND = {
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": 0.01, "integrator": "rk4", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
+    "dt": 0.01, "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
     "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

@@ -1,5 +1,7 @@
 """Exact A and B of a stage of a tree (Eq. 35), four knots at a time: the chain rule through the integrator's stages.
 
+Of several substeps under one control the products are A = A_k A and B = A_k B + B_k.
+
 Columns are ordered z = (u | dq | dv | dact), as in kernels.tree.derivatives.
 """
 
@@ -7,6 +9,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import store3
+from planner.kernels.algebra.tiles import four_rows
 from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lane_math import transpose
@@ -19,6 +22,7 @@ from planner.kernels.numba.lanes import (
     integers,
     lanes,
     load,
+    load4,
     pointer,
     spread,
     store,
@@ -28,7 +32,7 @@ from planner.kernels.tree.chain import euler, keep_turns, runge_kutta
 from planner.kernels.tree.derivatives import acceleration_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
-from planner.kernels.tree.step import end_rotation, gather, stage_state
+from planner.kernels.tree.step import end_rotation, end_state, gather, stage_state
 
 
 @inline
@@ -75,7 +79,7 @@ def _gathered(m, r, xs, us, first, count):
     """States, controls and the rollout's accelerations of four stages onto lanes."""
     gather(doubles(xs), first, count, m[TREE.nq] + m[TREE.nv] + m[TREE.na], lanes(r, MEMORY.x))
     gather(doubles(us), first, count, m[TREE.nu], lanes(r, MEMORY.u))
-    gather(floats(r, MEMORY.accelerations), first, count, r[MEMORY.stages] * m[TREE.nv], lanes(r, MEMORY.a))
+    gather(floats(r, MEMORY.accelerations), first, count, r[MEMORY.kept], lanes(r, MEMORY.a))
 
 
 @jit
@@ -107,31 +111,63 @@ def _stage_derivatives(m, r, i, state, present, width, external):
         scatter_row(dA, row * columns, D, i * WIDTH * block + row * width, present, block, width)
 
 
+@inline
+def _after(m, r, width, F):
+    """F = (B | A) of the substeps so far becomes A_k F + (B_k | 0), with (B_k | A_k) of the next in MEMORY.step."""
+    step, product = floats(r, MEMORY.step), floats(r, MEMORY.product)
+    ndx, first = 2 * m[TREE.nv] + m[TREE.na], r[MEMORY.first]
+    for i in range(0, ndx, WIDTH):
+        C = (product, i * width, width)
+        four_rows(C, (step, i * width + first, 1, width), (F, 0, width), ndx, 1.0, width, C, False)
+    for i in range(ndx):
+        o = i * width
+        for j in range(0, first, WIDTH):
+            store4(F, o + j, load4(product, o + j) + load4(step, o + j))
+        for j in range(first, width, WIDTH):
+            store4(F, o + j, load4(product, o + j))
+
+
+@inline
+def _rk4_substep(m, r, x, a, dt, width, knots):
+    """(B | A) of RK4 substep k, whose stages' D are kept, chained to those before; x moves to its end."""
+    F, stride, present, k, length = knots
+    end_rotation(m, r, x, a, length)
+    keep_turns(m, r, 4)
+    for lane in range(present):
+        if k == 0:
+            runge_kutta(m, r, dt, lane, width, at(F, lane * stride))
+        else:
+            runge_kutta(m, r, dt, lane, width, floats(r, MEMORY.step))
+            _after(m, r, width, at(F, lane * stride))
+    if k + 1 < r[MEMORY.substeps]:
+        end_state(m, r, x, a, length, x)  # activations stay: no derivative depends on them
+
+
 @jit
 def linearize_dense(m, r, dt, xs, us, F, external):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
     m, r = pointer(m), pointer(r)
     nv, count, width = m[TREE.nv], us.shape[0], F.shape[2]
-    x, a, v_stages, theta = lanes(r, MEMORY.x), lanes(r, MEMORY.a), lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
+    x, v_stages, theta = lanes(r, MEMORY.x), lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
+    dt = (1.0 / r[MEMORY.substeps]) * dt
     flat, stride, length = doubles(F), (2 * nv + m[TREE.na]) * width, spread(dt)
     for first in range(0, count, WIDTH):
         present = min(WIDTH, count - first)
         _gathered(m, r, xs, us, first, count)
         v = at(x, m[TREE.nq])
-        for i in range(r[MEMORY.stages]):
-            if i == 0:
-                _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
-            else:
-                stage_state(m, r, x, i, a, length)
-                keep_turns(m, r, i)
-                state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * nv))
-                _stage_derivatives(m, r, i, state, present, width, external)
-        if r[MEMORY.integrator] == RK4:
-            end_rotation(m, r, x, a, length)
-            keep_turns(m, r, 4)
-            for lane in range(present):
-                runge_kutta(m, r, dt, lane, width, at(flat, (first + lane) * stride))
-        else:
+        for k in range(r[MEMORY.substeps]):
+            a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * nv)
+            for i in range(r[MEMORY.stages]):
+                if i == 0:
+                    _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
+                else:
+                    stage_state(m, r, x, i, a, length)
+                    keep_turns(m, r, i)
+                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * nv))
+                    _stage_derivatives(m, r, i, state, present, width, external)
+            if r[MEMORY.integrator] == RK4:
+                _rk4_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))
+                continue
             for i in range(nv):
                 later = dt * load(a, i) if r[MEMORY.integrator] == SEMI_IMPLICIT_EULER else spread(0.0)
                 store(theta, i, dt * (load(v, i) + later))

@@ -12,37 +12,41 @@ from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.recursion import RECORD
 
 MEMORY = Layout(
-    "integrator stages ld columns first block",
+    "integrator stages ld columns first block substeps kept",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
-    "by_stage turns direct chained Xa",
+    "by_stage turns direct chained Xa step product",
 )
 
 
 class TreeMemory:
-    """Arrays for a Model; accelerations of N stages are kept, of none for single calls."""
+    """Arrays for a Model; accelerations of N stages of some substeps are kept, of none for single calls."""
 
-    def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True) -> None:
+    def __init__(self, model: Any, integrator: int, N: int, linearizing: bool = True, substeps: int = 1) -> None:
         nv, nq, nu, na = model.nv, model.nq, model.nu, model.na
         stages = 4 if integrator == RK4 else 1
         ld, first = padded(nv), padded(nu)
         columns = first + padded(2 * nv + na) + WIDTH  # products are written four columns at a time
         n = nv if linearizing else 0
+        kept = substeps * stages * nv  # accelerations of a whole stage
         block = padded(nv) * (columns - WIDTH)  # of a knot's derivatives, one row an acceleration
         slack = 4 * columns  # tiles read past the end
         lanes = {
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
             "rates": na, "theta": nv,
-            "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": stages * nv,
-            "trial_a": N * stages * nv, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
+            "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": kept,
+            "trial_a": N * kept, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
             "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
-        self._arrays["accelerations"] = np.zeros(N * stages * nv + 1)
+        self._arrays["accelerations"] = np.zeros(N * kept + 1)
         self._arrays["Xa"] = np.zeros(4 * na + 1)
-        kept = block if linearizing else 0
-        self._arrays["direct"] = lane_array(stages * WIDTH * kept + slack)
-        self._arrays["chained"] = lane_array((stages if integrator == RK4 else 0) * kept + slack)
+        blocks = block if linearizing else 0
+        self._arrays["direct"] = lane_array(stages * WIDTH * blocks + slack)
+        self._arrays["chained"] = lane_array((stages if integrator == RK4 else 0) * blocks + slack)
+        whole = padded(2 * nv + na) * (columns - WIDTH) if linearizing and substeps > 1 else 0  # (B | A) of a substep
+        self._arrays["step"], self._arrays["product"] = lane_array(whole + slack), lane_array(whole + slack)
         sizes = {
             "integrator": integrator, "stages": stages, "ld": ld, "columns": columns, "first": first, "block": block,
+            "substeps": substeps, "kept": kept,
         }  # fmt: skip
         self.table = MEMORY.table(sizes, self._arrays)

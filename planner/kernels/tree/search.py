@@ -125,7 +125,7 @@ def rollout(w, m, r, search, dt, feedback, external, p):
 
     p is the table of penalties or, where there are none, None: then nothing of them is compiled.
     """
-    nx, nu, ndx, kept = w[W.nx], w[W.nu], w[W.ndx], r[MEMORY.stages] * m[TREE.nv]
+    nx, nu, ndx, kept = w[W.nx], w[W.nu], w[W.ndx], r[MEMORY.kept]
     X_, U_, A_, e = lanes(w, W.trial_x), lanes(w, W.trial_u), lanes(r, MEMORY.trial_a), lanes(w, W.deviations)
     xs = floats(w, W.xs)
     dx, lengths = at(e, ndx), at(e, 2 * ndx)
@@ -155,7 +155,7 @@ def rollout(w, m, r, search, dt, feedback, external, p):
 def _take(w, m, r, lane):
     """Make candidate `lane` the nominal trajectory, its accelerations with it."""
     accept(w, lane)
-    take_lane(floats(r, MEMORY.accelerations), floats(r, MEMORY.trial_a), w[W.N] * r[MEMORY.stages] * m[TREE.nv], lane)
+    take_lane(floats(r, MEMORY.accelerations), floats(r, MEMORY.trial_a), w[W.N] * r[MEMORY.kept], lane)
 
 
 @jit

@@ -127,8 +127,21 @@ def end_rotation(m, r, x, a, dt):
 
 
 @part
-def stage(m, r, x, u, a, dt, x_next, external):
-    """The end x_next of a stage of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
+def end_state(m, r, x, a, dt, x_next):
+    """Configuration and velocity at the end of an RK4 step, from v_stages; x_next may be x."""
+    nv = m[TREE.nv]
+    v, v_next = at(x, m[TREE.nq]), at(x_next, m[TREE.nq])
+    end_rotation(m, r, x, a, dt)
+    moved(m, x, lanes(r, MEMORY.theta), x_next)
+    sixth = (1.0 / 6.0) * dt
+    for k in range(nv):
+        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
+        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
+
+
+@part
+def _step(m, r, x, u, a, dt, x_next, external):
+    """The end x_next of one step of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
     nq, nv, na, integrator = m[TREE.nq], m[TREE.nv], m[TREE.na], r[MEMORY.integrator]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.theta)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, MEMORY.act_rates)
@@ -148,15 +161,21 @@ def stage(m, r, x, u, a, dt, x_next, external):
         vi, act_i = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.act_stage)
         accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * nv), external)
         activation_rates(m, u, act_i, at(rates, i * na))
-    end_rotation(m, r, x, a, dt)
-    moved(m, x, theta, x_next)
+    end_state(m, r, x, a, dt, x_next)
     sixth = (1.0 / 6.0) * dt
-    for k in range(nv):
-        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
-        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
     for k in range(na):
         inner = 2.0 * (load(rates, na + k) + load(rates, 2 * na + k))
         store(act_next, k, load(act, k) + sixth * (load(rates, k) + inner + load(rates, 3 * na + k)))
+
+
+@part
+def stage(m, r, x, u, a, dt, x_next, external):
+    """The end x_next of a stage of length dt (a V4) from x under u, in equal substeps; a keeps all accelerations."""
+    substeps = r[MEMORY.substeps]
+    length = (1.0 / substeps) * dt
+    _step(m, r, x, u, a, length, x_next, external)
+    for i in range(1, substeps):
+        _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * m[TREE.nv]), length, x_next, external)
 
 
 @inline
@@ -204,7 +223,7 @@ def steps(m, r, dt, xs, us, xs_next, keep, external):
         stage(m, r, x, lanes(r, MEMORY.u), a, length, x, external)
         scatter(x, first, K, nx, doubles(xs_next))
         if keep:
-            scatter(a, first, K, r[MEMORY.stages] * m[TREE.nv], floats(r, MEMORY.accelerations))
+            scatter(a, first, K, r[MEMORY.kept], floats(r, MEMORY.accelerations))
 
 
 @jit

@@ -1,7 +1,7 @@
 """Run a plan in MuJoCo. Nothing here plans: MuJoCo computes every state of a replay from the MJCF text alone.
 
-The simulator's step is refined: the smaller of dt/20 and the model's own timestep, and a whole fraction of the
-plan's stage. A replay at the plan's own step agrees to rounding and proves nothing, since it repeats the plan's
+The simulator's step is refined: the smallest of dt/20, a fifth of a plan's substep and the model's own timestep, and a
+whole fraction of the plan's stage. A replay at the plan's own step agrees to rounding and proves nothing, since it repeats the plan's
 integration error.
 """
 
@@ -27,6 +27,7 @@ from planner.proof.replays.sampled_gains import Gains, Sampling
 from planner.proof.replays.simulation import MOST_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
+SUBSTEP_REFINEMENT = 5  # per substep of a plan that has several: its fastest motion is far from MuJoCo's RK4's bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,8 @@ def replay(
         plan: The plan to replay.
         feedback: Apply u = us[n] + K[n] @ difference(x, x_plan(t)) at every simulator step instead of us[n].
         twin: Another model in place of the plan's own.
-        substeps: Simulator steps per stage; by default so that the step is the smaller of dt/20 and the model's.
+        substeps: Simulator steps per stage; by default so that the step is the smallest of dt/20, a fifth of a
+            substep and the model's.
         integrator: MuJoCo's, "RK4" or "EULER", whatever the file says.
         sampling: When the gains act, as a controller applies them, in place of at every simulator step.
 
@@ -154,7 +156,8 @@ def replay_in(
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
-        substeps = max(REFINEMENT, math.ceil(min(dt / step, 1e12) - 1e-9))
+        least = max(REFINEMENT, SUBSTEP_REFINEMENT * getattr(problem.dynamics, "substeps", 1))
+        substeps = max(least, math.ceil(min(dt / step, 1e12) - 1e-9))
         substeps += -substeps % parts
     n = count("substeps", substeps)
     if n % parts:

@@ -72,7 +72,9 @@ class Rollouts:
         # Simulator steps per control step. Only contacts, and parts that the plan does not know of, ask for the model's
         # own step.
         stiff = may_touch(model) or twin.to_x.shape != (plan.xs.shape[1],) * 2
-        self.substeps = finest if stiff else min(finest, 2)
+        # A plan's own step is stable; half of it is for machines whose errors make them stiffer.
+        stable = math.ceil(2.0 * getattr(self._problem.dynamics, "substeps", 1) / self.control_steps)
+        self.substeps = max(finest if stiff else min(finest, 2), stable)
         if self.steps > MOST_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
         model = compiled.stepping(self.step)

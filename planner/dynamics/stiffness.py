@@ -1,0 +1,115 @@
+"""The fastest motion of a machine, and how many steps of RK4 follow it in a stage.
+
+The rates of a machine at a state are the moduli of the eigenvalues of d(dx/dt)/dx, with everything in it that acts:
+dampers, servos, springs, friction, contacts, stops. RK4 is stable for lambda in the left half plane where
+
+    |1 + z + z^2/2 + z^3/6 + z^4/24| <= 1,   z = lambda h:   |z| <= 2.78 on the real axis, 2.61 in every direction.
+
+The joint of a rate is the one with the largest participation, the product of its entries in the right and the left
+eigenvector, which has no unit (Perez-Arriaga, Verghese and Schweppe, IEEE Trans. Power App. Syst. 101, 1982).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics.rigid_body import MOST_SUBSTEPS, RigidBodyDynamics
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.mechanism import Mechanism
+
+# |lambda| h of a substep. Of the 2.61 above a quarter is left: for states on the way whose rates are higher than those
+# asked about, and because there a fast motion dies out (by 2/3 in a step) where at the bound it rings for ever.
+REACH = 2.0
+_TINY = 1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
+_SAME = 1e-6  # relative: eigenvalues that are one
+_ROUNDING = 1e-9  # relative
+
+
+class Fastest(NamedTuple):
+    """The fastest rate of a machine."""
+
+    rate: float  # 1/s
+    joint: str  # Whose motion it is, or the activation
+
+
+def fastest(mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()) -> Fastest:
+    """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and the joint that it belongs to.
+
+    Args:
+        mechanism: With actuators.
+        states: Where to look: the start, the goal and home, for example.
+        prescribed: Joints whose accelerations are inputs.
+
+    Raises:
+        PlannerError: Nothing drives the mechanism, or a prescribed joint is unknown.
+    """
+    dynamics = RigidBodyDynamics(mechanism, _TINY, "euler", prescribed)
+    xs = np.atleast_2d(np.array(states if isinstance(states, np.ndarray) else list(states), dtype=float))
+    A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
+    found = Fastest(0.0, "")
+    for slopes in (A - np.eye(dynamics.ndx)) / _TINY:
+        if not np.isfinite(slopes).all():
+            continue
+        values, right = np.linalg.eig(slopes)
+        k = int(np.argmax(np.abs(values)))
+        rate = float(abs(values[k]))
+        if rate > found.rate:
+            found = Fastest(rate, _joint(mechanism, slopes, values[k], right[:, k]))
+    return found
+
+
+def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.ndarray) -> str:
+    """The name of what participates most in an eigenvalue with this eigenvector (ndx,)."""
+    values, left = np.linalg.eig(slopes.T)
+    same = np.abs(values - value) <= max(_SAME * abs(value), np.abs(values - value).min())
+    share = np.abs(right) * np.abs(left[:, same]).sum(axis=1)
+    nv = mechanism.nv
+    joint = np.concatenate([share[:nv] + share[nv : 2 * nv], share[2 * nv :]])
+    k = int(np.argmax(joint))
+    return coordinates_of_mechanism(mechanism)[k if k < nv else k + nv].name
+
+
+def substeps_for(
+    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
+) -> int:
+    """How many substeps of RK4, 1 to 16, a stage of dt s needs so that a machine's fastest motion stays stable.
+
+    Args:
+        mechanism: With actuators.
+        dt: Length of a stage, s.
+        states: (K, nx) or (nx,), where to look: the start, the goal and home, for example.
+        prescribed: Joints whose accelerations are inputs.
+
+    Raises:
+        PlannerError: More than 16; the sentence has the joint, its rate and the stage that it needs.
+    """
+    return substeps_of(fastest(mechanism, states, prescribed), dt)
+
+
+def substeps_of(found: Fastest, dt: float) -> int:
+    """The substeps, 1 to 16, of a stage of dt s for this fastest rate; a PlannerError where they are more."""
+    substeps = max(math.ceil(found.rate * dt / REACH - _ROUNDING), 1)
+    if substeps > MOST_SUBSTEPS:
+        longest = MOST_SUBSTEPS * REACH / found.rate
+        raise PlannerError(
+            f"{found.joint} has a rate of {found.rate:.4g} per s, which takes {substeps} substeps in a stage of "
+            f"{dt:g} s and {MOST_SUBSTEPS} are the most, expected dt = {_round_down(longest):g} or less damping or gain there."
+        )
+    return substeps
+
+
+def reason(found: Fastest, substeps: int) -> str:
+    """The sentence of a count of substeps."""
+    steps = "1 step a stage is enough:" if substeps == 1 else f"{substeps} substeps a stage, because"
+    return f"{steps} {found.joint} has the highest rate, {found.rate:.4g} per s."
+
+
+def _round_down(value: float) -> float:
+    """The next lower of 1, 2, 5, 10, ...: stages of these fit most durations."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + _ROUNDING)) * power
