@@ -184,7 +184,7 @@ class RigidBodyDynamics:
         return TreeMemory(self._model, self._code, N)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses balls, free joints, contacts, stops and curves."""
+        """Scratch of second_order_nominal; refuses what it has no second derivatives of."""
         if self.space.quaternions:
             raise PlannerError(
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
@@ -199,6 +199,11 @@ class RigidBodyDynamics:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '
                 'hessian="gauss-newton".'
+            )
+        if self._model.external:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of friction loss, forces of tendons and gravity compensation '
+                'and this machine has some, expected hessian="gauss-newton".'
             )
         return tree_second.SecondOrderMemory(self._model, self._code)
 

@@ -100,6 +100,11 @@ def without_friction(mechanism: Any) -> Any:
     return replace(mechanism, friction_loss=np.zeros(mechanism.nv), tendons=tendons)
 
 
+def without_springs(row: FixedTendon) -> FixedTendon:
+    """A row with its friction alone."""
+    return replace(row, stiffness=0.0, damping=0.0)
+
+
 def has_friction(mechanism: Any) -> bool:
     """Whether a joint or tendon of a mechanism has friction loss."""
     return any(row.friction_loss > 0.0 for row in acting_rows(mechanism))
