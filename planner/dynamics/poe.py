@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.model.joint_rows import row_forces
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
 from planner.model.space import conjugate, hat, product
 
@@ -123,13 +124,30 @@ def twists(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> Twists:
 
 
 def internal_forces(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """The forces (nv,) that springs and dampers of the joints take from tau."""
+    """What the mechanism itself does to its joints takes these forces (nv,) from tau: springs, dampers, friction."""
     m = mechanism
     extension = np.where(m.kind == SCREW, q[m.q_address] - m.spring_rest, 0.0)
     forces = m.damping * qd + m.stiffness * extension
     for (a, i), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
         forces[i : i + 3] += stiffness * rotation_vector(product(conjugate(rest), q[a : a + 4]))
-    return forces
+    return forces - row_forces(m, q, qd) - compensation(m, q)
+
+
+def compensation(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """The applied forces tau (nv,) of gravity compensation: other masses, whose weight acts upwards."""
+    m = mechanism
+    X = np.array([Ad(inverse(T)) for T in link_poses(m, q)]).reshape(m.nv, 6, 6)
+    up, F = np.zeros((m.nv + 1, 6), dtype=X.dtype), np.zeros((m.nv + 1, 6), dtype=X.dtype)
+    tau = np.zeros(m.nv, dtype=X.dtype)
+    up[-1, 3:] = -m.gravity
+    for i in range(m.nv):
+        up[i] = X[i] @ up[m.parent[i]]
+    for i in reversed(range(m.nv)):
+        F[i, :3] += hat(m.lifted_moment[i]) @ up[i, 3:]
+        F[i, 3:] += m.lifted_mass[i] * up[i, 3:]
+        tau[i] = m.S[i] @ F[i]
+        F[m.parent[i]] += X[i].T @ F[i]
+    return tau
 
 
 def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -156,7 +174,7 @@ def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -
 
 
 def bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """The bias forces h (nv,) of Eq. 6: Coriolis, gravity, springs and dampers."""
+    """The bias forces h (nv,) of Eq. 6: Coriolis, gravity, springs, dampers, friction and gravity compensation."""
     return rnea(mechanism, q, qd, np.zeros(mechanism.nv))
 
 

@@ -209,7 +209,7 @@ class RigidBodyDynamics:
         return TreeMemory(self._model, self._code, N, substeps=self.substeps)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
-        """Scratch of second_order_nominal; refuses substeps, balls, free joints, contacts, stops and curves."""
+        """Scratch of second_order_nominal; refuses what it has no second derivatives of."""
         if self.substeps > 1:
             raise PlannerError(
                 f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
@@ -229,6 +229,11 @@ class RigidBodyDynamics:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '
                 'hessian="gauss-newton".'
+            )
+        if self._model.external:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of friction loss, forces of tendons and gravity compensation '
+                'and this machine has some, expected hessian="gauss-newton".'
             )
         return tree_second.SecondOrderMemory(self._model, self._code)
 

@@ -55,8 +55,8 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "hopper second order": (hopper_second.second_order, (*_HOPPER, _ROWS, _ROWS, _ROWS, _BLOCKS)),
 }
 
-# Kernels with a variant for machines with forces from outside the joints (contacts, stops, exponential torques), and
-# one without the code of these (see Model.external).
+# Kernels with a variant for machines with forces from outside the joints (contacts, stops, exponential torques,
+# friction loss and the like), and one without the code of these (see Model.external).
 _EXTERNAL_VARIANTS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "tree search": (tree_search.search_step, (_TABLE, _TABLE, _TABLE, *_SEARCH)),
     "tree structured": (

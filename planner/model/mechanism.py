@@ -14,7 +14,8 @@ the rate of its screws is taken with the twist before the ball, which is what `b
 
 The applied force tau excludes what the mechanism itself does:
 
-    M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest).
+    M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest)
+                                           + friction loss + forces of tendons - gravity compensation.
 
 Actuator a gives the force gain u + bias[0] + bias[1] length + bias[2] length rate along the row moment[a] of
 generalized forces, where u is the control or, with a state of its own, the activation: d act/dt = u (INTEGRATOR) or
@@ -36,6 +37,7 @@ from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.between_bodies import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.joint_curves import ExponentialTorque, check_curve
+from planner.model.joint_rows import FixedTendon
 from planner.model.space import StateSpace
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
@@ -105,6 +107,10 @@ class Mechanism:
         joint_links: One per joint: its links, a slice of the degrees of freedom.
         joint_range: (nv, 2) infinite where there is none.
         joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
+        friction_loss: (nv,) N m or N, the largest friction of a degree of freedom; see planner.model.joint_rows.
+        friction_slope: (nv,) N m s/rad or N s/m, of friction before it is cut off at that.
+        lifted_mass: (nv,) kg of a link whose weight gravity compensation carries.
+        lifted_moment: (nv, 3) its first moment in the link's frame, kg m.
         velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, MJCF does not.
         body_names: MuJoCo's bodies in order, the world first.
         bodies: Their frames.
@@ -112,6 +118,7 @@ class Mechanism:
         stops: Ends of joints that push back.
         body_contacts: Spheres and capsules that touch each other.
         curves: Torques that are exponentials of coordinates; the file knows nothing of them.
+        tendons: Fixed tendons with a force or a range.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -145,6 +152,10 @@ class Mechanism:
     joint_range: np.ndarray
     joint_force_range: np.ndarray
     velocity_limit: np.ndarray
+    friction_loss: np.ndarray
+    friction_slope: np.ndarray
+    lifted_mass: np.ndarray
+    lifted_moment: np.ndarray
     body_names: tuple[str, ...]
     bodies: tuple[Frame, ...]
     contacts: tuple[Contact, ...] = ()
@@ -157,9 +168,10 @@ class Mechanism:
     original: str = ""
     body_contacts: tuple[BodyContact, ...] = ()
     curves: tuple[ExponentialTorque, ...] = ()
+    tendons: tuple[FixedTendon, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("armature", "damping", "stiffness"):
+        for name in ("armature", "damping", "stiffness", "friction_loss", "friction_slope"):
             values = getattr(self, name)
             wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
             if len(wrong):

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.measured import Measured, Section
+from planner.model.joint_rows import acting_rows, bent_springs, has_friction
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.contact_history import may_touch
@@ -104,6 +105,7 @@ def order(problem: Problem, run: Replay) -> Order:
         shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
     why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
+    why = why or _bends(getattr(problem.dynamics, "mechanism", None))
     why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
     return Order(
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, shares=shares,
@@ -113,6 +115,15 @@ def order(problem: Problem, run: Replay) -> Order:
         end_uncertainty=float(_SAFETY * shares[-1] / factor), plan_cost=plan.cost,
         scale=cost.scale(plan, problem), whole=not cost.final,
     )  # fmt: skip
+
+
+def _bends(mechanism: Any) -> str:
+    """Why forces of a mechanism's joints are not smooth, or ""."""
+    if mechanism is None or not acting_rows(mechanism):
+        return ""
+    if has_friction(mechanism):
+        return "friction loss is cut off: the motion is not smooth"
+    return "the spring of a tendon goes slack: the motion is not smooth" if any(bent_springs(mechanism)) else ""
 
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, lanes, load, pointer, spread, store
 from planner.kernels.tree.forces import add_passive, add_passive_derivatives
+from planner.kernels.tree.gravity_compensation import add_compensation, subtract_compensation_derivatives
+from planner.kernels.tree.joint_rows import add_rows, subtract_row_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
-from planner.kernels.tree.recursion import RECORD, forward_dynamics, inverse_dynamics, place_all
+from planner.kernels.tree.recursion import RECORD, accelerate, inverse_dynamics, move_links, place_all
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree.step import gather, scatter
 
@@ -23,11 +25,14 @@ def _gathered(m, r, q, v, third, first, destination):
 
 @inline
 def _passive(m, r, x, v):
-    """The forces of springs and dampers, in MEMORY.theta."""
+    """What the mechanism itself does to its joints, in MEMORY.theta; the links' poses and screws are known."""
     passive = lanes(r, MEMORY.theta)
     for i in range(m[TREE.nv]):
         store(passive, i, spread(0.0))
     add_passive(m, x, v, passive, lanes(r, MEMORY.scratch))
+    add_rows(m, x, v, passive)
+    if m[TREE.lifted] > 0:
+        add_compensation(m, lanes(r, MEMORY.links), passive)
     return passive
 
 
@@ -40,11 +45,12 @@ def forward(m, r, q, v, inputs, a, tau):
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
         _gathered(m, r, q, v, inputs, first, total)
+        move_links(m, x, rate, lanes(r, MEMORY.links))
         passive = _passive(m, r, x, rate)
         for i in range(nv):
             store(acceleration, i, load(total, i))
             store(total, i, load(total, i) + load(passive, i))
-        forward_dynamics(m, x, rate, total, acceleration, lanes(r, MEMORY.links), True)
+        accelerate(m, total, acceleration, lanes(r, MEMORY.links), True)
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
         scatter(acceleration, first, K, nv, doubles(a))
@@ -60,8 +66,8 @@ def inverse(m, r, q, v, a, tau):
     rate = at(x, nq)
     for first in range(0, K, WIDTH):
         _gathered(m, r, q, v, a, first, acceleration)
-        passive = _passive(m, r, x, rate)
         inverse_dynamics(m, x, rate, acceleration, total, lanes(r, MEMORY.links))
+        passive = _passive(m, r, x, rate)
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
         scatter(total, first, K, nv, doubles(tau))
@@ -82,6 +88,9 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
                 store(block, k, spread(0.0))
         inverse_dynamics_derivatives(m, x, rate, acceleration, lanes(r, MEMORY.links), lanes(r, MEMORY.tau), blocks, ld)
         add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, MEMORY.scratch))
+        subtract_row_derivatives(m, x, rate, blocks[1], blocks[2], ld)
+        if m[TREE.lifted] > 0:
+            subtract_compensation_derivatives(m, blocks[1], ld, lanes(r, MEMORY.links))
         for i in range(nv):
             for j in range(nv):
                 for lane in range(min(WIDTH, K - first)):

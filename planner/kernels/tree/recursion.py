@@ -125,17 +125,6 @@ def place_all(m, q, ws):
 
 
 @part
-def forward_dynamics(m, q, v, tau, a, ws, reaction):
-    """Accelerations from forces (Fig. 2, right; the paper's Case 3 where accelerations are prescribed).
-
-    q (nq), v (nv), tau (nv) and a (nv) are lanes; tau is the whole applied force, a prescribed joint's entry of a is
-    read and, with `reaction`, its entry of tau becomes the force that it takes.
-    """
-    move_links(m, q, v, ws)
-    accelerate(m, tau, a, ws, reaction)
-
-
-@part
 def move_links(m, q, v, ws):
     """Forward dynamics' way out: poses, twists, and each link's own inertia and bias force."""
     n = m[TREE.nv]
@@ -180,7 +169,11 @@ def move_links(m, q, v, ws):
 
 @part
 def accelerate(m, tau, a, ws, reaction):
-    """Forward dynamics' way back and out again, of links that move_links has seen."""
+    """Accelerations from forces (Fig. 2, right; the paper's Case 3 where accelerations are prescribed).
+
+    The way back and out again, of links that move_links has seen. tau (nv) and a (nv) are lanes; tau is the whole applied
+    force, a prescribed joint's entry of a is read and, with `reaction`, its entry of tau becomes the force that it takes.
+    """
     n = m[TREE.nv]
     parent, g = integers(m, TREE.parent), floats(m, TREE.base_acceleration)
     armature, prescribed = floats(m, TREE.armature), integers(m, TREE.prescribed)

@@ -29,7 +29,9 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.forces import activation_rates, applied_forces
+from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
+from planner.kernels.tree.joint_rows import add_rows
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
@@ -69,15 +71,18 @@ def add_commutator(m, theta, first, second, factor):
 def accelerations(m, r, q, v, u, act, a, external):
     """Accelerations a (nv lanes) under inputs u and activations act.
 
-    With `external` None the machine has no contacts, stops and curves, and their code is left out: see Model.external.
+    With `external` None the machine has none of what Model.external names, and its code is left out.
     """
     tau, links = lanes(r, MEMORY.tau), lanes(r, MEMORY.links)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, MEMORY.scratch))
     if external is not None:
         add_stops(m, q, v, tau)
         add_curves(m, q, tau)
+        add_rows(m, q, v, tau)
     move_links(m, q, v, links)
     if external is not None:
+        if m[TREE.lifted] > 0:
+            add_compensation(m, links, tau)
         add_contact_wrenches(m, q, links)
         if m[TREE.pairs] > 0:
             add_pair_wrenches(m, q, links)

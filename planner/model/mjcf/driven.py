@@ -196,7 +196,7 @@ def _still(model: Any, joints: list[int]) -> np.ndarray:
 def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     """The mechanism of a driven twin but for its armature: the other half of a parity.
 
-    Without armature, springs, dampers, curves and actuators of the prescribed joints, and with a motor of gear HEAVY
+    Without armature, springs, dampers, friction, curves and actuators of the prescribed joints, and with a motor of gear HEAVY
     for each of their degrees of freedom; without contacts and stops.
     """
     dofs = prescribed_dofs(mechanism, prescribed)
@@ -221,6 +221,7 @@ def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     return replace(
         mechanism, armature=np.where(given, 0.0, mechanism.armature), damping=np.where(given, 0.0, mechanism.damping),
         stiffness=np.where(given, 0.0, mechanism.stiffness),
+        friction_loss=np.where(given, 0.0, mechanism.friction_loss),
         ball_stiffness=np.where(balls, 0.0, mechanism.ball_stiffness), actuators=actuators, contacts=(), stops=(),
         curves=_felt(mechanism, dofs),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from planner.model.mjcf.refuse import Refusal, unmodelled
+from planner.model.mjcf.refuse import Refusal, modelled, unmodelled
 from planner.model.mjcf.survey import compile_model, contact_pairs, named
 
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
@@ -64,7 +64,8 @@ def left_out(
         given, elements = own, ()
     else:
         given = compile_model(original, assets)
-        elements = tuple(unmodelled(given))
+        kept = set(modelled(own))
+        elements = (*unmodelled(given), *(one for one in modelled(given) if one not in kept))
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)

@@ -25,7 +25,16 @@ from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.meshes import coarsen_visual_meshes
-from planner.model.mjcf.refuse import KINDS, Refusal, actuator_disabled, adheres_to_nothing, unmodelled
+from planner.model.mjcf.refuse import (  # fmt: skip
+    KINDS,
+    Refusal,
+    actuator_disabled,
+    adheres_to_nothing,
+    modelled,
+    no_compensation,
+    unmodelled,
+)
+from planner.model.mjcf.rows import joint_friction, read_tendons, row_of
 from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
 from planner.model.mjcf.text import model_tree
 from planner.model.space import unit
@@ -37,7 +46,8 @@ LARGEST = 1e15
 _NUMBERS = (
     "qpos0", "qpos_spring", "body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness",
     "dof_armature", "dof_damping", "actuator_gear", "actuator_gainprm", "actuator_biasprm", "geom_pos", "site_pos",
-    "key_qpos", "key_qvel", "key_act", "wrap_prm",
+    "key_qpos", "key_qvel", "key_act", "wrap_prm", "dof_frictionloss", "body_gravcomp", "tendon_stiffness",
+    "tendon_damping", "tendon_frictionloss",
 )  # fmt: skip
 
 
@@ -63,6 +73,7 @@ def read(
     law = contacts if isinstance(contacts, ContactLaw) else None
     left_out = [] if law is None else give_law(root, survey, law)
     found = [*unmodelled(survey.model), *(contact_refusals(survey, all_of_them=off) if law is None else ())]
+    found += [one for one in modelled(survey.model) if one.kind in out]
     _refuse([refusal for refusal in found if refusal.kind not in out], name)
     if found:
         take_out(root, found, survey.model)
@@ -120,6 +131,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
     armature, damping = _armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
     contacts, body_contacts = read_contacts(survey)
+    loss, slope = joint_friction(model)
     sites = {
         site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
         for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
@@ -136,10 +148,11 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
-        velocity_limit=np.full(model.nv, np.inf),
+        velocity_limit=np.full(model.nv, np.inf), friction_loss=loss, friction_slope=slope,
+        **_lifted(model, links, poses),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
+        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model), sites=sites, keyframes=keyframes,
         mjcf=text, assets=files, ignored=ignored,
     )  # fmt: skip
 
@@ -201,6 +214,16 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
             inertia[link] += R @ np.diag(model.body_inertia[body]) @ R.T
             inertia[link] += model.body_mass[body] * (d @ d * np.eye(3) - np.outer(d, d))
     return {"mass": mass, "com": com, "inertia": inertia}
+
+
+def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, np.ndarray]:
+    """The mass of every link that gravity compensation carries, and its first moment."""
+    mass, moment = np.zeros(model.nv), np.zeros((model.nv, 3))
+    for body in () if no_compensation(model) else np.flatnonzero((model.body_gravcomp != 0.0) & (links >= 0)):
+        share = model.body_gravcomp[body] * model.body_mass[body]
+        mass[links[body]] += share
+        moment[links[body]] += share * (poses[body] @ np.append(model.body_ipos[body], 1.0))[:3]
+    return {"lifted_mass": mass, "lifted_moment": moment}
 
 
 def _armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -273,11 +296,9 @@ def _actuators(model: Any) -> Actuators:
 def _moment(model: Any, actuator: int) -> np.ndarray:
     """(nv,) the generalized force per force of an actuator on a joint or fixed tendon."""
     mujoco = load_mujoco()
-    row, gear, target = np.zeros(model.nv), _gear(model, actuator), model.actuator_trnid[actuator, 0]
+    gear, target = _gear(model, actuator), model.actuator_trnid[actuator, 0]
     if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
-        wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
-        np.add.at(row, model.jnt_dofadr[model.wrap_objid[wraps]], gear[0] * model.wrap_prm[wraps])
-    else:
-        dofs = np.flatnonzero(model.dof_jntid == target)
-        row[dofs] = gear[: len(dofs)]
+        return gear[0] * row_of(model, target)
+    row, dofs = np.zeros(model.nv), np.flatnonzero(model.dof_jntid == target)
+    row[dofs] = gear[: len(dofs)]
     return row

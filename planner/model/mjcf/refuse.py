@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.rows import fixed
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 
 # Kinds that `ignore` may name.
@@ -16,6 +17,8 @@ KINDS = (
     "frictionloss", "equality", "tendon", "fluid", "gravcomp", "actuator", "actearly", "polynomial", "plasticity",
     "mocap", "sleep",
 )  # fmt: skip
+
+MODELLED = ("stiffness", "damping", "frictionloss", "limit")  # of fixed tendons
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,16 @@ def passive_off(model: Any) -> bool:
     return disabled(model, "passive") or (disabled(model, "spring") and disabled(model, "damper"))
 
 
+def no_compensation(model: Any) -> bool:
+    """Whether a flag keeps gravity compensation from acting, or there is no gravity."""
+    return passive_off(model) or disabled(model, "gravity") or not np.any(model.opt.gravity)
+
+
+def _compensated(model: Any) -> np.ndarray:
+    """(nbody,) whether a share of the weight of a body is carried, and that matters."""
+    return (model.body_gravcomp != 0.0) & (model.body_weldid != 0) & (model.body_mass > 0.0)
+
+
 def _nonzero(model: Any, name: str, count: int) -> np.ndarray:
     """(count,) whether an element has any number other than 0 in a field, which may have several for each."""
     values = field(model, name, count)
@@ -42,7 +55,7 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
     """Everything in a compiled model but its contacts that acts and is not modelled, in a fixed order."""
     yield from _joints(model)
     yield from _bodies(model)
-    yield from _tendons(model)
+    yield from _of_tendons(model, modelled=False)
     if not disabled(model, "constraint", "equality"):
         for i in np.flatnonzero(model.eq_active0):
             yield Refusal("equality", named(model, "equality", int(i)))
@@ -54,10 +67,17 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
         yield Refusal("flex", named(model, "flex", i))
 
 
-def _joints(model: Any) -> Iterator[Refusal]:
+def modelled(model: Any) -> Iterator[Refusal]:
+    """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
             yield Refusal("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
+    for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
+        yield Refusal("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+    yield from _of_tendons(model, modelled=True)
+
+
+def _joints(model: Any) -> Iterator[Refusal]:
     if not disabled(model, "spring", "passive"):
         for i in np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly", model.njnt)):
             yield Refusal("polynomial", f"polynomial stiffness of {named(model, 'joint', int(i))}")
@@ -73,10 +93,13 @@ def _joints_of(model: Any, dofs: np.ndarray) -> list[int]:
 
 
 def _bodies(model: Any) -> Iterator[Refusal]:
-    moves = model.body_weldid != 0
-    if not (passive_off(model) or disabled(model, "gravity")) and np.any(model.opt.gravity):
-        for i in np.flatnonzero((model.body_gravcomp != 0.0) & moves & (model.body_mass > 0.0)):
-            yield Refusal("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
+    if not no_compensation(model):
+        clamped = np.zeros(model.njnt, dtype=bool)
+        if np.any(_compensated(model)):  # then the force is an actuator's, which a clamp or a flag can take away
+            clamped = np.asarray(field(model, "jnt_actgravcomp", model.njnt), dtype=bool)
+            clamped &= np.asarray(model.jnt_actfrclimited, dtype=bool) | disabled(model, "actuation")
+        for i in np.flatnonzero(clamped):
+            yield Refusal("gravcomp", f"clamped actuatorgravcomp of {named(model, 'joint', int(i))}")
     if not passive_off(model):
         for name in ("density", "viscosity"):
             if getattr(model.opt, name) > 0.0:
@@ -89,22 +112,28 @@ def _bodies(model: Any) -> Iterator[Refusal]:
         yield Refusal("plugin", f"plugin of {named(model, 'body', int(i))}")
 
 
-def _tendons(model: Any) -> Iterator[Refusal]:
+def _effects(model: Any) -> dict[str, np.ndarray]:
+    """(ntendon,) bool by name: what acts along tendons."""
     n = model.ntendon
 
-    def acts(name: str) -> np.ndarray:
-        return _nonzero(model, f"tendon_{name}", n)
+    def acts(name: str, *flags: str) -> np.ndarray:
+        return np.zeros(n, dtype=bool) if flags and disabled(model, *flags) else _nonzero(model, f"tendon_{name}", n)
 
-    never = np.zeros(n, dtype=bool)
-    effects = {
-        "stiffness": never if disabled(model, "spring", "passive") else acts("stiffness") | acts("stiffnesspoly"),
-        "damping": never if disabled(model, "damper", "passive") else acts("damping") | acts("dampingpoly"),
-        "armature": acts("armature"),
-        "frictionloss": never if disabled(model, "constraint", "frictionloss") else acts("frictionloss"),
-        "limit": never if disabled(model, "constraint", "limit") else acts("limited"),
-    }
-    for i in range(n):
-        has = [name for name, act in effects.items() if act[i]]
+    return {
+        "stiffness": acts("stiffness", "spring", "passive"), "damping": acts("damping", "damper", "passive"),
+        "polynomial stiffness": acts("stiffnesspoly", "spring", "passive"),
+        "polynomial damping": acts("dampingpoly", "damper", "passive"), "armature": acts("armature"),
+        "frictionloss": acts("frictionloss", "constraint", "frictionloss"),
+        "limit": acts("limited", "constraint", "limit"),
+    }  # fmt: skip
+
+
+def _of_tendons(model: Any, modelled: bool) -> Iterator[Refusal]:
+    """What acts along tendons and is modelled, or is not: of fixed tendons, only what is named here."""
+    effects = _effects(model)
+    for i in range(model.ntendon):
+        known = MODELLED if fixed(model, i) else ()
+        has = [name for name, acts in effects.items() if acts[i] and (name in known) == modelled]
         if has == ["frictionloss"]:
             yield Refusal("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")
         elif has:

@@ -13,6 +13,7 @@ import numpy as np
 from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
+_OF_TENDONS = ("dofs", "coefficients", "stiffness", "rest", "damping", "friction_loss")
 _MOST = 4  # differences named; further ones are counted
 
 
@@ -53,6 +54,8 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "centre of mass": (ours.com, theirs.com), "inertia": (ours.inertia, theirs.inertia),
         "armature": (ours.armature, theirs.armature), "damping": (ours.damping, theirs.damping),
         "stiffness": (ours.stiffness, theirs.stiffness), "spring reference": (ours.spring_rest, theirs.spring_rest),
+        "friction loss": (ours.friction_loss, theirs.friction_loss),
+        "mass with gravity compensation": (ours.lifted_mass, theirs.lifted_mass),
     }  # fmt: skip
     for dof in range(ours.nv):
         for term, (one, other) in terms.items():
@@ -62,6 +65,11 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "stiffness": (ours.ball_stiffness, theirs.ball_stiffness),
         "spring reference": (ours.ball_rest, theirs.ball_rest),
     }
+    if len(ours.tendons) != len(theirs.tendons):
+        yield f"{len(theirs.tendons)} fixed tendons act, the plan has {len(ours.tendons)}"
+    for one, other in zip(ours.tendons, theirs.tendons, strict=False):
+        wrong = [word for word in _OF_TENDONS if not _same(*(np.array(getattr(t, word)) for t in (one, other)))]
+        yield from (f"{word.replace('_', ' ')} of tendon {one.name!r}" for word in wrong)
     for ball, (_, dof) in enumerate(ours.quaternions):
         for term, (one, other) in balls.items():
             if not _same(one[ball], other[ball]):
@@ -80,6 +88,8 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
 
 
 def _same(one: np.ndarray, other: np.ndarray, scale: float = 0.0) -> bool:
+    if one.shape != other.shape:
+        return False
     size = max(scale, float(np.abs(one).max(initial=0.0)))
     return bool(np.all(np.abs(one - other) <= _ROUNDING * size))
 

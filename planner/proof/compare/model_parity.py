@@ -17,6 +17,7 @@ from planner.model.twin import Twin
 from planner.problem.problem import Problem, Requirements
 from planner.proof.compare.contact_parity import contact_parity
 from planner.proof.compare.driven_parity import driven_parity
+from planner.proof.compare.friction_parity import friction_parity
 from planner.proof.compare.rigid_parity import rigid_parity
 from planner.proof.replays.compiled_twin import CompiledTwin, another_model, with_model
 from planner.proof.replays.curve_callback import curves_acting
@@ -91,7 +92,8 @@ def _nothing_to_compare(problem: Problem) -> bool:
 def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, seed: int) -> Section:
     model = compiled.copy()
     with curves_acting(compiled.twin, model):
-        return rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
+        smooth = rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
+    return replace(smooth, measured=(*smooth.measured, *friction_parity(mechanism, compiled.copy(), STATES, BOUND, seed)))
 
 
 def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:

@@ -1,7 +1,8 @@
 """Parity of a mechanism: its inertia, forces and accelerations and MuJoCo's, term by term, at random states.
 
     mass matrix     M(q), armature included
-    bias force      Coriolis + gravity + damping + springs and curves: MuJoCo's qfrc_bias - qfrc_passive
+    bias force      Coriolis + gravity and its compensation + damping + springs and curves: MuJoCo's qfrc_bias -
+                    qfrc_passive; without friction loss, see friction_parity
     actuator force  M qacc + bias by ours, MuJoCo's qfrc_actuator
     acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth
     activation      d act / dt
@@ -26,9 +27,11 @@ from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.joint_curves import curve_torques, one_torque
+from planner.model.joint_rows import has_friction, without_friction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.read import mechanism_of_model
-from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.refuse import no_compensation, unmodelled
+from planner.model.mjcf.survey import field
 from planner.model.space import unit
 from planner.proof.compare.differences import actuator_of, differences, joint_of
 
@@ -59,8 +62,9 @@ def rigid_parity(
     relative.
     """
     _check_sizes(mechanism, model)
-    left_out = _unmodelled(mechanism, model)
     named = differences(mechanism, mechanism_of_model(model))
+    mechanism = without_friction(mechanism)
+    left_out = _unmodelled(mechanism, model)
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
     us = spread * rng.normal(size=(states, mechanism.nu))
@@ -138,7 +142,8 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     held = curve_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
-        if dynamics is None or mechanism.contacts or mechanism.body_contacts or mechanism.stops:
+        own = None if dynamics is None else dynamics.mechanism
+        if own is None or own.contacts or own.body_contacts or own.stops or has_friction(own):
             dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan
@@ -155,16 +160,20 @@ def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) ->
     data = mujoco.MjData(model)
     shapes = ((nv, nv), (nv,), (nv,), (nv,), (nv,), (nv,), (mechanism.na,))
     terms = _Terms._make(np.empty((K, *shape)) for shape in shapes)
+    # Compensation that MuJoCo counts among the actuators' forces is the mechanism's own here.
+    by_actuators = field(model, "jnt_actgravcomp", model.njnt)[model.dof_jntid]
+    compensated = bool(np.any(by_actuators)) and not no_compensation(model)
     for k, (x, u) in enumerate(zip(xs, us, strict=True)):
         data.qpos[:], velocity, data.act[:] = np.split(x, [model.nq, model.nq + nv])
         data.ctrl[:] = u
         for speed, biases in ((-1.0, terms.back), (0.0, terms.rest), (1.0, terms.bias)):
             data.qvel[:] = speed * velocity
             mujoco.mj_forward(model, data)
-            biases[k] = data.qfrc_bias - data.qfrc_passive
+            lifts = data.qfrc_gravcomp * by_actuators if compensated else 0.0
+            biases[k] = data.qfrc_bias - data.qfrc_passive - lifts
         for i, axis in enumerate(np.eye(nv)):
             mujoco.mj_mulM(model, data, terms.mass[k, i], axis)
-        terms.actuator[k], terms.acceleration[k] = data.qfrc_actuator, data.qacc_smooth
+        terms.actuator[k], terms.acceleration[k] = data.qfrc_actuator - lifts, data.qacc_smooth
         terms.activation[k] = data.act_dot
     return terms
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.proof.replays.ranges import Excess, efforts_in, joints_in
+from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 
 ROUNDING = 1e-6  # of a clamp's range, as far as the plan itself is concerned
@@ -27,11 +27,12 @@ def clamps_hit(run: Replay) -> list[str]:
 
 
 def stops_hit(run: Replay) -> list[str]:
-    """Joints that the plan, or the replay, moves beyond a range that the plan has no stop for, one sentence each."""
+    """Joints and tendons that the plan, or the replay, moves beyond a range without a stop in the plan, in sentences."""
     model, stopped, limits = run.compiled.model, stopped_dofs(run.plan), getattr(run.plan.problem, "limits", None)
-    own = joints_in(model, run.twin.sim_of(run.plan_xs), stopped)
-    replayed = joints_in(model, _states(run), stopped)
-    return _sentences(run, list(own), list(replayed), OVERLAP, 0.0 if limits is None else limits.tolerance)
+    own, replayed = (
+        [*joints_in(model, w, stopped), *tendons_in(model, w)] for w in (run.twin.sim_of(run.plan_xs), _states(run))
+    )
+    return _sentences(run, own, replayed, OVERLAP, 0.0 if limits is None else limits.tolerance)
 
 
 def _states(run: Replay) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.rows import fixed, row_of
 from planner.model.mjcf.survey import disabled, field, named
 from planner.model.space import log_quaternion
 from planner.proof.replays.simulation import set_state
@@ -43,12 +44,12 @@ class Excess(NamedTuple):
 def ranges_reached(
     model: Any, t: np.ndarray, w: np.ndarray, ctrl: np.ndarray, stopped: Collection[int] = ()
 ) -> tuple[str, ...]:
-    """Say where a simulated motion went beyond a model's ranges, one sentence per joint or actuator and kind.
+    """Say where a simulated motion went beyond a model's ranges, one sentence per joint, tendon or actuator.
 
     Times t (M+1,), states w (M+1, nw), controls (M, nu). A plan knows the ranges of `stopped` degrees of freedom, since
     it has their stops.
     """
-    found = (*joints_in(model, w, stopped), *efforts_in(model, w, ctrl))
+    found = (*joints_in(model, w, stopped), *tendons_in(model, w), *efforts_in(model, w, ctrl))
     return tuple(filter(None, (one.sentence(t) for one in found)))
 
 
@@ -60,6 +61,19 @@ def joints_in(model: Any, w: np.ndarray, stopped: Collection[int] = ()) -> Itera
             value, limits, unit = _joint(model, joint, w)
             within = limits - np.array([-1.0, 1.0]) * model.jnt_margin[joint]
             yield Excess(named(model, "joint", int(joint)), "is outside its range", unit, value, within)
+
+
+def tendons_in(model: Any, w: np.ndarray) -> Iterator[Excess]:
+    """The fixed tendons with a range along the states w (M+1, nw)."""
+    w = w[: _until_it_runs_away(w)]
+    address = model.jnt_qposadr[model.dof_jntid]
+    for tendon in () if disabled(model, "constraint", "limit") else map(int, np.flatnonzero(model.tendon_limited)):
+        if fixed(model, tendon):
+            row = row_of(model, tendon)
+            dofs = np.flatnonzero(row)
+            within = model.tendon_range[tendon] - np.array([-1.0, 1.0]) * model.tendon_margin[tendon]
+            length = w[:, address[dofs]] @ row[dofs]
+            yield Excess(named(model, "tendon", tendon), "is outside its range", "", length, within)
 
 
 def efforts_in(model: Any, w: np.ndarray, ctrl: np.ndarray) -> Iterator[Excess]:
