@@ -40,10 +40,10 @@ from planner.base.arguments import array, choice, count, did_you_mean, number, s
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
+from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
-from planner.dynamics.stiffness import substeps_for
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.driven import driven_dofs
@@ -177,12 +177,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
     if table["settle"]:
         x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
-    table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
-    dynamics = RigidBodyDynamics(
-        mechanism, table["dt"], table["integrator"], prescribed, _substeps(table, mechanism, prescribed, (x0, goal))
-    )
-    table = _resolved(table, dynamics, x0, goal)
+    table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
+    table, N = checked_values(table)
+    dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
+    table = _resolved(table, dynamics, x0, goal, reasons)
     cost = TrackingCost.joints(dynamics, goal, N, **table[RESOLVED]["weights"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
@@ -196,7 +195,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
-def _resolved(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray) -> dict[str, Any]:
+def _resolved(
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str]
+) -> dict[str, Any]:
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
@@ -205,7 +206,7 @@ def _resolved(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray
     )
     given = table["weights"]
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
-    reasons = {name: reason for name, reason in default.reasons.items() if name not in given}
+    reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
 
 
@@ -215,17 +216,6 @@ def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
     if not isinstance(names, list):
         raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)
-
-
-def _substeps(
-    table: dict[str, Any], mechanism: Mechanism, prescribed: tuple[str, ...], states: tuple[np.ndarray, ...]
-) -> int:
-    """The table's count, or what the machine needs at these states and at home."""
-    if table["substeps"] != "auto":
-        return table["substeps"]
-    if table["integrator"] != "rk4":
-        return 1
-    return substeps_for(mechanism, table["dt"], (*states, mechanism.home), prescribed)
 
 
 def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:

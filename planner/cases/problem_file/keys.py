@@ -11,8 +11,8 @@ KEYS = {
     "model": "MJCF file, relative to this file",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
     "goal": "the same; joints that a table does not name end where they started",
-    "duration": "s, a whole number of stages",
-    "dt": "length of a stage, s",
+    "duration": "s",
+    "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
@@ -62,6 +62,6 @@ GROUND = {
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": 0.01, "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
-    "starts": 1, "seed": 0, "title": "",
+    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on",
+    "settle": False, "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

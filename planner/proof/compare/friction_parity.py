@@ -65,5 +65,7 @@ def _theirs(model: Any, xs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndar
             found[:, k] = data.efc_force[which], data.efc_frictionloss[which]
             acceleration = np.empty(data.nefc)
             mujoco.mj_mulJacVec(model, data, acceleration, data.qacc)
-            along[k] = (np.abs(data.efc_aref) > np.abs(acceleration))[which]  # of which the force is -D (acceleration - aref)
+            along[k] = (np.abs(data.efc_aref) > np.abs(acceleration))[
+                which
+            ]  # of which the force is -D (acceleration - aref)
     return found[0], found[1], along

@@ -93,7 +93,9 @@ def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, s
     model = compiled.copy()
     with curves_acting(compiled.twin, model):
         smooth = rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
-    return replace(smooth, measured=(*smooth.measured, *friction_parity(mechanism, compiled.copy(), STATES, BOUND, seed)))
+    return replace(
+        smooth, measured=(*smooth.measured, *friction_parity(mechanism, compiled.copy(), STATES, BOUND, seed))
+    )
 
 
 def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:
