@@ -37,7 +37,9 @@ class Fastest(NamedTuple):
     joint: str  # Whose motion it is, or the activation
 
 
-def fastest(mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()) -> Fastest:
+def fastest(
+    mechanism: Mechanism, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
+) -> Fastest:
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and the joint that it belongs to.
 
     Args:

@@ -60,7 +60,11 @@ def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | 
     mechanism = replace(mechanism, original=twin.original)
     prescribed = facts.get("prescribed", [])
     dynamics = RigidBodyDynamics(  # it checks what a file may have wrong
-        mechanism, facts.get("dt"), facts.get("integrator"), prescribed, facts.get("substeps", 1)  # pyright: ignore
+        mechanism,
+        facts.get("dt"),
+        facts.get("integrator"),
+        prescribed,
+        facts.get("substeps", 1),  # pyright: ignore
     )
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
     return Problem(
