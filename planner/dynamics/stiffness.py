@@ -100,7 +100,8 @@ def substeps_of(found: Fastest, dt: float) -> int:
         longest = MOST_SUBSTEPS * REACH / found.rate
         raise PlannerError(
             f"{found.joint} has a rate of {found.rate:.4g} per s, which takes {substeps} substeps in a stage of "
-            f"{dt:g} s and {MOST_SUBSTEPS} are the most, expected dt = {_round_down(longest):g} or less damping or gain there."
+            f"{dt:g} s and {MOST_SUBSTEPS} are the most, expected dt = {_round_down(longest):g}, or less damping or "
+            "gain there."
         )
     return substeps
 

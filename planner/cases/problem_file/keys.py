@@ -61,8 +61,8 @@ GROUND = {
 }
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": 0.01, "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on", "settle": False, "ignore": [],
-    "starts": 1, "seed": 0, "title": "",
+    "dt": 0.01, "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on", "settle": False,
+    "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip
 DEFAULT_WEIGHTS: dict[str, Any] = {
     "effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0,
