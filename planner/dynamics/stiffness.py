@@ -22,11 +22,11 @@ from planner.dynamics.rigid_body import MOST_SUBSTEPS, RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 
-# |lambda| h of a substep that is aimed at: RK4 lets a fast motion die out as it does, exp(-1) to 2 %, so that a replay at
-# finer steps is the same. At 2 it is 0.33 in place of 0.14.
+# |lambda| h of a substep that is aimed at: RK4 lets a fast motion die out by exp(-1) to 2 %, so that a replay at finer
+# steps is the same. At 2 it is by 0.33 in place of 0.14.
 AIM = 1.0
-# The most, which 16 substeps may take. Of the 2.61 above a quarter is left, for states on the way whose rates are higher
-# than those asked about.
+# The most, which 16 substeps may take. Of the 2.61 above a quarter is left, for states on the way whose rates are
+# higher than those asked about.
 REACH = 2.0
 _TINY = 1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
 _SAME = 1e-6  # relative: eigenvalues that are one
