@@ -53,4 +53,4 @@ def judged(outcomes, callback=None, delays=None, rank=None):
                 return k
         raise AssertionError("no documented guess")
 
-    return best_of(problem, descend, 10, len(outcomes), 0, 1.0, callback, rank)
+    return best_of(problem.first_guess, descend, 10, len(outcomes), 0, 1.0, callback, rank)

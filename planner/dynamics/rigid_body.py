@@ -27,7 +27,6 @@ from planner.kernels.tree.penalty_table import PenaltyTable
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
-
 MOST_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
 ROUNDING = 1e-9  # relative, of a length divided by another
 

@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.stiffness import fastest, reason
 from planner.problem.costs.terms import remade
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.criteria import plain, with_objective
 from planner.problem.problem import Problem
 
@@ -64,6 +67,15 @@ def retimed(problem: Problem, duration: float) -> Problem:
         return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin)
     dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
     return replace(problem, dynamics=dynamics, cost=remade(problem.cost, "resampled", 1, dt / problem.dynamics.dt))
+
+
+def substeps_reason(problem: Problem) -> str:
+    """Why a stage has the substeps that it has, in a sentence; "" for dynamics without a mechanism or not of RK4."""
+    dynamics, goal = problem.dynamics, tracking_of(problem.cost)
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator != "rk4":
+        return ""
+    states = [problem.x0, dynamics.mechanism.home, *([] if goal is None else [goal.x_ref[-1]])]
+    return reason(fastest(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
 
 
 def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:

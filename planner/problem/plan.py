@@ -45,7 +45,8 @@ class Status(StrEnum):
         "smooth the dynamics or start from another guess."
     )
     NOT_FINITE = (
-        "The first guess rolls out to infinite or undefined states; start from a smaller control or a shorter stage."
+        "The first guess rolls out to infinite or undefined states, or the gradient there is; start from smaller "
+        "controls, or take a shorter stage or more substeps."
     )
     OUTSIDE_LIMITS = (
         "The limits were not met to their tolerance within the rounds of the augmented Lagrangian; give the motion "

@@ -42,7 +42,7 @@ def within_ranges(
     """
     plan = minimise(first_guess, None, max_iterations, 0)
     history, hinges, before = list(plan.history), ranges.free(), np.full(len(ranges.component), np.inf)
-    if not np.isfinite(plan.xs).all():
+    if plan.status is Status.NOT_FINITE:
         return plan
     for round_ in range(MOST_ROUNDS):
         error = _error(ranges, hinges, plan.xs)

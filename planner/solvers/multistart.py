@@ -25,7 +25,6 @@ import numpy as np
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.problem.plan import Iteration, Plan, Start, Status
-from planner.problem.problem import Problem
 
 MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
 _MODES = 6  # cosines: from a constant to two and a half waves over the horizon
@@ -37,13 +36,13 @@ Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan
 
 
 def best_of(
-    problem: Problem, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
+    guess: np.ndarray, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
     callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of least rank among the converged of several starts, else among all.
 
     Args:
-        problem: The problem to solve.
+        guess: (N, nu) of the first start; the others' are changes of it.
         descend: One solve from a first guess.
         max_iterations: Limit of each solve.
         starts: Number of starts.
@@ -52,7 +51,6 @@ def best_of(
         callback: Called with each Start, in order, as soon as it and those before it have ended.
         rank: Of a Plan, the less the better; its cost by default.
     """
-    guess = problem.first_guess
     pilot = descend(guess, min(_PILOT, max_iterations), None)
     if pilot.status is Status.INTERRUPTED:
         return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))

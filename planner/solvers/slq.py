@@ -38,6 +38,7 @@ from planner.solvers.augmented import within_ranges
 from planner.solvers.engine import Engine, borrow, give_back
 from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
+from planner.solvers.steadied import runs_away, steadied
 
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
@@ -128,13 +129,26 @@ def solve(
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
         "gain_tolerance": descent.gain_tolerance, "starts": starts,
     }  # fmt: skip
-    if starts == 1:
-        return replace(as_user_plan(problem, descend(core.first_guess, max_iterations, callback)), options=options)
-    options |= {"seed": seed, "spread": spread}
+    if starts > 1:
+        options |= {"seed": seed, "spread": spread}
     if rank is not None:
         options["rank"] = getattr(rank, "__name__", type(rank).__name__)
     ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
-    best = best_of(core, descend, max_iterations, starts, seed, spread, callback, ranking)
+
+    def solved(guess: np.ndarray) -> Plan:
+        if starts == 1:
+            return descend(guess, max_iterations, callback)
+        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking)
+
+    best = solved(core.first_guess)
+    if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout
+        steady = steadied(core)
+        if steady is not None:
+            options["first_guess"] = (
+                f"It runs away at t = {best.t[np.argmax(runs_away(best.xs))]:.4g} s, so it was replaced by controls "
+                "that hold or brake the machine with feedback."
+            )
+            best = solved(steady)
     return replace(as_user_plan(problem, best), options=options)
 
 
@@ -179,7 +193,7 @@ def _minimise(
     if problem.ranges is not None:
         engine.hinge(hinges)
     cost = engine.start(problem.x0, first_guess, descent.exact)
-    if not math.isfinite(cost):
+    if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
     regularisation, history = Regularisation(engine, descent.exact), list[Iteration]()
@@ -223,7 +237,10 @@ def _minimise(
         plain_sweep(engine)
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)
-    plan = _plan(problem, xs, us, engine.gains(), cost, history[-1].gradient_norm, status, history)
+    K = engine.gains()
+    if status is not Status.INTERRUPTED and not (math.isfinite(history[-1].gradient_norm) and np.isfinite(K).all()):
+        status = Status.NOT_FINITE  # stages so unstable that costates overflow; their model promises nothing
+    plan = _plan(problem, xs, us, K, cost, history[-1].gradient_norm, status, history)
     give_back(problem, engine, descent.rule)
     return plan
 

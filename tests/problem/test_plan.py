@@ -100,7 +100,7 @@ def test_unfinished_plans_are_saved_too(tmp_path):
     assert short.status is planner.Status.MAX_ITERATIONS
     assert planner.load_plan(short.save(tmp_path / "short.npz")).status is short.status
 
-    wild = planner.Problem(problem.dynamics, problem.cost, problem.x0, us=np.full((20, 1), 1e200))
+    wild = planner.Problem(problem.dynamics, problem.cost, [0.0, 1e307, 0.0], us=np.zeros((20, 1)))
     wild = planner.solve(wild)
     assert wild.status is planner.Status.NOT_FINITE
     back = planner.load_plan(wild.save(tmp_path / "wild.npz"))

@@ -9,7 +9,6 @@ from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import TREE
 from planner.kernels.tree.penalties import penalty_cost
 from planner.kernels.tree.step import stage
 

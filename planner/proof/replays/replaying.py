@@ -1,8 +1,8 @@
 """Run a plan in MuJoCo. Nothing here plans: MuJoCo computes every state of a replay from the MJCF text alone.
 
 The simulator's step is refined: the smallest of dt/20, a fifth of a plan's substep and the model's own timestep, and a
-whole fraction of the plan's stage. A replay at the plan's own step agrees to rounding and proves nothing, since it repeats the plan's
-integration error.
+whole fraction of the plan's stage. A replay at the plan's own step agrees to rounding and proves nothing, since it
+repeats the plan's integration error.
 """
 
 from __future__ import annotations

@@ -1,0 +1,105 @@
+"""A first guess in place of one that runs away: what holds the start, or at least brakes, with gains from a regulator.
+
+An unstable machine, or a fast one that falls through its stages, may reach infinity under controls that were computed
+beforehand. Here controls come from gains on the way, and are written down. The gains are those of the LQ problem that
+holds a state of the machine, linearised there, where a unit of the state costs as much as its rate of one per second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from planner.model.space import space_of
+from planner.problem.costs.terms import Quadratic
+from planner.problem.problem import Problem
+from planner.solvers import lq
+
+RUNAWAY = 1e10  # times the start, at least 1: what MuJoCo too takes for an unstable simulation
+_STAGES = 100  # of the LQ problem, by which its gains have become constant
+_AGAIN = 10  # stages after which a machine that brakes is linearised again
+_WEAKEST = 1e-9  # of the largest weight of a control: of one that moves nothing
+
+Control = Callable[[int, np.ndarray], np.ndarray]
+
+
+def runs_away(xs: np.ndarray) -> np.ndarray:
+    """(N+1,) whether each state of a rollout xs (N+1, nx) is not finite, or so large that it soon will be."""
+    with np.errstate(invalid="ignore"):
+        return ~(np.abs(xs) < RUNAWAY * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1)
+
+
+def steadied(problem: Problem) -> np.ndarray | None:
+    """Controls (N, nu) whose rollout stays finite: they hold the start, or brake; None where neither helps."""
+    with np.errstate(all="ignore"):  # they may run away too
+        for way in (_holding, _braking):
+            us = _written_down(problem, way(problem))
+            if us is not None:
+                return us
+    return None
+
+
+def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
+    """The controls (N, nu), within their bounds, that a controller gives from the start on; None where it runs away."""
+    xs, us = np.empty((problem.N + 1, problem.dynamics.nx)), np.empty((problem.N, problem.dynamics.nu))
+    xs[0] = problem.x0
+    for n in range(problem.N):
+        us[n] = control(n, xs[n])
+        if problem.bounds is not None:
+            us[n] = np.clip(us[n], problem.bounds[0][n], problem.bounds[1][n])
+        xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
+        if runs_away(xs[[0, n + 1]]).any() or not np.isfinite(us[n]).all():
+            return None
+    return us if np.isfinite(problem.cost.value(xs, us)) else None
+
+
+def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """A state (nx,) without its velocities, where the machine tells which these are."""
+    mechanism, x = getattr(problem.dynamics, "mechanism", None), x.copy()
+    if mechanism is not None:
+        x[mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
+    return x
+
+
+def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The control (nu,) that keeps a state x (nx,) as far as one can, and the gains (nu, ndx) that bring it back."""
+    dynamics, space = problem.dynamics, space_of(problem.dynamics)
+    u = np.zeros(dynamics.nu)
+    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
+    drift = space.difference(dynamics.step(x[None], u[None])[0], x)
+    if not all(np.isfinite(part).all() for part in (A, B, drift)):
+        return u, np.zeros(B.T.shape)
+    u = -np.linalg.lstsq(B, drift, rcond=None)[0]
+    R = (np.linalg.norm(B, axis=0) / dynamics.dt) ** 2
+    R = np.diag(np.maximum(R, _WEAKEST * R.max(initial=1.0)))
+    stages, ndx, nu = _STAGES, len(A), len(u)
+    model = Quadratic(
+        np.tile(np.eye(ndx), (stages + 1, 1, 1)), np.zeros((stages + 1, ndx)), np.tile(R, (stages, 1, 1)),
+        np.zeros((stages, nu)),
+    )  # fmt: skip
+    sweep = lq.riccati(np.tile(A, (stages, 1, 1)), np.tile(B, (stages, 1, 1)), model)
+    K = np.zeros((nu, ndx)) if sweep is None or not np.isfinite(sweep.K[0]).all() else sweep.K[0]
+    return u, K
+
+
+def _holding(problem: Problem) -> Control:
+    """Gains about the start, its velocities aside."""
+    space, x = space_of(problem.dynamics), _at_rest(problem, problem.x0)
+    u, K = _regulator(problem, x)
+    return lambda n, now: u + K @ space.difference(now, x)
+
+
+def _braking(problem: Problem) -> Control:
+    """Gains about where the machine is, which take its velocity away: for one that leaves its start anyhow."""
+    space = space_of(problem.dynamics)
+    u, K = np.zeros(0), np.zeros(0)
+
+    def control(n: int, now: np.ndarray) -> np.ndarray:
+        nonlocal u, K
+        x = _at_rest(problem, now)
+        if n % _AGAIN == 0:
+            u, K = _regulator(problem, x)
+        return u + K @ space.difference(now, x)
+
+    return control
