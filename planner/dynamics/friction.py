@@ -12,6 +12,7 @@ It depends on the acceleration, so it is no part of the bias, but of the acceler
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import brentq
 
 from planner.model.mechanism import Mechanism
 
@@ -39,6 +40,8 @@ def friction_forces(mechanism: Mechanism, qd: np.ndarray, qdd: np.ndarray) -> tu
 def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """Accelerations (nv,) that solve M qdd = tau + friction(qd, qdd), by Newton's method.
 
+    They are the minimum of a convex function, along which every step goes as far as it sinks.
+
     Args:
         mechanism: With friction loss.
         M: (nv, nv) mass matrix.
@@ -46,10 +49,18 @@ def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.n
         qd: (nv,).
     """
     qdd = np.where(mechanism.friction_loss > 0.0, -mechanism.friction_rate * qd, 0.0)  # as if friction held every joint
+    force, slope = friction_forces(mechanism, qd, qdd)
+    qdd = np.linalg.solve(M - np.diag(slope), tau + force - slope * qdd)
     for _ in range(_ROUNDS):
         force, slope = friction_forces(mechanism, qd, qdd)
-        qdd, last = np.linalg.solve(M - np.diag(slope), tau + force - slope * qdd), qdd
-        taken = force + slope * (qdd - last)
-        if np.all(np.abs(taken - friction_forces(mechanism, qd, qdd)[0]) <= _MET * mechanism.friction_loss):
+        size = mechanism.friction_loss + mechanism.friction_inertia * np.abs(qdd)
+        if np.all(np.abs(M @ qdd - tau - force) <= _MET * (size + np.abs(tau).max())):
             break
+        step = np.linalg.solve(M - np.diag(slope), tau + force - M @ qdd)
+
+        def uphill(part: float, qdd: np.ndarray = qdd, step: np.ndarray = step) -> float:
+            there = qdd + part * step
+            return float(step @ (M @ there - tau - friction_forces(mechanism, qd, there)[0]))
+
+        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else brentq(uphill, 0.0, 1.0))
     return qdd

@@ -30,7 +30,14 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.forces import activation_rates, applied_forces
-from planner.kernels.tree.friction import MET, MOST_ROUNDS, begin_friction, friction_is_met
+from planner.kernels.tree.friction import (  # fmt: skip
+    MET,
+    MOST_ROUNDS,
+    begin_friction,
+    first_error,
+    linearise_friction,
+    next_error,
+)
 from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
 from planner.kernels.tree.memory import MEMORY
@@ -103,14 +110,18 @@ def _add_wrenches(m, q, links):
 def _accelerate_with_friction(m, r, q, v, tau, a):
     """Accelerations of a machine with friction loss, of links that move_links has seen; see kernels.tree.friction."""
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
+    before, asked = lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
     begin_friction(m, v, tau, armature, force)
     accelerate(m, force, a, links, armature, False)
+    error = first_error(m, v, tau, a, armature, force, asked)
     for _ in range(MOST_ROUNDS):
-        if not any_less(MET, friction_is_met(m, v, tau, a, armature, force)):
+        if not any_less(MET, error):
             break
+        linearise_friction(m, v, tau, a, armature, force, before)
         move_links(m, q, v, links)
         _add_wrenches(m, q, links)
         accelerate(m, force, a, links, armature, False)
+        error = next_error(m, v, tau, a, armature, force, before, asked, error)
 
 
 @inline
