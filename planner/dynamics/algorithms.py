@@ -1,8 +1,9 @@
 """Dynamics of a Mechanism as functions: one state or a batch in, NumPy out, compiled inside.
 
 q, qd and qdd are MuJoCo's qpos, qvel and qacc in its order and frames (free joint: world linear, then body angular;
-quaternion w first). tau (nv,) is the applied generalized force; gravity and its compensation, springs, damping,
-friction loss, what acts along tendons and armature are the mechanism's own; actuators, contacts, stops and curves are not part of these functions:
+quaternion w first). tau (nv,) is the applied generalized force; gravity and its compensation, springs, damping, tendons
+and armature are the mechanism's own. Actuators, contacts, stops and curves are not part of these functions, nor is
+friction loss, which depends on qdd (planner.dynamics.friction):
 
     M(q) qdd + bias(q, qd) = tau                                                            (Eq. 6)
 
@@ -116,7 +117,7 @@ def _inverse(b: Batch, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
 
 
 def bias(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
-    """Forces at zero acceleration (h of Eq. 6): Coriolis, gravity, damping, springs, friction loss and tendons.
+    """Forces at zero acceleration (h of Eq. 6): Coriolis, gravity and its compensation, damping, springs, tendons.
 
     Args:
         mechanism: The machine.

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.model.joint_rows import row_forces
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
+from planner.model.tendons import tendon_forces
 from planner.model.space import conjugate, hat, product
 
 
@@ -124,13 +124,13 @@ def twists(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> Twists:
 
 
 def internal_forces(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """What the mechanism itself does to its joints takes these forces (nv,) from tau: springs, dampers, friction."""
+    """The forces (nv,) that springs and dampers of joints and tendons take from tau, less gravity compensation."""
     m = mechanism
     extension = np.where(m.kind == SCREW, q[m.q_address] - m.spring_rest, 0.0)
     forces = m.damping * qd + m.stiffness * extension
     for (a, i), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
         forces[i : i + 3] += stiffness * rotation_vector(product(conjugate(rest), q[a : a + 4]))
-    return forces - row_forces(m, q, qd) - compensation(m, q)
+    return forces - tendon_forces(m, q, qd) - compensation(m, q)
 
 
 def compensation(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -174,7 +174,7 @@ def rnea(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -
 
 
 def bias(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """The bias forces h (nv,) of Eq. 6: Coriolis, gravity, springs, dampers, friction and gravity compensation."""
+    """The bias forces h (nv,) of Eq. 6: Coriolis, gravity and its compensation, springs and dampers."""
     return rnea(mechanism, q, qd, np.zeros(mechanism.nv))
 
 

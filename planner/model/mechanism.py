@@ -15,7 +15,9 @@ the rate of its screws is taken with the twist before the ball, which is what `b
 The applied force tau excludes what the mechanism itself does:
 
     M(q) qdd + bias(q, qd) = tau,   bias = Coriolis + gravity + damping qd + stiffness (q - spring_rest)
-                                           + friction loss + forces of tendons - gravity compensation.
+                                           - forces of tendons - gravity compensation.
+
+Friction loss acts in the motion but is no part of this, since it depends on qdd (planner.dynamics.friction).
 
 Actuator a gives the force gain u + bias[0] + bias[1] length + bias[2] length rate along the row moment[a] of
 generalized forces, where u is the control or, with a state of its own, the activation: d act/dt = u (INTEGRATOR) or
@@ -37,8 +39,8 @@ from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.between_bodies import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.joint_curves import ExponentialTorque, check_curve
-from planner.model.joint_rows import FixedTendon
 from planner.model.space import StateSpace
+from planner.model.tendons import FixedTendon
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
 DIRECT, INTEGRATOR, FILTER = 0, 1, 2
@@ -107,8 +109,9 @@ class Mechanism:
         joint_links: One per joint: its links, a slice of the degrees of freedom.
         joint_range: (nv, 2) infinite where there is none.
         joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
-        friction_loss: (nv,) N m or N, the largest friction of a degree of freedom; see planner.model.joint_rows.
-        friction_slope: (nv,) N m s/rad or N s/m, of friction before it is cut off at that.
+        friction_loss: (nv,) N m or N, the largest friction of a degree of freedom; see planner.dynamics.friction.
+        friction_inertia: (nv,) kg m^2 or kg, by which friction holds it below that.
+        friction_rate: (nv,) 1/s, of the damper beside that inertia.
         lifted_mass: (nv,) kg of a link whose weight gravity compensation carries.
         lifted_moment: (nv, 3) its first moment in the link's frame, kg m.
         velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, MJCF does not.
@@ -153,7 +156,8 @@ class Mechanism:
     joint_force_range: np.ndarray
     velocity_limit: np.ndarray
     friction_loss: np.ndarray
-    friction_slope: np.ndarray
+    friction_inertia: np.ndarray
+    friction_rate: np.ndarray
     lifted_mass: np.ndarray
     lifted_moment: np.ndarray
     body_names: tuple[str, ...]
@@ -171,7 +175,7 @@ class Mechanism:
     tendons: tuple[FixedTendon, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("armature", "damping", "stiffness", "friction_loss", "friction_slope"):
+        for name in ("armature", "damping", "stiffness", "friction_loss", "friction_rate"):
             values = getattr(self, name)
             wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
             if len(wrong):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.measured import Measured, Section
-from planner.model.joint_rows import acting_rows, bent_springs, has_friction
+from planner.model.tendons import slack_tendons
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.contact_history import may_touch
@@ -119,11 +119,11 @@ def order(problem: Problem, run: Replay) -> Order:
 
 def _bends(mechanism: Any) -> str:
     """Why forces of a mechanism's joints are not smooth, or ""."""
-    if mechanism is None or not acting_rows(mechanism):
+    if mechanism is None:
         return ""
-    if has_friction(mechanism):
+    if np.any(mechanism.friction_loss):
         return "friction loss is cut off: the motion is not smooth"
-    return "the spring of a tendon goes slack: the motion is not smooth" if any(bent_springs(mechanism)) else ""
+    return "the spring of a tendon goes slack: the motion is not smooth" if any(slack_tendons(mechanism)) else ""
 
 
 def _stopped(problem: Problem, xs: np.ndarray) -> bool:

@@ -21,7 +21,6 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import StateSpace, cross
-from planner.model.joint_rows import has_friction
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -34,7 +33,7 @@ STAGE_BOUND = 1e-10  # of the largest state: one stage amplifies nothing, roundi
 _ROUNDING = 10.0 * np.finfo(float).eps  # of one stage, relative to the largest state
 
 _LIMIT = "MuJoCo's contacts and stops tend to the plan's law but are not the same to rounding"
-_FRICTION = "MuJoCo's friction loss knows the acceleration and the plan's does not: they differ below the cut-off"
+_FRICTION = "MuJoCo's friction loss tends to the plan's, which bends where MuJoCo's is cut off at once"
 ACCELERATIONS = "MuJoCo's accelerations"
 
 Stage = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -50,7 +49,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     mechanism = getattr(problem.dynamics, "mechanism", None)
     if mechanism is not None and (mechanism.contacts or mechanism.body_contacts or mechanism.stops):
         return Section("same step", not_applicable=_LIMIT)
-    if mechanism is not None and has_friction(mechanism):
+    if mechanism is not None and np.any(mechanism.friction_loss):
         return Section("same step", not_applicable=_FRICTION)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()

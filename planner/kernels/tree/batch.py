@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, jit
-from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, lanes, load, pointer, spread, store
+from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, floats, lanes, load, pointer, spread, store
 from planner.kernels.tree.forces import add_passive, add_passive_derivatives
 from planner.kernels.tree.gravity_compensation import add_compensation, subtract_compensation_derivatives
-from planner.kernels.tree.joint_rows import add_rows, subtract_row_derivatives
+from planner.kernels.tree.tendons import add_tendon_derivatives, add_tendons
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, accelerate, inverse_dynamics, move_links, place_all
@@ -30,7 +30,7 @@ def _passive(m, r, x, v):
     for i in range(m[TREE.nv]):
         store(passive, i, spread(0.0))
     add_passive(m, x, v, passive, lanes(r, MEMORY.scratch))
-    add_rows(m, x, v, passive)
+    add_tendons(m, x, v, passive)
     if m[TREE.lifted] > 0:
         add_compensation(m, lanes(r, MEMORY.links), passive)
     return passive
@@ -50,7 +50,7 @@ def forward(m, r, q, v, inputs, a, tau):
         for i in range(nv):
             store(acceleration, i, load(total, i))
             store(total, i, load(total, i) + load(passive, i))
-        accelerate(m, total, acceleration, lanes(r, MEMORY.links), True)
+        accelerate(m, total, acceleration, lanes(r, MEMORY.links), floats(m, TREE.armature), True)
         for i in range(nv):
             store(total, i, load(total, i) - load(passive, i))
         scatter(acceleration, first, K, nv, doubles(a))
@@ -88,7 +88,7 @@ def derivatives(m, r, q, v, a, M, Dq, Dv):
                 store(block, k, spread(0.0))
         inverse_dynamics_derivatives(m, x, rate, acceleration, lanes(r, MEMORY.links), lanes(r, MEMORY.tau), blocks, ld)
         add_passive_derivatives(m, x, blocks[1], blocks[2], ld, lanes(r, MEMORY.scratch))
-        subtract_row_derivatives(m, x, rate, blocks[1], blocks[2], ld)
+        add_tendon_derivatives(m, x, blocks[1], blocks[2], ld)
         if m[TREE.lifted] > 0:
             subtract_compensation_derivatives(m, blocks[1], ld, lanes(r, MEMORY.links))
         for i in range(nv):

@@ -10,13 +10,14 @@ from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
+from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
-from planner.kernels.tree.joint_rows import subtract_row_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
+from planner.kernels.tree.tendons import add_tendon_derivatives
 
 
 @inline
@@ -65,7 +66,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
     if external is not None:
         add_stop_derivatives(m, q, v, Dq, Dv, ld)
         subtract_curve_derivatives(m, q, Dq, ld)
-        subtract_row_derivatives(m, q, v, Dq, Dv, ld)
+        add_tendon_derivatives(m, q, Dq, Dv, ld)
+        add_friction_derivatives(m, v, a, M, Dv, ld)
         if m[TREE.lifted] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))

@@ -20,23 +20,23 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
-from planner.model.joint_rows import acting_rows
+from planner.model.tendons import acting_tendons
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
 CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
-ROW_SIZE, LIFTED_SIZE = 6, 4  # see _rows and _lifted
+TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE = 4, 4, 3  # see _tendons, _lifted and _losses
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves rows lifted",
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
-    "row_start row_dof row_factor row_value lifted_value lifted_mass",
+    "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value",
 )
 
 
@@ -46,12 +46,12 @@ class Model:
     Args:
         mechanism: A planner.Mechanism.
         prescribed: (nv,) True where the acceleration is an input instead of the force.
-        actuated: Whether actuators, contacts, stops and curves act; the public dynamics functions take applied forces
-            instead. Rows (friction loss, tendons) and gravity compensation are the mechanism's own, as springs are.
+        actuated: Whether actuators, contacts, stops, curves and friction loss act; the public dynamics functions take
+            applied forces instead. Tendons and gravity compensation are the mechanism's own, as springs are.
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, rows or gravity compensation act, else None. Kernels take it beside the table: Numba compiles
+        external: True where contacts, stops, curves, tendons, gravity compensation or friction loss act, else None. Kernels take it beside the table: Numba compiles
             them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
@@ -68,10 +68,12 @@ class Model:
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
         pairs = mechanism.body_contacts if actuated else ()
         curves = mechanism.curves if actuated else ()
-        rows, lifted = acting_rows(mechanism), bool(np.any(mechanism.lifted_mass) or np.any(mechanism.lifted_moment))
-        self.external = True if contacts or stops or pairs or curves or rows or lifted else None
-        for row in rows:
-            coupled[np.ix_(row.dofs, row.dofs)] = True
+        tendons, losses = acting_tendons(mechanism), mechanism.friction_loss * actuated
+        lifted = bool(np.any(mechanism.lifted_mass) or np.any(mechanism.lifted_moment))
+        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses)
+        self.external = True if acts else None
+        for tendon in tendons:
+            coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
         for curve in curves:
             for j, _ in curve.slopes:
                 coupled[curve.dof, j] = True
@@ -86,12 +88,14 @@ class Model:
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
-        arrays |= _curves(curves) | _rows(rows) | _lifted(mechanism, arrays["frames"])
+        arrays |= _curves(curves) | _tendons(tendons)
+        arrays |= _lifted(mechanism, arrays["frames"]) | _losses(mechanism, losses)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
-            "pairs": len(pairs), "curves": len(curves), "rows": len(rows), "lifted": int(lifted),
+            "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
+            "losses": len(arrays["loss_dof"]),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -317,15 +321,22 @@ def _curves(curves: Any) -> dict[str, np.ndarray]:
     }
 
 
-def _rows(rows: Any) -> dict[str, np.ndarray]:
-    """Per row: its degrees of freedom with their factors from row_start on, and the six numbers of its force."""
-    numbers = [(r.stiffness, *r.rest, r.damping, r.friction_loss, r.friction_slope) for r in rows]
+def _tendons(tendons: Any) -> dict[str, np.ndarray]:
+    """Per tendon: its degrees of freedom with their factors from tendon_start on, and the four numbers of its force."""
+    numbers = [(tendon.stiffness, *tendon.rest, tendon.damping) for tendon in tendons]
     return {
-        "row_start": np.cumsum([0, *(len(row.dofs) for row in rows)]),
-        "row_dof": np.array([dof for row in rows for dof in row.dofs], dtype=np.int64),
-        "row_factor": np.array([factor for row in rows for factor in row.coefficients], dtype=float),
-        "row_value": np.array(numbers, dtype=float).reshape(-1, ROW_SIZE),
+        "tendon_start": np.cumsum([0, *(len(tendon.dofs) for tendon in tendons)]),
+        "tendon_dof": np.array([dof for tendon in tendons for dof in tendon.dofs], dtype=np.int64),
+        "tendon_factor": np.array([factor for tendon in tendons for factor in tendon.coefficients], dtype=float),
+        "tendon_value": np.array(numbers, dtype=float).reshape(-1, TENDON_SIZE),
     }
+
+
+def _losses(mechanism: Any, losses: np.ndarray) -> dict[str, np.ndarray]:
+    """Per joint that rubs: its degree of freedom, and loss, inertia and rate of its friction."""
+    dof = np.flatnonzero(losses)
+    value = np.column_stack([losses, mechanism.friction_inertia, mechanism.friction_rate])[dof]
+    return {"loss_dof": dof, "loss_value": value}
 
 
 def _lifted(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
     WIDTH,
+    any_less,
     as_floats,
     at,
     doubles,
@@ -29,13 +30,21 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
 from planner.kernels.tree.forces import activation_rates, applied_forces
+from planner.kernels.tree.friction import (  # fmt: skip
+    MET,
+    MOST_ROUNDS,
+    begin_friction,
+    first_error,
+    linearise_friction,
+    next_error,
+)
 from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
-from planner.kernels.tree.joint_rows import add_rows
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
 from planner.kernels.tree.recursion import accelerate, move_links
+from planner.kernels.tree.tendons import add_tendons
 
 
 @inline
@@ -78,15 +87,41 @@ def accelerations(m, r, q, v, u, act, a, external):
     if external is not None:
         add_stops(m, q, v, tau)
         add_curves(m, q, tau)
-        add_rows(m, q, v, tau)
+        add_tendons(m, q, v, tau)
     move_links(m, q, v, links)
     if external is not None:
         if m[TREE.lifted] > 0:
             add_compensation(m, links, tau)
-        add_contact_wrenches(m, q, links)
-        if m[TREE.pairs] > 0:
-            add_pair_wrenches(m, q, links)
-    accelerate(m, tau, a, links, False)
+        _add_wrenches(m, q, links)
+        if m[TREE.losses] > 0:
+            _accelerate_with_friction(m, r, q, v, tau, a)
+            return
+    accelerate(m, tau, a, links, floats(m, TREE.armature), False)
+
+
+@part
+def _add_wrenches(m, q, links):
+    add_contact_wrenches(m, q, links)
+    if m[TREE.pairs] > 0:
+        add_pair_wrenches(m, q, links)
+
+
+@part
+def _accelerate_with_friction(m, r, q, v, tau, a):
+    """Accelerations of a machine with friction loss, of links that move_links has seen; see kernels.tree.friction."""
+    links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
+    before, asked = lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
+    begin_friction(m, v, tau, armature, force)
+    accelerate(m, force, a, links, armature, False)
+    error = first_error(m, v, tau, a, armature, force, asked)
+    for _ in range(MOST_ROUNDS):
+        if not any_less(MET, error):
+            break
+        linearise_friction(m, v, tau, a, armature, force, before)
+        move_links(m, q, v, links)
+        _add_wrenches(m, q, links)
+        accelerate(m, force, a, links, armature, False)
+        error = next_error(m, v, tau, a, armature, force, before, asked, error)
 
 
 @inline

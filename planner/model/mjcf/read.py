@@ -24,6 +24,7 @@ from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR,
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
 from planner.model.mjcf.edit import take_out
+from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.meshes import coarsen_visual_meshes
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
@@ -34,8 +35,8 @@ from planner.model.mjcf.refuse import (  # fmt: skip
     no_compensation,
     unmodelled,
 )
-from planner.model.mjcf.rows import joint_friction, read_tendons, row_of
 from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
+from planner.model.mjcf.tendons import read_tendons, row_of
 from planner.model.mjcf.text import model_tree
 from planner.model.space import unit
 
@@ -47,7 +48,7 @@ _NUMBERS = (
     "qpos0", "qpos_spring", "body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness",
     "dof_armature", "dof_damping", "actuator_gear", "actuator_gainprm", "actuator_biasprm", "geom_pos", "site_pos",
     "key_qpos", "key_qvel", "key_act", "wrap_prm", "dof_frictionloss", "body_gravcomp", "tendon_stiffness",
-    "tendon_damping", "tendon_frictionloss",
+    "tendon_damping",
 )  # fmt: skip
 
 
@@ -131,7 +132,6 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
     armature, damping = _armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
     contacts, body_contacts = read_contacts(survey)
-    loss, slope = joint_friction(model)
     sites = {
         site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
         for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
@@ -148,8 +148,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
-        velocity_limit=np.full(model.nv, np.inf), friction_loss=loss, friction_slope=slope,
-        **_lifted(model, links, poses),
+        velocity_limit=np.full(model.nv, np.inf), **joint_friction(model), **_lifted(model, links, poses),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model), sites=sites, keyframes=keyframes,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.rows import fixed
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
+from planner.model.mjcf.tendons import fixed
 
 # Kinds that `ignore` may name.
 KINDS = (
@@ -18,7 +18,7 @@ KINDS = (
     "mocap", "sleep",
 )  # fmt: skip
 
-MODELLED = ("stiffness", "damping", "frictionloss", "limit")  # of fixed tendons
+MODELLED = ("stiffness", "damping", "limit")  # of fixed tendons
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
-_OF_TENDONS = ("dofs", "coefficients", "stiffness", "rest", "damping", "friction_loss")
+_OF_TENDONS = ("dofs", "coefficients", "stiffness", "rest", "damping")
 _MOST = 4  # differences named; further ones are counted
 
 
@@ -55,6 +55,8 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         "armature": (ours.armature, theirs.armature), "damping": (ours.damping, theirs.damping),
         "stiffness": (ours.stiffness, theirs.stiffness), "spring reference": (ours.spring_rest, theirs.spring_rest),
         "friction loss": (ours.friction_loss, theirs.friction_loss),
+        "solimpfriction": (ours.friction_inertia, theirs.friction_inertia),
+        "solreffriction": (ours.friction_rate, theirs.friction_rate),
         "mass with gravity compensation": (ours.lifted_mass, theirs.lifted_mass),
     }  # fmt: skip
     for dof in range(ours.nv):

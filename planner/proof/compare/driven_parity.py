@@ -23,7 +23,6 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.joint_rows import without_friction
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.proof.compare.rigid_parity import random_states, rigid_parity, rounded, unlimited
@@ -60,7 +59,7 @@ def _driven(
     mechanism: Mechanism, prescribed: Collection[str], model: Any, states: int, bound: float, seed: int
 ) -> tuple[Measured, Measured]:
     """The error of the driven model's accelerations against the plan's dynamics, and how far its motors fall short."""
-    smooth = without_friction(replace(mechanism, contacts=(), stops=()))
+    smooth = replace(mechanism, contacts=(), stops=(), friction_loss=np.zeros(mechanism.nv))
     dynamics = RigidBodyDynamics(smooth, 1.0, prescribed=prescribed)
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)

@@ -27,7 +27,6 @@ from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.joint_curves import curve_torques, one_torque
-from planner.model.joint_rows import has_friction, without_friction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import no_compensation, unmodelled
@@ -63,7 +62,7 @@ def rigid_parity(
     """
     _check_sizes(mechanism, model)
     named = differences(mechanism, mechanism_of_model(model))
-    mechanism = without_friction(mechanism)
+    mechanism = replace(mechanism, friction_loss=np.zeros(mechanism.nv))
     left_out = _unmodelled(mechanism, model)
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
@@ -143,7 +142,7 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
         own = None if dynamics is None else dynamics.mechanism
-        if own is None or own.contacts or own.body_contacts or own.stops or has_friction(own):
+        if own is None or own.contacts or own.body_contacts or own.stops or np.any(own.friction_loss):
             dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan

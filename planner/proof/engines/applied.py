@@ -1,4 +1,4 @@
-"""Forces that another engine is given, since it does not read them: actuators, springs, dampers, friction, curves.
+"""Forces that another engine is given, since it does not read them: actuators, springs, dampers, tendons, curves.
 
 They are those of the mechanism that MuJoCo's compiler makes of the same text.
 """
@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.model.joint_curves import curve_torques
-from planner.model.joint_rows import row_forces
 from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product
+from planner.model.tendons import tendon_forces
 
 
 class Applied:
@@ -38,7 +38,7 @@ class Applied:
         for (address, dof), stiffness, rest in zip(m.quaternions, m.ball_stiffness, m.ball_rest, strict=True):
             turned = log_quaternion(product(conjugate(rest), q[address : address + 4]))
             tau[dof : dof + 3] -= stiffness * turned
-        tau = tau + row_forces(m, q, v) if m.tendons or np.any(m.friction_loss) else tau
+        tau = tau + tendon_forces(m, q, v) if m.tendons else tau
         return tau + curve_torques(m, q) if m.curves else tau
 
     def activation_rates(self, act: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -57,8 +57,7 @@ class Applied:
         curved = np.isin(np.arange(m.nv), [curve.dof for curve in m.curves])
         pulled = np.isin(np.arange(m.nv), [dof for tendon in m.tendons if tendon.acts for dof in tendon.dofs])
         kinds = {
-            "springs": springs, "damping": self._damping != 0.0, "friction loss": m.friction_loss != 0.0,
-            "tendons": pulled, "exponential torques": curved,
+            "springs": springs, "damping": self._damping != 0.0, "tendons": pulled, "exponential torques": curved,
         }  # fmt: skip
         found = [f"{kind} of {joints_with(m, on)}" for kind, on in kinds.items() if np.any(on)]
         names = [name or f"actuator {i}" for i, name in enumerate(m.actuators.names)]

@@ -1,0 +1,137 @@
+"""Friction loss of joints (planner.dynamics.friction) in forward dynamics, and its derivatives, on lanes.
+
+The force f(a, v) = -loss s(x), x = inertia (a + rate v) / loss, has the acceleration in it. Newton's method takes it for
+
+    f(a_k, v) - inertia s'(x_k) (a - a_k),
+
+a force and an armature, for which the recursion finds the next a. The accelerations are the minimum of a convex function
+whose gradient is T - f, T = M a + bias - tau being the force that friction would have to give; T is linear in a, so the
+way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers, so that a
+state's acceleration does not depend on the states beside it.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
+from planner.kernels.tree.model import LOSS_SIZE, TREE
+
+BEND = 0.5  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
+MOST_ROUNDS = 30  # of Newton's method, which takes three or four
+MET = 1e-12  # of the loss: what is left of the law when a lane has met it
+HALVINGS = 12  # of the way to the next accelerations
+LOSS, INERTIA, RATE = range(LOSS_SIZE)  # offsets in the numbers of a joint's friction
+
+
+@inline
+def _friction(m, k, v, a):
+    """The degree of freedom that friction k is of, its force at the velocities v and acceleration a, inertia s'(x)."""
+    i, value, o = load(integers(m, TREE.loss_dof), k), floats(m, TREE.loss_value), LOSS_SIZE * k
+    loss, inertia = load(value, o + LOSS), load(value, o + INERTIA)
+    x = inertia / loss * (a + load(value, o + RATE) * load(v, i))
+    x = minimum(maximum(x, -1.0 - BEND), 1.0 + BEND)
+    above, below = maximum(x - (1.0 - BEND), 0.0), maximum(-1.0 * x - (1.0 - BEND), 0.0)
+    force = (-1.0 * loss) * (x - (above * above - below * below) * (0.25 / BEND))
+    return force, inertia * (1.0 - (above + below) * (0.5 / BEND))
+
+
+@part
+def begin_friction(m, v, tau, armature, force):
+    """Armature and force (nv lanes each) of the first round: as if friction held every joint."""
+    own, dof, value = floats(m, TREE.armature), integers(m, TREE.loss_dof), floats(m, TREE.loss_value)
+    for i in range(m[TREE.nv]):
+        store(armature, i, spread(0.0) + load(own, i))
+        store(force, i, load(tau, i))
+    for k in range(m[TREE.losses]):
+        i, inertia = load(dof, k), load(value, LOSS_SIZE * k + INERTIA)
+        store(armature, i, load(armature, i) + inertia)
+        store(force, i, load(force, i) - inertia * load(value, LOSS_SIZE * k + RATE) * load(v, i))
+
+
+@part
+def linearise_friction(m, v, tau, a, armature, force, before):
+    """Armature and force of the next round; `before` keeps a."""
+    own, dof = floats(m, TREE.armature), integers(m, TREE.loss_dof)
+    for i in range(m[TREE.nv]):
+        store(before, i, load(a, i))
+    for k in range(m[TREE.losses]):
+        i = load(dof, k)
+        f, inertia = _friction(m, k, v, load(a, i))
+        store(armature, i, load(own, i) + inertia)
+        store(force, i, load(tau, i) + f + inertia * load(a, i))
+
+
+@inline
+def _asked(m, k, tau, a, armature, force):
+    """T of friction k at the accelerations a that armature and force have given."""
+    i = load(integers(m, TREE.loss_dof), k)
+    return load(force, i) - load(tau, i) - (load(armature, i) - load(floats(m, TREE.armature), i)) * load(a, i)
+
+
+@inline
+def _error(m, k, v, a, asked):
+    """How far friction k is from its law, relative to it or to rounding."""
+    i, value, o = load(integers(m, TREE.loss_dof), k), floats(m, TREE.loss_value), LOSS_SIZE * k
+    f, _ = _friction(m, k, v, load(a, i))
+    off, size = asked - f, load(value, o + INERTIA) * load(a, i)
+    return maximum(off, -1.0 * off) / (load(value, o + LOSS) + maximum(size, -1.0 * size))
+
+
+@part
+def first_error(m, v, tau, a, armature, force, asked):
+    """The largest error (lanes) of the first round, whose T is left in `asked`."""
+    error, prescribed = spread(0.0), integers(m, TREE.prescribed)
+    for k in range(m[TREE.losses]):
+        store(asked, k, _asked(m, k, tau, a, armature, force))
+        if load(prescribed, load(integers(m, TREE.loss_dof), k)) < 0:
+            error = maximum(error, _error(m, k, v, a, load(asked, k)))
+    return error
+
+
+@part
+def _uphill(m, v, tau, a, armature, force, before, asked, part_of_way):
+    """The slope of the convex function along the way from `before` to a, a part of it gone."""
+    slope, dof = spread(0.0), integers(m, TREE.loss_dof)
+    for k in range(m[TREE.losses]):
+        i = load(dof, k)
+        step = load(a, i) - load(before, i)
+        f, _ = _friction(m, k, v, load(before, i) + part_of_way * step)
+        now = load(asked, k) + part_of_way * (_asked(m, k, tau, a, armature, force) - load(asked, k))
+        slope += step * (now - f)
+    return slope
+
+
+@part
+def next_error(m, v, tau, a, armature, force, before, asked, error):
+    """Go as far from `before` towards a as the convex function sinks; lanes whose error was met stay. The new error."""
+    low, high, prescribed = spread(0.0), spread(1.0), integers(m, TREE.prescribed)
+    whole = _uphill(m, v, tau, a, armature, force, before, asked, high)
+    if any_less(0.0, whole):
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            slope = _uphill(m, v, tau, a, armature, force, before, asked, middle)
+            low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
+        high = select(0.0, whole, high, 1.0)
+    high = select(MET, error, high, 0.0)
+    for k in range(m[TREE.losses]):
+        store(asked, k, load(asked, k) + high * (_asked(m, k, tau, a, armature, force) - load(asked, k)))
+    for i in range(m[TREE.nv]):
+        cut = load(before, i) + high * (load(a, i) - load(before, i))
+        store(a, i, select(high, 1.0, cut, load(a, i)))  # the whole way without rounding
+    left = spread(0.0)
+    for k in range(m[TREE.losses]):
+        if load(prescribed, load(integers(m, TREE.loss_dof), k)) < 0:
+            left = maximum(left, _error(m, k, v, a, load(asked, k)))
+    return left
+
+
+@part
+def add_friction_derivatives(m, v, a, M, Dv, ld):
+    """Add the derivatives of friction to those of inverse dynamics by a (M) and by v, (nv, ld) lanes."""
+    value = floats(m, TREE.loss_value)
+    for k in range(m[TREE.losses]):
+        i = load(integers(m, TREE.loss_dof), k)
+        _, inertia = _friction(m, k, v, load(a, i))
+        o = i * ld + i
+        store(M, o, load(M, o) + inertia)
+        store(Dv, o, load(Dv, o) + inertia * load(value, LOSS_SIZE * k + RATE))
