@@ -28,12 +28,14 @@ PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves",
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves "
+    "dependents",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
-    "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope",
+    "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
+    "dependent_dof dependent_start dependent_column dependent_value",
 )
 
 
@@ -48,7 +50,7 @@ class Model:
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops or curves act, else None. Kernels take it beside the table: Numba compiles
+        external: True where contacts, stops, curves or couplings act, else None. Kernels take it beside the table: Numba compiles
             them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
@@ -65,7 +67,9 @@ class Model:
         contacts, stops = (mechanism.contacts, mechanism.stops) if actuated else ((), ())
         pairs = mechanism.body_contacts if actuated else ()
         curves = mechanism.curves if actuated else ()
-        self.external = True if contacts or stops or pairs or curves else None
+        reduction = mechanism.reduction if actuated else None
+        self.coupled = reduction is not None
+        self.external = True if contacts or stops or pairs or curves or self.coupled else None
         for curve in curves:
             for j, _ in curve.slopes:
                 coupled[curve.dof, j] = True
@@ -80,12 +84,12 @@ class Model:
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
-        arrays |= _curves(curves)
+        arrays |= _curves(curves) | _dependents(reduction)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
-            "pairs": len(pairs), "curves": len(curves),
+            "pairs": len(pairs), "curves": len(curves), "dependents": len(arrays["dependent_dof"]),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -309,6 +313,18 @@ def _curves(curves: Any) -> dict[str, np.ndarray]:
         "curve_slope_dof": np.array([j for j, _ in slopes], dtype=np.int64),
         "curve_slope": np.array([slope for _, slope in slopes], dtype=float),
     }
+
+
+def _dependents(reduction: Any) -> dict[str, np.ndarray]:
+    """Per dependent coordinate: which it is, and the independent ones that it follows from dependent_start on."""
+    dofs = np.zeros(0, dtype=np.int64) if reduction is None else reduction.dependent
+    rows = np.zeros((0, 0)) if reduction is None else reduction.G[dofs]
+    row, column = np.nonzero(rows)
+    return {
+        "dependent_dof": dofs, "dependent_start": np.searchsorted(row, np.arange(len(dofs) + 1)),
+        "dependent_column": column if reduction is None else reduction.independent[column],
+        "dependent_value": rows[row, column],
+    }  # fmt: skip
 
 
 def _contact_law_numbers(law: Any) -> list[float]:

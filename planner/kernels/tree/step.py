@@ -28,6 +28,7 @@ from planner.kernels.numba.lanes import (
     store,
 )
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
+from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.forces import activation_rates, applied_forces
 from planner.kernels.tree.joint_curves import add_curves
 from planner.kernels.tree.memory import MEMORY
@@ -69,7 +70,8 @@ def add_commutator(m, theta, first, second, factor):
 def accelerations(m, r, q, v, u, act, a, external):
     """Accelerations a (nv lanes) under inputs u and activations act.
 
-    With `external` None the machine has no contacts, stops and curves, and their code is left out: see Model.external.
+    With `external` None the machine has no contacts, stops, curves and couplings, and their code is left out: see
+    Model.external.
     """
     tau, links = lanes(r, MEMORY.tau), lanes(r, MEMORY.links)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, MEMORY.scratch))
@@ -81,6 +83,10 @@ def accelerations(m, r, q, v, u, act, a, external):
         add_contact_wrenches(m, q, links)
         if m[TREE.pairs] > 0:
             add_pair_wrenches(m, q, links)
+    if external is not None:
+        if m[TREE.dependents] > 0:
+            accelerate_coupled(m, tau, a, links, lanes(r, MEMORY.M), r[MEMORY.ld])
+            return
     accelerate(m, tau, a, links, False)
 
 
