@@ -59,6 +59,11 @@ class Reduction:
         T[2 * nv :, 2 * nr :] = np.eye(n_act)
         return T, np.concatenate([self.independent, nv + self.independent, 2 * nv + np.arange(n_act)])
 
+    def along(self, dx: np.ndarray) -> np.ndarray:
+        """A deviation (2 nv + na,) of a state with the dependent coordinates as the independent ones ask."""
+        T, places = self.tangents(len(dx) - 2 * len(self.G))
+        return T @ dx[places]
+
     def closed(self, q: np.ndarray, qd: np.ndarray, q_address: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """q (..., nq) and qd (..., nv) with the dependent coordinates where the independent ones put them."""
         q, qd, rows = q.copy(), qd.copy(), self.G[self.dependent].T
