@@ -14,10 +14,14 @@ from planner.model.mechanism import Mechanism
 def closed_state(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = ()) -> np.ndarray:
     """The state (nx,) with the coordinates that follow others where these put them.
 
-    Degrees of freedom that are `given` stay where they are, unless the couplings leave no choice.
+    Degrees of freedom that are `given` stay where they are, even if they contradict a coupling: see check_closed.
     """
     reduction = _reduction(mechanism, given)
-    return x.copy() if reduction is None else _closed(mechanism, reduction, x)
+    if reduction is None:
+        return x.copy()
+    closed, stay = _closed(mechanism, reduction, x), mechanism.q_address[np.array([*given], dtype=int)]
+    closed[stay] = x[stay]
+    return closed
 
 
 def _reduction(mechanism: Mechanism, given: Collection[int]) -> Reduction | None:

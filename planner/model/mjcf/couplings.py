@@ -41,6 +41,12 @@ def is_linear(model: Any, i: int) -> bool:
     return all(model.wrap_type[model.tendon_adr[t]] == int(wraps.mjWRAP_JOINT) for t in tendons)
 
 
+def kind_of(model: Any, i: int) -> str:
+    """An equality's kind for a sentence, and why it is not linear where its kind may be."""
+    kind = load_mujoco().mjtEq(int(model.eq_type[i])).name.split("_")[-1].lower()
+    return {"joint": "of joints, by a polynomial", "tendon": "of tendons, spatial or by a polynomial"}.get(kind, kind)
+
+
 def read_couplings(model: Any) -> tuple[Coupling, ...]:
     """The linear equalities that act."""
     return tuple(_coupling(model, i) for i in acting(model) if is_linear(model, i))

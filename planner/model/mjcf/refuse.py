@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.couplings import acting, is_linear
+from planner.model.mjcf.couplings import acting, is_linear, kind_of
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 
 # Kinds that `ignore` may name.
@@ -46,7 +46,7 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
     yield from _tendons(model)
     for i in acting(model):
         if not is_linear(model, i):
-            yield Refusal("equality", named(model, "equality", i), i)
+            yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
     for i in range(len(model.actuator_trntype)):
         yield from _actuators(model, i)
     if model.opt.enableflags & flag_bit("Enable", "ENBL", "sleep"):
