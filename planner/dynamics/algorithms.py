@@ -7,6 +7,9 @@ friction loss, which depends on qdd (planner.dynamics.friction):
 
     M(q) qdd + bias(q, qd) = tau                                                            (Eq. 6)
 
+They are of the tree: couplings of joints are known to forward_dynamics and its derivatives alone, which have
+G (G' M G)^-1 G' in place of M^-1 (see planner.model.couplings). hybrid_dynamics refuses them.
+
 Derivatives with respect to q are with respect to a deviation of it, nv columns (see model.space). All take a single
 state, q (nq,), or K of them, q (K, nq).
 """
@@ -49,7 +52,24 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
         PlannerError: A wrong shape or a number that is not finite.
     """
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
-    return b.out(_forward(b, kernel_model(mechanism), b["tau"])[0])
+    return b.out(_accelerations(b))
+
+
+def _accelerations(b: Batch) -> np.ndarray:
+    """Of forward_dynamics, with couplings."""
+    if b.mechanism.reduction is None:
+        return _forward(b, kernel_model(b.mechanism), b["tau"])[0]
+    zero = np.zeros_like(b["qd"])
+    W = reduced_inverse(b.mechanism, _inverse_derivatives(b, zero, zero).input)
+    return np.einsum("kij,kj->ki", W, b["tau"] - _inverse(b, b["qd"], zero))
+
+
+def reduced_inverse(mechanism: Mechanism, M: np.ndarray) -> np.ndarray:
+    """G (G' M G)^-1 G' (..., nv, nv) of mass matrices M (..., nv, nv): their inverse where nothing is coupled."""
+    if mechanism.reduction is None:
+        return np.linalg.inv(M)
+    G = mechanism.reduction.G
+    return G @ np.linalg.inv(G.T @ M @ G) @ G.T
 
 
 def _forward(b: Batch, model: Model, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +94,7 @@ def hybrid_dynamics(
         (qdd, tau), both (..., nv).
 
     Raises:
-        PlannerError: A wrong shape or a number that is not finite; no such joint.
+        PlannerError: A wrong shape or a number that is not finite; no such joint; couplings.
     """
     b = Batch(mechanism, q=q, qd=qd, inputs=inputs)
     mask = _prescribed(mechanism, prescribed)
@@ -85,6 +105,11 @@ def hybrid_dynamics(
 def _prescribed(mechanism: Mechanism, names: Collection[str]) -> np.ndarray:
     if not isinstance(names, (str, Collection)):
         raise PlannerError(f"prescribed is {names!r}, expected names of joints.")
+    if mechanism.couplings:
+        raise PlannerError(
+            f"the mechanism has {mechanism.couplings[0].name} and hybrid dynamics know no couplings, expected "
+            "RigidBodyDynamics(..., prescribed=...).rates."
+        )
     mask = np.zeros(mechanism.nv, dtype=bool)
     for name in (names,) if isinstance(names, str) else names:
         mask[mechanism.joint(name)] = True
@@ -232,14 +257,18 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
         tau: (..., nv) applied forces, N and N m.
 
     Returns:
-        Derivatives of qdd by q, qd and, as `input`, tau (which is the inverse of M), each (..., nv, nv).
+        Derivatives of qdd by q, qd and, as `input`, tau (which is the inverse of M, or with
+        couplings G (G' M G)^-1 G'), each (..., nv, nv).
 
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
-    qdd, _ = _forward(b, kernel_model(mechanism), b["tau"])
+    qdd = _accelerations(b)
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
+    if mechanism.reduction is not None:
+        W = reduced_inverse(mechanism, M)
+        return _outs(b, -W @ by_q, -W @ by_qd, W)
     return _outs(b, -np.linalg.solve(M, by_q), -np.linalg.solve(M, by_qd), np.linalg.inv(M))
 
 

@@ -84,6 +84,13 @@ class RigidBodyDynamics:
         driven = np.zeros(self.mechanism.nv, dtype=bool)
         for name in self.prescribed:
             driven[self.mechanism.joint(name)] = True
+        for coupling in self.mechanism.couplings:
+            if np.any(driven[list(coupling.dofs)]):
+                names = " and ".join(sorted({self.mechanism.joint_of(dof) for dof in coupling.dofs}))
+                raise PlannerError(
+                    f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints without "
+                    "equalities."
+                )
         self._model, self._steps = Model(self.mechanism, driven), local()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -223,6 +230,11 @@ class RigidBodyDynamics:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of contacts and stops and this machine has some, expected '
                 'hessian="gauss-newton".'
+            )
+        if self.mechanism.couplings:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of coupled joints and this machine has '
+                f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
             )
         if self.mechanism.curves:
             raise PlannerError(

@@ -61,17 +61,17 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
             "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."
         )
     free = _undriven(mechanism)
-    if not len(free):
+    if not free.shape[1]:
         raise PlannerError("every joint is driven, expected some that are not: the ground carries nothing here.")
     x = _touching(mechanism, x, free)
     start, enough = x.copy(), AT_REST * _weight(mechanism)
     for _ in range(STEPS):
         q, still = x[:nq], np.zeros(nv)
-        uphill = (bias(mechanism, q, still) - generalized_forces(mechanism, q, still))[free]
+        uphill = free.T @ (bias(mechanism, q, still) - generalized_forces(mechanism, q, still))
         if np.abs(uphill).max() < enough:
             return x
         by_q = bias_derivatives(mechanism, q, still)[0] - generalized_force_derivatives(mechanism, q, still)[0]
-        x = space.integrate(x, _extended(_downhill(by_q[np.ix_(free, free)], uphill), free, space.ndx))
+        x = space.integrate(x, _extended(free @ _downhill(free.T @ by_q @ free, uphill), space.ndx))
         if np.abs(space.difference(x, start)).max() > TIPPED:
             break
     places = contact_forces(mechanism, start[:nq], np.zeros(nv)).points
@@ -103,8 +103,9 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
     tau = tau - generalized_forces(mechanism, q, still) + np.einsum("kaj,ka->j", J, law.forces)  # less stops
     edges = [_edges(mechanism.contacts[k]) for k in near]
     columns = [reach, *(J[k].T @ edge for k, edge in zip(near, edges, strict=True))]
-    rows = [np.hstack(columns)]
-    wanted = [tau]
+    rows, wanted = [np.hstack(columns)], [tau]
+    if mechanism.reduction is not None:  # couplings give what they must
+        rows, wanted = [mechanism.reduction.G.T @ rows[0]], [mechanism.reduction.G.T @ tau]
     at = nu
     for k, edge in zip(near, edges, strict=True):
         row = np.zeros((3, rows[0].shape[1]))
@@ -126,32 +127,31 @@ def _edges(contact: Any) -> np.ndarray:
 
 
 def _undriven(mechanism: Mechanism) -> np.ndarray:
-    """The degrees of freedom that no actuator moves."""
-    return np.flatnonzero(~np.any(mechanism.actuators.moment != 0.0, axis=0))
+    """The directions (nv, n) that no actuator moves: degrees of freedom, and what follows them."""
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    return G[:, ~np.any(mechanism.actuators.moment @ G != 0.0, axis=0)]
 
 
 def _weight(mechanism: Mechanism) -> float:
     return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
 
 
-def _extended(part: np.ndarray, places: np.ndarray, size: int) -> np.ndarray:
-    whole = np.zeros(size)
-    whole[places] = part
-    return whole
+def _extended(part: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([part, np.zeros(size - len(part))])
 
 
 def _touching(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> np.ndarray:
     """The state moved along the planes' normals, as a whole, until its lowest contact sinks in by its weight."""
     q = x[: mechanism.nq]
     normals = np.array([contact.plane.normal for contact in mechanism.contacts])
-    rise = np.einsum("ka,kaj->kj", normals, contact_jacobians(mechanism, q))[:, free]
+    rise = np.einsum("ka,kaj->kj", normals, contact_jacobians(mechanism, q)) @ free
     up = np.linalg.lstsq(rise, np.ones(len(rise)), rcond=None)[0]
     if not np.allclose(rise @ up, 1.0, atol=1e-6):
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
     depths = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
     lowest = int(np.argmax(depths))
     way = depths[lowest] - _weight(mechanism) / mechanism.contacts[lowest].law.stiffness
-    return mechanism.space.integrate(x, _extended(way * up, free, mechanism.space.ndx))
+    return mechanism.space.integrate(x, _extended(free @ (way * up), mechanism.space.ndx))
 
 
 def _downhill(by_q: np.ndarray, uphill: np.ndarray) -> np.ndarray:

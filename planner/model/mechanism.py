@@ -38,6 +38,7 @@ from planner.base.arguments import choice
 from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.between_bodies import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
+from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.joint_curves import ExponentialTorque, check_curve
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
@@ -122,6 +123,7 @@ class Mechanism:
         body_contacts: Spheres and capsules that touch each other.
         curves: Torques that are exponentials of coordinates; the file knows nothing of them.
         tendons: Fixed tendons with a force or a range.
+        couplings: Equations that are linear in hinge and slide coordinates, kept exactly.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -173,6 +175,7 @@ class Mechanism:
     body_contacts: tuple[BodyContact, ...] = ()
     curves: tuple[ExponentialTorque, ...] = ()
     tendons: tuple[FixedTendon, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("armature", "damping", "stiffness", "friction_loss", "friction_rate"):
@@ -189,6 +192,8 @@ class Mechanism:
                 actuator = self.actuators.names[int(wrong[0][0])]
                 raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
         self._check_contacts()
+        if self.couplings:
+            _ = self.reduction  # a contradiction is told now
         self._protect()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -272,6 +277,13 @@ class Mechanism:
         return tuple((int(self.q_address[i]), int(i)) for i in np.flatnonzero(self.kind == BALL))
 
     @cached_property
+    def reduction(self) -> Reduction | None:
+        """The coordinates that the couplings leave free; those with actuators before others. None without couplings."""
+        if not self.couplings:
+            return None
+        return reduce(self.couplings, self.nv, np.any(self.actuators.moment != 0.0, axis=0))
+
+    @cached_property
     def space(self) -> StateSpace:
         """The space of states x = (qpos, qvel, act)."""
         return StateSpace(self.nq + self.nv + self.na, 2 * self.nv + self.na, self.quaternions)
@@ -311,6 +323,12 @@ class Mechanism:
             PlannerError: There is no joint of that name.
         """
         return self.joint_links[self.joint_names.index(choice("joint", name, [n for n in self.joint_names if n]))]
+
+    def joint_of(self, dof: int) -> str:
+        """A degree of freedom's joint in a sentence: "joint 'hip'"."""
+        place = next(k for k, links in enumerate(self.joint_links) if links.start <= dof < links.stop)
+        name = self.joint_names[place]
+        return f"joint {name!r}" if name else f"joint number {place}"
 
     def __str__(self) -> str:
         names = [name or "unnamed" for name in self.joint_names]

@@ -29,22 +29,27 @@ def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
     if mechanism.contacts:
         return supported(mechanism, q, reach, missing)
+    if mechanism.reduction is not None:
+        reach, missing = mechanism.reduction.G.T @ reach, mechanism.reduction.G.T @ missing
     return np.linalg.lstsq(reach, missing, rcond=None)[0]
 
 
 def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
 
-    The motion is q (N, nq), qd and qdd (N, nv); actuators have no activations and reach every joint.
+    The motion is q (N, nq), qd and qdd (N, nv); actuators have no activations and reach every joint. Of coupled joints
+    the motion keeps the couplings, and G' tau is what the actuators give.
     """
     actuators = mechanism.actuators
     reach = actuators.moment.T * actuators.gain
-    if np.any(actuators.dynamics != DIRECT) or np.linalg.matrix_rank(reach) < mechanism.nv:
+    G = None if mechanism.reduction is None else mechanism.reduction.G
+    reach = reach if G is None else G.T @ reach
+    if np.any(actuators.dynamics != DIRECT) or np.linalg.matrix_rank(reach) < len(reach):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
     tau = rnea(mechanism, q, qd, qdd) - force @ actuators.moment
-    return np.linalg.lstsq(reach, tau.T, rcond=None)[0].T
+    return np.linalg.lstsq(reach, tau.T if G is None else G.T @ tau.T, rcond=None)[0].T
 
 
 def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
+from planner.model.coupled_states import check_closed
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.costs.terms import Cost, check_cost
@@ -77,7 +78,8 @@ class Problem(Built):
         ranges: Of the states, of the limits; None for none.
 
     Raises:
-        PlannerError: Shapes that do not fit together, or numbers that are not finite.
+        PlannerError: Shapes that do not fit together, numbers that are not finite, or a start that is not on the
+            mechanism's couplings.
     """
 
     dynamics: Dynamics
@@ -103,6 +105,8 @@ class Problem(Built):
         nx, nu = self.dynamics.nx, self.dynamics.nu
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
+        if isinstance(self.dynamics, RigidBodyDynamics):
+            check_closed("x0", self.x0, self.dynamics.mechanism)
         us = None if self.us is None else array("us", self.us, ("N", nu))
         told = (self.horizon, getattr(self.cost, "N", None), None if us is None else len(us))
         N = next((number for number in told if number is not None), None)

@@ -20,6 +20,7 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
 from planner.dynamics.protocol import Dynamics
 from planner.model.coordinates import coordinates_of
+from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, space_of
 from planner.problem.goals import LEAST
 from planner.problem.plan import Plan
@@ -66,10 +67,12 @@ def hold_gain(problem: Problem) -> Hold:
         has = f"the cost has {len(costs)} terms with a goal state"
         raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
     free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
+    T, places = _directions(problem.dynamics, len(free))
     x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
     A, B, drift = _about(problem, x, u)
     _check_equilibrium(A, B, drift, problem.dynamics)
     Q, R = _weights(problem, x, u)
+    A, B, Q = (A @ T)[places], B[places], T.T @ Q @ T
     try:
         P = solve_discrete_are(A, B, Q, R)
         K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
@@ -81,22 +84,32 @@ def hold_gain(problem: Problem) -> Hold:
             "the goal cannot be held: no gains make the dynamics stable there, expected controls that reach every "
             "motion that does not die out by itself."
         )
-    return Hold(x, u, K, space_of(problem.dynamics))
+    gains = np.zeros((len(K), len(T)))
+    gains[:, places] = K
+    return Hold(x, u, gains, space_of(problem.dynamics))
+
+
+def _directions(dynamics: Dynamics, ndx: int) -> tuple[np.ndarray, np.ndarray]:
+    """The deviations T (ndx, n) that a machine's couplings leave, dx = T dx[places], and these places; else all."""
+    mechanism = getattr(dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism) or mechanism.reduction is None or mechanism.space.ndx != ndx:
+        return np.eye(ndx), np.arange(ndx)
+    return mechanism.reduction.tangents(mechanism.na)
 
 
 def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The state and control nearest to standing still: Gauss-Newton on f(x, u) (-) x, over u and what is free in x."""
     space = space_of(problem.dynamics)
     u = np.zeros(problem.dynamics.nu)
+    T, places = _directions(problem.dynamics, len(free))
+    T = T[:, free[places]]
     for _ in range(_NEWTON):
         A, B, drift = _about(problem, x, u)
-        J = np.concatenate([(A - np.eye(len(A)))[:, free], B], axis=1)
+        J = np.concatenate([(A - np.eye(len(A))) @ T, B], axis=1)
         step = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]
         if not np.isfinite(step).all():
             break
-        dx = np.zeros(space.ndx)
-        dx[free] = step[: free.sum()]
-        x, u = space.integrate(x, dx), u + step[free.sum() :]
+        x, u = space.integrate(x, T @ step[: T.shape[1]]), u + step[T.shape[1] :]
         if np.abs(step).max(initial=0.0) < 1e-12:
             break
     return x, u

@@ -104,6 +104,8 @@ def order(problem: Problem, run: Replay) -> Order:
         factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
         shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
     why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
+    coupled = getattr(getattr(problem.dynamics, "mechanism", None), "couplings", ())
+    why = why or ("MuJoCo's equalities are soft, by the square of its step" if coupled else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     why = why or _bends(getattr(problem.dynamics, "mechanism", None))
     why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")

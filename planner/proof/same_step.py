@@ -5,7 +5,8 @@ method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo doe
 integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
 
 So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.driven), which is
-not the transcription's. Here they are asked again for what is missing.
+not the transcription's. Here they are asked again for what is missing. And so it is where joints are coupled: MuJoCo's
+equalities are soft, so here its accelerations are those of its own M and forces with the equalities kept exactly.
 
 A plan's stage of several substeps is as many steps here.
 """
@@ -19,11 +20,13 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
+from planner.model.couplings import Reduction
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.compare.rigid_parity import coupled_acceleration
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.simulation import set_state, state_of
@@ -57,8 +60,9 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_LIMIT
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
-    dt = problem.dynamics.dt / substeps
-    found = stage_function(integrator, dt, model, twin, space, driven_dofs(problem.dynamics))
+    reduction = getattr(mechanism, "reduction", None)
+    dt, driven = problem.dynamics.dt / substeps, driven_dofs(problem.dynamics)
+    found = stage_function(integrator, dt, model, twin, space, driven, reduction)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
@@ -96,11 +100,13 @@ def rounding_amplification(A: np.ndarray) -> float:
 
 
 def stage_function(
-    integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = ()
-) -> tuple[str, Stage] | None:
+    integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = (),
+    reduction: Reduction | None = None,
+) -> tuple[str, Stage] | None:  # fmt: skip
     """One stage of dt in MuJoCo: its method in words, and the function (x, u) -> x at its end; None for none.
 
-    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding.
+    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding. With a
+    reduction its equalities are kept exactly, and its constraints do not act.
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -113,7 +119,10 @@ def stage_function(
         data.ctrl[:] = u
         if len(driven):
             mujoco.mj_forward(model, data)
-            data.ctrl[-len(driven) :] += u[-len(driven) :] - data.qacc[driven]
+            data.ctrl[-len(driven) :] += u[-len(driven) :] - acceleration()[driven]
+
+    def acceleration() -> np.ndarray:
+        return data.qacc if reduction is None else coupled_acceleration(model, data, reduction)
 
     def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         begin(x, u)
@@ -123,7 +132,7 @@ def stage_function(
     def rates(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         begin(x, u)
         mujoco.mj_forward(model, data)
-        w = np.concatenate([data.qvel, data.qacc, data.act_dot])
+        w = np.concatenate([data.qvel, acceleration(), data.act_dot])
         return w if space.quaternions else twin.to_x @ w
 
     def on_group(x: np.ndarray, dx: np.ndarray) -> np.ndarray:  # space.integrate in C, a tenth of its time
@@ -138,10 +147,17 @@ def stage_function(
     def explicit_euler(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return integrate(x, dt * rates(x, u))
 
+    def velocity_first(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        dx = dt * rates(x, u)
+        dx[: model.nv] += dt * dx[model.nv : 2 * model.nv]
+        return integrate(x, dx)
+
     own: dict[str, Stage] = {
         "euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate)
     }  # fmt: skip
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
+    if reduction is not None:
+        own["semi-implicit-euler"], named = velocity_first, {}
     if integrator in named:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step

@@ -21,7 +21,7 @@ REFUSED = [
     ("frictionloss", plain(joint='frictionloss="1"'), ["frictionloss of joint 'h'"]),
     ("frictionloss", plain(default='<default><joint frictionloss="1"/></default>'), ["joint 'h'", "joint 's'"]),
     ("frictionloss", plain(tendon=TENDON % 'frictionloss="1"'), ["frictionloss of tendon 't'"]),
-    ("equality", plain(equality='<joint name="lock" joint1="h"/>'), ["equality 'lock'"]),
+    ("equality", plain(equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>'), ["equality 'cam'"]),
     ("equality", plain(equality='<weld body1="one"/>'), ["equality number 0"]),
     ("tendon", plain(tendon=TENDON % 'stiffness="1"'), ["stiffness of tendon 't'"]),
     ("tendon", plain(tendon=SPATIAL % 'damping="1"'), ["damping of tendon 't'"]),
@@ -130,9 +130,10 @@ def test_taking_actuators_out_keeps_keyframes_and_sensors():
 def test_everything_in_one_sentence():
     text = plain(
         joint='frictionloss="1"', body='gravcomp="1"', tendon=TENDON % 'damping="1"', actuator=MUSCLE,
-        equality='<joint name="lock" joint1="h"/>', world='<geom name="floor" type="plane" size="1 1 1"/>',
+        equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>',
+        world='<geom name="floor" type="plane" size="1 1 1"/>',
     )  # fmt: skip
-    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'lock'", "geom 'floor'", "contacts='off'"]
+    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'cam'", "geom 'floor'", "contacts='off'"]
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text)
     for part in parts:

@@ -15,9 +15,9 @@ MODEL = """
   <body pos="0 0 1" gravcomp="1"><joint name="a" frictionloss="1" damping="1 2" axis="0 1 0"/>
     <geom name="ball" size=".1" pos="0 0 .3"/>
     <body pos="0 0 1"><joint name="b" frictionloss="2" axis="0 1 0"/><geom type="cylinder" size=".1 .1" pos="0 0 .5"/>
-      <body pos="0 0 1"><joint name="c" axis="0 1 0"/><geom type="box" size=".1 .1 .1" pos="0 0 .5"/></body>
+      <body name="last" pos="0 0 1"><joint name="c" axis="0 1 0"/><geom type="box" size=".1 .1 .1" pos="0 0 .5"/></body>
     </body></body></worldbody>
-  <equality><joint joint1="a" joint2="b"/><joint joint1="c" joint2="b"/></equality>
+  <equality><joint joint1="a" joint2="b" polycoef="0 1 1"/><connect body1="last" anchor="0 0 .5"/></equality>
   <actuator><motor name="motor of a" joint="a"/><motor joint="b"/><motor joint="c"/></actuator></mujoco>
 """
 OUT = ("frictionloss", "equality", "fluid", "gravcomp", "polynomial")

@@ -45,6 +45,8 @@ from planner.cases.problem_file.table import check_keys, checked_starts, checked
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
+from planner.model.coupled_states import check_closed, closed_state
+from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.read import read
@@ -61,6 +63,7 @@ from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
+SOFT = 1e-3  # rad or m: what a simulator with soft equalities may leave of them in a keyframe
 
 
 class ProblemFile(NamedTuple):
@@ -243,14 +246,18 @@ def _states_of(mechanism: Mechanism) -> str:
 
 
 def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
-    """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed."""
+    """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed.
+
+    Coordinates that follow others are where these put them: a table need not name them, and a keyframe that a soft
+    simulator has left is nearly there.
+    """
     nq, nv = mechanism.nq, mechanism.nv
-    x = base.copy()
+    x, given, most = base.copy(), set(), CLOSED
     if isinstance(value, str):
         if value not in mechanism.keyframes:
             hint = did_you_mean(value, mechanism.keyframes)
             raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.{hint}")
-        x = mechanism.keyframe(value)
+        x, most = mechanism.keyframe(value), SOFT
     elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
         if len(value) not in (nq, nq + nv, len(x)):
             raise PlannerError(f"{name} has {len(value)} numbers, expected {_states_of(mechanism)}.")
@@ -262,7 +269,11 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
             place = int(mechanism.q_address[links.start])
             size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
             label = f"{name} of {joint}"
+            given.add(links.start)
             x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
-    return states(name, x, mechanism.space, ())
+    if isinstance(value, dict):
+        x = closed_state(mechanism, x, given)
+    check_closed(name, x, mechanism, most)
+    return states(name, closed_state(mechanism, x) if isinstance(value, str) else x, mechanism.space, ())

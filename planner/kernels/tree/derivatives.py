@@ -1,7 +1,7 @@
 """Derivatives of a tree's accelerations, four knots at a time.
 
 They follow from those of inverse dynamics, da = M^-1 (dtau - Dq dq - Dv dv) (section 1.2), with the rows of
-prescribed joints taken out. Columns are ordered z = (u | dq | dv | dact).
+prescribed joints taken out and, with couplings, W in place of M^-1. Columns are ordered z = (u | dq | dv | dact).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
+from planner.kernels.tree.couplings import condense, expand
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
@@ -87,7 +88,13 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
                 store(Dq, p * ld + i, zero)
                 store(Dv, p * ld + i, zero)
             store(M, p * ld + p, zero + 1.0)
+    if external is not None:
+        if m[TREE.dependents] > 0:
+            condense(m, M, ld)
     invert(M, nv, ld)
+    if external is not None:
+        if m[TREE.dependents] > 0:
+            expand(m, M, ld)
     starts, rows = integers(m, TREE.related_start), integers(m, TREE.related_rows)
     for half in range(2):
         D = Dq if half == 0 else Dv

@@ -14,7 +14,7 @@ from planner.kernels.tree.recursion import RECORD
 MEMORY = Layout(
     "integrator stages ld columns first block substeps kept",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
-    "by_stage turns direct chained Xa step product heavier pushed before asked",
+    "by_stage turns direct chained Xa step product heavier pushed before asked rest",
 )
 
 
@@ -34,8 +34,8 @@ class TreeMemory:
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
             "rates": na, "theta": nv,
             "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": kept,
-            "trial_a": N * kept, "M": n * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
-            "heavier": nv, "pushed": nv, "before": nv, "asked": nv,
+            "trial_a": N * kept, "M": (nv if model.coupled else n) * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
+            "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv,
             "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}

@@ -30,13 +30,15 @@ TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE = 4, 4, 3  # see _tendons, _lifted and _loss
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses",
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses "
+    "dependents",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
-    "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value",
+    "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value "
+    "dependent_dof dependent_start dependent_column dependent_value",
 )
 
 
@@ -51,7 +53,8 @@ class Model:
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, tendons, gravity compensation or friction loss act, else None. Kernels take it beside the table: Numba compiles
+        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act, else
+            None. Kernels take it beside the table: Numba compiles
             them once for each type and leaves out, for None, what stands under `if external is not None`.
     """
 
@@ -70,7 +73,9 @@ class Model:
         curves = mechanism.curves if actuated else ()
         tendons, losses = acting_tendons(mechanism), mechanism.friction_loss * actuated
         lifted = bool(np.any(mechanism.lifted_mass) or np.any(mechanism.lifted_moment))
-        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses)
+        reduction = mechanism.reduction if actuated else None
+        self.coupled = reduction is not None
+        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled
         self.external = True if acts else None
         for tendon in tendons:
             coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
@@ -89,13 +94,13 @@ class Model:
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
         arrays |= _curves(curves) | _tendons(tendons)
-        arrays |= _lifted(mechanism, arrays["frames"]) | _losses(mechanism, losses)
+        arrays |= _lifted(mechanism, arrays["frames"]) | _losses(mechanism, losses) | _dependents(reduction)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
-            "losses": len(arrays["loss_dof"]),
+            "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -351,6 +356,18 @@ def _lifted(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
         if mechanism.parent[i] >= 0:
             beyond[mechanism.parent[i]] += beyond[i]
     return {"lifted_value": np.column_stack([mass, moment]), "lifted_mass": beyond}
+
+
+def _dependents(reduction: Any) -> dict[str, np.ndarray]:
+    """Per dependent coordinate: which it is, and the independent ones that it follows from dependent_start on."""
+    dofs = np.zeros(0, dtype=np.int64) if reduction is None else reduction.dependent
+    rows = np.zeros((0, 0)) if reduction is None else reduction.G[dofs]
+    row, column = np.nonzero(rows)
+    return {
+        "dependent_dof": dofs, "dependent_start": np.searchsorted(row, np.arange(len(dofs) + 1)),
+        "dependent_column": column if reduction is None else reduction.independent[column],
+        "dependent_value": rows[row, column],
+    }  # fmt: skip
 
 
 def _contact_law_numbers(law: Any) -> list[float]:

@@ -29,6 +29,7 @@ from planner.kernels.numba.lanes import (
     store,
 )
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
+from planner.kernels.tree.couplings import accelerate_coupled
 from planner.kernels.tree.forces import activation_rates, applied_forces
 from planner.kernels.tree.friction import (  # fmt: skip
     MET,
@@ -96,6 +97,9 @@ def accelerations(m, r, q, v, u, act, a, external):
         if m[TREE.losses] > 0:
             _accelerate_with_friction(m, r, q, v, tau, a)
             return
+        if m[TREE.dependents] > 0:
+            accelerate_coupled(m, r, tau, a, links, floats(m, TREE.armature))
+            return
     accelerate(m, tau, a, links, floats(m, TREE.armature), False)
 
 
@@ -107,12 +111,21 @@ def _add_wrenches(m, q, links):
 
 
 @part
+def _accelerate_again(m, r, tau, a, links, armature):
+    """Accelerations with another armature (nv lanes)."""
+    if m[TREE.dependents] > 0:
+        accelerate_coupled(m, r, tau, a, links, armature)
+    else:
+        accelerate(m, tau, a, links, armature, False)
+
+
+@part
 def _accelerate_with_friction(m, r, q, v, tau, a):
     """Accelerations of a machine with friction loss, of links that move_links has seen; see kernels.tree.friction."""
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked = lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
     begin_friction(m, v, tau, armature, force)
-    accelerate(m, force, a, links, armature, False)
+    _accelerate_again(m, r, force, a, links, armature)
     error = first_error(m, v, tau, a, armature, force, asked)
     for _ in range(MOST_ROUNDS):
         if not any_less(MET, error):
@@ -120,7 +133,7 @@ def _accelerate_with_friction(m, r, q, v, tau, a):
         linearise_friction(m, v, tau, a, armature, force, before)
         move_links(m, q, v, links)
         _add_wrenches(m, q, links)
-        accelerate(m, force, a, links, armature, False)
+        _accelerate_again(m, r, force, a, links, armature)
         error = next_error(m, v, tau, a, armature, force, before, asked, error)
 
 

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.errors import ModelError
+from planner.model.mjcf.couplings import equalities_of, read_couplings
 from planner.model.mjcf.refuse import Refusal
 from planner.model.mjcf.survey import field
 
@@ -16,7 +17,6 @@ from planner.model.mjcf.survey import field
 _OPTIONS: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "contacts": ({}, {"contact": "disable"}),
     "frictionloss": ({}, {"frictionloss": "disable"}),
-    "equality": ({}, {"equality": "disable"}),
     "sleep": ({}, {"sleep": "disable"}),
     "fluid": ({"density": "0", "viscosity": "0"}, {}),
 }
@@ -49,8 +49,25 @@ def take_out(root: ElementTree.Element, refusals: Collection[Refusal], model: An
             tendon.attrib.update(_NO_TENDON)
             if np.any(field(model, "tendon_armature", 0)):  # older releases do not know the attribute
                 tendon.set("armature", "0")
+    if "equality" in kinds:
+        _switch_off(root, model, [one.index for one in refusals if one.kind == "equality"])
     if "actuator" in kinds:
         _take_actuators_out(root, model, [one.index for one in refusals if one.kind == "actuator"])
+
+
+def _switch_off(root: ElementTree.Element, model: Any, out: list[int]) -> None:
+    """Switch equalities off; others stay, if the text has them all."""
+    elements = equalities_of(root, model)
+    for i in out if elements else ():
+        elements[i].set("active", "false")
+    if not elements:
+        if read_couplings(model):
+            raise ModelError(
+                "the model's equalities are not all its own (<attach>, <replicate>), so none is taken out while others "
+                'stay, expected active="false" in the file.'
+            )
+        flags = {"equality": "disable"}
+        ElementTree.SubElement(ElementTree.SubElement(root, "option"), "flag", flags)
 
 
 def actuators_of(root: ElementTree.Element, model: Any, so: str) -> list[ElementTree.Element]:

@@ -23,6 +23,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
+from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.meshes import coarsen_visual_meshes
@@ -81,6 +82,7 @@ def read(
     if found or (law and survey.pairs):  # the edits have made another text, which may not do what they meant
         survey = Survey(compile_model(root, files, name))
         _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name)
+    harden(root, survey.model)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
     mechanism = _mechanism(survey, text, files, (*phrases, *left_out), name)
@@ -151,8 +153,8 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         velocity_limit=np.full(model.nv, np.inf), **joint_friction(model), **_lifted(model, links, poses),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model), sites=sites, keyframes=keyframes,
-        mjcf=text, assets=files, ignored=ignored,
+        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
+        sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.couplings import acting, is_linear, kind_of
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 from planner.model.mjcf.tendons import fixed
 
@@ -27,7 +28,7 @@ class Refusal:
 
     kind: str  # "contacts", one of KINDS, or another kind that nothing takes out
     phrase: str  # Its name for a sentence
-    index: int = -1  # Of an actuator; -1 for other things
+    index: int = -1  # Of an actuator or equality; -1 for other things
 
 
 def passive_off(model: Any) -> bool:
@@ -56,9 +57,9 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
     yield from _joints(model)
     yield from _bodies(model)
     yield from _of_tendons(model, modelled=False)
-    if not disabled(model, "constraint", "equality"):
-        for i in np.flatnonzero(model.eq_active0):
-            yield Refusal("equality", named(model, "equality", int(i)))
+    for i in acting(model):
+        if not is_linear(model, i):
+            yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
     for i in range(len(model.actuator_trntype)):
         yield from _actuators(model, i)
     if model.opt.enableflags & flag_bit("Enable", "ENBL", "sleep"):

@@ -7,6 +7,7 @@ difference is elsewhere, and `rigid_parity` says at which joint it is felt.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -76,6 +77,9 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
         for term, (one, other) in balls.items():
             if not _same(one[ball], other[ball]):
                 yield f"{term} at {joint_of(ours, dof)}{_values(one[ball], other[ball])}"
+    if [replace(one, name="") for one in ours.couplings] != [replace(one, name="") for one in theirs.couplings]:
+        both = (", ".join(one.name for one in m.couplings) or "none" for m in (theirs, ours))
+        yield "its equalities of joints are others: {} there, {} in the plan".format(*both)
     a, b = ours.actuators, theirs.actuators
     terms = {
         "gear": (a.moment, b.moment), "gain": (a.gain, b.gain), "bias": (a.bias, b.bias),

@@ -4,7 +4,8 @@
     bias force      Coriolis + gravity and its compensation + damping + springs and curves: MuJoCo's qfrc_bias -
                     qfrc_passive; without friction loss, see friction_parity
     actuator force  M qacc + bias by ours, MuJoCo's qfrc_actuator
-    acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth
+    acceleration    qacc without contacts and joint limits: MuJoCo's qacc_smooth; of coupled joints
+                    G (G' M G)^-1 G' tau of MuJoCo's own M, forces tau and equalities (planner.model.couplings)
     activation      d act / dt
 
 Each is measured at each state: entries of the mass matrix relative to its diagonal, sqrt(M_ii M_jj), so that a foot is
@@ -16,6 +17,7 @@ rounding (Skeel). A term that differs is traced to its joint.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -26,13 +28,17 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.coupled_states import closed_state
+from planner.model.couplings import Reduction
 from planner.model.joint_curves import curve_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.couplings import set_hard
 from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import no_compensation, unmodelled
 from planner.model.mjcf.survey import field
 from planner.model.space import unit
 from planner.proof.compare.differences import actuator_of, differences, joint_of
+from planner.proof.replays.simulation import set_state
 
 SPEED = 3.0  # rad/s and m/s, the spread of random velocities
 LARGE = 10.0  # of the torque of a curve over all other forces
@@ -61,18 +67,22 @@ def rigid_parity(
     relative.
     """
     _check_sizes(mechanism, model)
-    named = differences(mechanism, mechanism_of_model(model))
-    mechanism = replace(mechanism, friction_loss=np.zeros(mechanism.nv))
     left_out = _unmodelled(mechanism, model)
+    read = mechanism_of_model(model)
+    named, reduction = differences(mechanism, read), read.reduction
+    mechanism = replace(mechanism, friction_loss=np.zeros(mechanism.nv))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
     us = spread * rng.normal(size=(states, mechanism.nu))
+    shown = [_soft(mechanism, model, dynamics, xs, us)] if reduction is not None else []
     ours = _ours(mechanism, dynamics, xs, us)
-    theirs = _theirs(mechanism, model, xs, us)
+    theirs = _theirs(mechanism, model, reduction, xs, us)
+    if mechanism.reduction is not None:  # ours have the forces of the couplings in them
+        ours, theirs = (one._replace(actuator=_felt(mechanism, one.actuator)) for one in (ours, theirs))
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest_of_each(theirs.mass)
     force = np.max([_largest_of_each(theirs.bias), _largest_of_each(theirs.actuator), mass * speed2], axis=0)
-    acceleration = np.maximum(rounded(theirs.mass, theirs.bias, theirs.acceleration), speed2)
+    acceleration = np.maximum(rounded(theirs.mass, theirs.bias, theirs.acceleration, reduction), speed2)
     own = np.sqrt(np.einsum("kii->ki", theirs.mass))
     scales = {"mass": own[:, :, None] * own[:, None, :], "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
@@ -87,7 +97,7 @@ def rigid_parity(
         if not value <= bound:
             note = f"{named or _cause(term, mechanism, ours, theirs, relative, bound)}, {note}"
         measured.append(Measured(names.get(term, f"{term}_error"), value, "", bound, note))
-    return Section("parity", (*measured, left_out) if left_out.passed else (left_out, *measured))
+    return Section("parity", (*measured, *shown, left_out) if left_out.passed else (left_out, *measured, *shown))
 
 
 def _unmodelled(mechanism: Mechanism, model: Any) -> Measured:
@@ -141,9 +151,7 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     held = curve_torques(mechanism, q)  # of the mechanism's own, but none of these functions'
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
-        own = None if dynamics is None else dynamics.mechanism
-        if own is None or own.contacts or own.body_contacts or own.stops or np.any(own.friction_loss):
-            dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
+        dynamics = _smooth(mechanism, dynamics)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan
         acceleration = rigid_body.forward_dynamics(mechanism, q, qd, held)
@@ -152,7 +160,58 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     return _Terms(mass, rest, bias, back, actuator, acceleration, activation)
 
 
-def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) -> _Terms:
+def _smooth(mechanism: Mechanism, dynamics: RigidBodyDynamics | None) -> RigidBodyDynamics:
+    """Dynamics without contacts, stops and friction loss: those that are given, where they have none."""
+    own = None if dynamics is None else dynamics.mechanism
+    if own is None or own.contacts or own.body_contacts or own.stops or np.any(own.friction_loss):
+        return RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
+    assert dynamics is not None
+    return dynamics
+
+
+def _felt(mechanism: Mechanism, forces: np.ndarray) -> np.ndarray:
+    """Forces (K, nv) as the independent coordinates feel them, G' tau, and 0 for the others."""
+    assert mechanism.reduction is not None  # who asks has couplings
+    felt = np.zeros_like(forces)
+    felt[:, mechanism.reduction.independent] = forces @ mechanism.reduction.G
+    return felt
+
+
+def _soft(
+    mechanism: Mechanism, model: Any, dynamics: RigidBodyDynamics | None, xs: np.ndarray, us: np.ndarray
+) -> Measured:
+    """How far MuJoCo's own accelerations, with its soft equalities, are from ours at states on the couplings."""
+    mujoco, model = load_mujoco(), copy.copy(model)
+    bits = mujoco.mjtDisableBit
+    off = bits.mjDSBL_CLAMPCTRL | bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT | bits.mjDSBL_FRICTIONLOSS
+    model.opt.disableflags |= off
+    model.actuator_forcelimited[:] = 0
+    model.jnt_actfrclimited[:] = 0
+    set_hard(model, model.opt.timestep)
+    xs = np.array([closed_state(mechanism, x) for x in xs])
+    ours = _smooth(mechanism, dynamics).rates(xs, us)[:, mechanism.nv : 2 * mechanism.nv] if mechanism.nu else None
+    data, apart = mujoco.MjData(model), 0.0
+    for k, (x, u) in enumerate(zip(xs, us, strict=True)):
+        set_state(model, data, x)
+        data.ctrl[:] = u
+        mujoco.mj_forward(model, data)
+        exact = coupled_acceleration(model, data, mechanism.reduction) if ours is None else ours[k]
+        apart = max(apart, float(np.abs(data.qacc - exact).max() / max(np.abs(exact).max(), 1.0)))
+    note = f"of MuJoCo's own, whose equalities are soft, at {len(xs)} states that obey them, relative to the largest"
+    return Measured("soft_acceleration_difference", apart, "", None, note)
+
+
+def coupled_acceleration(model: Any, data: Any, reduction: Reduction | None) -> np.ndarray:
+    """G (G' M G)^-1 G' M qacc_smooth (nv,) of what mj_forward left in data; qacc_smooth without couplings."""
+    if reduction is None:
+        return data.qacc_smooth.copy()
+    mass, G = np.empty((model.nv, model.nv)), reduction.G
+    for row, axis in zip(mass, np.eye(model.nv), strict=True):
+        load_mujoco().mj_mulM(model, data, row, axis)
+    return G @ np.linalg.solve(G.T @ mass @ G, G.T @ data.qfrc_smooth)
+
+
+def _theirs(mechanism: Mechanism, model: Any, reduction: Reduction | None, xs: np.ndarray, us: np.ndarray) -> _Terms:
     mujoco = load_mujoco()
     nv, K = mechanism.nv, len(xs)
     unlimited(model)
@@ -172,7 +231,8 @@ def _theirs(mechanism: Mechanism, model: Any, xs: np.ndarray, us: np.ndarray) ->
             biases[k] = data.qfrc_bias - data.qfrc_passive - lifts
         for i, axis in enumerate(np.eye(nv)):
             mujoco.mj_mulM(model, data, terms.mass[k, i], axis)
-        terms.actuator[k], terms.acceleration[k] = data.qfrc_actuator - lifts, data.qacc_smooth
+        terms.actuator[k] = data.qfrc_actuator - lifts
+        terms.acceleration[k] = coupled_acceleration(model, data, reduction)
         terms.activation[k] = data.act_dot
     return terms
 
@@ -224,10 +284,16 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
     return f"{what} at {joint_of(mechanism, outermost)}"
 
 
-def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+def rounded(
+    mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray, reduction: Reduction | None = None
+) -> np.ndarray:
     """(K,) errors of accelerations from rounding of the terms of the equation of motion, per unit of rounding."""
     terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
-    return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
+    if reduction is None:
+        return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
+    G = np.abs(reduction.G)
+    inverse = np.abs(np.linalg.inv(reduction.G.T @ mass @ reduction.G))
+    return _largest_of_each(np.einsum("ir,krs,js,kj->ki", G, inverse, G, terms, optimize=True))
 
 
 def _largest_of_each(values: np.ndarray) -> np.ndarray:

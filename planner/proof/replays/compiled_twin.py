@@ -19,6 +19,7 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_refusals
+from planner.model.mjcf.couplings import set_hard
 from planner.model.mjcf.driven import as_driven
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.left_out import left_out
@@ -86,6 +87,7 @@ class CompiledTwin:
         """A copy that takes steps of `timestep` s with one of MuJoCo's integrators, and goes on when it runs away."""
         mujoco, model = load_mujoco(), self.copy()
         model.opt.timestep = timestep
+        set_hard(model, timestep)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what runs away would begin anew
         return model

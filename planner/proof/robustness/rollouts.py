@@ -25,6 +25,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
+from planner.model.mechanism import Mechanism
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
@@ -147,10 +148,12 @@ class Rollouts:
         """The machines with these errors."""
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
-        x0 = self._problem.x0
+        x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
+        coupled = mechanism.reduction if isinstance(mechanism, Mechanism) else None
+        starts = [errors.start if coupled is None else coupled.along(errors.start) for errors in draws]
         return Batch(
             models=[self.nominal.with_errors(errors, self._scratch) for errors in draws],
-            start=np.array([self.twin.sim_of(plan.space.integrate(x0, errors.start)) for errors in draws]),
+            start=np.array([self.twin.sim_of(plan.space.integrate(x0, start)) for start in starts]),
             noise=np.array([errors.noise * self.nominal.control for errors in draws]),
             delay=np.array([round(min(errors.delay / self.step, self.steps)) for errors in draws]),
             stiffness=np.array([errors.stiffness[joints] for errors in draws]),

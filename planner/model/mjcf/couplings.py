@@ -1,0 +1,99 @@
+"""Equalities of a compiled model that are linear in hinges and slides: read them, and make them hard for a replay.
+
+MuJoCo's equality of joints is q_1 - q_1(0) = a_0 + a_1 (q_2 - q_2(0)) + ..., of tendons the same of lengths, where (0)
+is qpos0; without a second joint or tendon only a_0 is read. Its equalities are springs, so a plan, which keeps them
+exactly, is replayed with the stiffest that MuJoCo takes, and "your file" with the user's own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.couplings import Coupling
+from planner.model.mjcf.survey import disabled, named
+
+_NOTHING = 1e-8  # s
+HARD = {"solref": f"{_NOTHING!r} 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
+
+
+def acting(model: Any) -> list[int]:
+    """The equalities that act."""
+    if disabled(model, "constraint", "equality"):
+        return []
+    return [int(i) for i in np.flatnonzero(model.eq_active0)]
+
+
+def is_linear(model: Any, i: int) -> bool:
+    """Whether an equality is linear in hinges and slides."""
+    kinds, wraps = load_mujoco().mjtEq, load_mujoco().mjtWrap
+    kind, data = model.eq_type[i], model.eq_data[i]
+    if kind not in (int(kinds.mjEQ_JOINT), int(kinds.mjEQ_TENDON)):
+        return False
+    if model.eq_obj2id[i] >= 0 and np.any(data[2:5] != 0.0):
+        return False
+    if kind == int(kinds.mjEQ_JOINT):
+        return True
+    tendons = [int(t) for t in (model.eq_obj1id[i], model.eq_obj2id[i]) if t >= 0]
+    return all(model.wrap_type[model.tendon_adr[t]] == int(wraps.mjWRAP_JOINT) for t in tendons)
+
+
+def kind_of(model: Any, i: int) -> str:
+    """An equality's kind for a sentence, and why it is not linear where its kind may be."""
+    kind = load_mujoco().mjtEq(int(model.eq_type[i])).name.split("_")[-1].lower()
+    return {"joint": "of joints, by a polynomial", "tendon": "of tendons, spatial or by a polynomial"}.get(kind, kind)
+
+
+def read_couplings(model: Any) -> tuple[Coupling, ...]:
+    """The linear equalities that act."""
+    return tuple(_coupling(model, i) for i in acting(model) if is_linear(model, i))
+
+
+def _coupling(model: Any, i: int) -> Coupling:
+    """Moved to one side: first(q) - a_1 second(q) = first(q0) + a_0 - a_1 second(q0)."""
+    sides = [_side(model, i, model.eq_obj1id[i])]
+    if model.eq_obj2id[i] >= 0:
+        sides.append([(dof, -float(model.eq_data[i, 1]) * x) for dof, x in _side(model, i, model.eq_obj2id[i])])
+    total: dict[int, float] = {}
+    for dof, coefficient in (term for side in sides for term in side):
+        total[dof] = total.get(dof, 0.0) + coefficient
+    home = {int(dof): float(model.qpos0[address]) for dof, address in zip(model.jnt_dofadr, model.jnt_qposadr)}
+    constant = float(model.eq_data[i, 0]) + sum(coefficient * home[dof] for dof, coefficient in total.items())
+    terms = [(dof, coefficient) for dof, coefficient in total.items() if coefficient != 0.0]
+    return Coupling(named(model, "equality", i), *(tuple(part) for part in zip(*terms)), constant)
+
+
+def _side(model: Any, i: int, thing: int) -> list[tuple[int, float]]:
+    """The degrees of freedom and coefficients of a joint, or of a fixed tendon."""
+    if model.eq_type[i] == int(load_mujoco().mjtEq.mjEQ_JOINT):
+        return [(int(model.jnt_dofadr[thing]), 1.0)]
+    wraps = slice(model.tendon_adr[thing], model.tendon_adr[thing] + model.tendon_num[thing])
+    dofs, coefficients = model.jnt_dofadr[model.wrap_objid[wraps]], model.wrap_prm[wraps]
+    return [(int(dof), float(x)) for dof, x in zip(dofs, coefficients, strict=True)]
+
+
+def harden(root: ElementTree.Element, model: Any) -> None:
+    """Make the linear equalities of the text as hard as MuJoCo takes them at any step; `model` is compiled from it.
+
+    MuJoCo raises a time constant to two steps of the simulation, so one that is next to nothing is always those two;
+    but with its flag refsafe off it does not, and `set_hard` has to.
+    """
+    elements = equalities_of(root, model)
+    for i in acting(model) if elements else ():
+        if is_linear(model, i):
+            elements[i].attrib.update(HARD)
+
+
+def set_hard(model: Any, timestep: float) -> None:
+    """Give the equalities that `harden` wrote the time constant of two steps, s, that they mean."""
+    model.eq_solref[model.eq_solref[:, 0] == _NOTHING, 0] = 2.0 * timestep
+
+
+def equalities_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
+    """The elements of all equalities in MuJoCo's order; none where the text has not all (<attach>, <replicate>)."""
+    elements = [element for section in root.findall("equality") for element in section]
+    names = [model.equality(i).name for i in range(model.neq)]
+    return elements if [element.get("name", "") for element in elements] == names else []
