@@ -81,7 +81,8 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
     )  # fmt: skip
     lines: list[tuple[float, str]] = []
-    assert child.stderr is not None and child.stdout is not None
+    assert child.stderr is not None
+    assert child.stdout is not None
     reader = threading.Thread(
         target=lambda: lines.extend((time.perf_counter() - began, line.rstrip()) for line in child.stderr)
     )
@@ -97,6 +98,8 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
     try:
         document = json.loads(output)
     except json.JSONDecodeError:
+        document = {}
+    if "plan" not in document:
         said = [line.removeprefix("planner: ") for _, line in lines if line.startswith("planner: ")]
         if child.returncode == 2 and said:
             row.verdict, row.message, row.load = "refused", _line(said[-1]), None
@@ -143,7 +146,7 @@ HEADS = ["package", "machine", "kind", "positions", "verdict", "load, s", "plan,
 
 def markdown(rows: list[Row]) -> str:
     """The table for a page; of a PASS without the sentence."""
-    body = [_cells(row, 160)[:-1] + ["" if row.verdict == "PASS" else _cells(row, 160)[-1]] for row in rows]
+    body = [[*_cells(row, 160)[:-1], "" if row.verdict == "PASS" else _cells(row, 160)[-1]] for row in rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (HEADS, ["---"] * len(HEADS), *body))
 
 

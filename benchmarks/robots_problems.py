@@ -71,10 +71,7 @@ def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
 
 def _way(value: float, limits: np.ndarray | None, kind: str) -> float:
     """How far a joint is to move."""
-    if kind == "underactuated" or limits is None:
-        way = UNLIMITED
-    else:
-        way = SHARE[kind] * (limits[1] - limits[0])
+    way = UNLIMITED if kind == "underactuated" or limits is None else SHARE[kind] * (limits[1] - limits[0])
     return -way if limits is not None and value - limits[0] > limits[1] - value else way
 
 
@@ -106,7 +103,7 @@ def _has_floor(model: mujoco.MjModel) -> bool:
 
 
 def _with_floor(file: Path, folder: Path) -> Path:
-    """The machine's file in a folder, with its own folders made absolute and a floor at the lowest point of the start."""
+    """The machine's file with a floor at the lowest point of its start, in a folder; paths in it become absolute."""
     root = ElementTree.parse(file).getroot()
     compiler = root.find("compiler")
     compiler = ElementTree.SubElement(root, "compiler") if compiler is None else compiler

@@ -1,4 +1,4 @@
-"""Machines by others for benchmarks/robots.py: the package, the kind, and the file inside of site-packages. Data only."""
+"""Machines by others for benchmarks/robots.py: package, kind and the file inside of site-packages. Data only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Machine(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The last two words of its path that say something, "ur5e" or "ant"."""
+        """The last word of its path that says something, "ur5e" or "ant"."""
         words = [word for word in self.path.rpartition(".")[0].split("/") if word not in _SAY_NOTHING]
         return words[-1]
 
