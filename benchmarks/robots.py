@@ -91,6 +91,7 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
     output = child.stdout.read()
     child.wait()
     timer.cancel(), reader.join()
+    child.stdout.close(), child.stderr.close()
     row = Row(*_words(machine), _joints(folder / "problem.toml"), "no verdict", "")
     verdicts = [(seconds, line) for seconds, line in lines if VERDICT.match(line)]
     row.load = next((float(line.split()[1]) for _, line in lines if line.startswith("@load")), None)
