@@ -11,15 +11,17 @@ from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
 from planner.proof.cures.limits import within_limits
-from planner.proof.cures.solving import first_guess, more_iterations
+from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
 from planner.proof.cures.stage import shorter_stage
 from planner.proof.cures.touching import out_of_touch
 from planner.proof.verdict import Proof
 
 __all__ = ["Cure", "cures"]
 
-_CAUSES = (first_guess, out_of_touch, within_limits, more_time, without_ignored, shorter_stage, larger_weights,
-           more_iterations)  # fmt: skip
+_CAUSES = (
+    first_guess, out_of_touch, within_limits, more_time, without_ignored, more_iterations, shorter_stage,
+    larger_weights, other_guesses,
+)  # fmt: skip
 
 
 def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
@@ -36,4 +38,6 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
     for cause in _CAUSES:
         for cure in cause(plan, plan.problem, proof):
             found.setdefault(cure.key, cure)
+        if any(cure.value is None for cure in found.values()):  # what follows is its effect
+            break
     return tuple(found.values())

@@ -11,8 +11,8 @@ from typing import Any
 from planner.problem.problem import Problem
 
 FILE = "problem-file"  # the recipe of a problem.toml
-FLAGS = ("max_iterations", "starts")  # of solve() and the command line, for all problems
-_FLAGS_OF_CASES = {"limits.control": "control-limit", "dt": "dt", "duration": "duration"}
+ITERATIONS = "max_iterations"
+FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems
 _ARGUMENTS = {
     "dt": "RigidBodyDynamics(..., dt={})", "integrator": "RigidBodyDynamics(..., integrator={})",
     "tolerance": "Problem(..., tolerance={})",
@@ -42,8 +42,10 @@ class Cure:
         return {"key": self.key, "value": self.value, "sentence": self.sentence}
 
     def applied(self, table: dict[str, Any]) -> dict[str, Any]:
-        """A problem.toml's table with the cure written into it."""
+        """A problem.toml's table with the cure written into it; the table itself where the cure is no key of it."""
         table = copy.deepcopy(table)
+        if self.value is None or self.key == ITERATIONS:
+            return table
         inside, (*tables, last) = table, self.key.split(".")
         for name in tables:
             part = inside.get(name)

@@ -18,6 +18,7 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.problem.at_bounds import control_at_bound, control_name, state_outside
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.guess import quintic
 from planner.problem.plan import Plan, Status
@@ -27,10 +28,9 @@ from planner.proof.verdict import Proof
 
 LONGEST = 10.0  # times the duration
 KEPT = 0.9  # of a range: a plan that has not all of it to use needs some to correct
+LONGER = 1.5  # times the duration, where no smooth motion is known
 _POINTS = 100
 _STEPS = 30  # of the bisection
-_AT_BOUND = 1e-6  # of a range
-_OFTEN = 0.1  # of the stages at a bound: then the bounds are what the motion hangs on
 
 
 @dataclass(frozen=True)
@@ -74,39 +74,10 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
 
 def _of_bounds(plan: Plan, problem: Problem) -> list[Cure]:
     """Half as long again, for a plan whose controls are often at their bounds, or that was outside of a range."""
-    held = _often_at_bounds(plan, problem)
-    outside = _outside(plan, problem)
-    said = ", and ".join(filter(None, (held, outside)))
-    if not said:
-        return []
-    return [cure(problem, "duration", _whole(problem, 1.5), f"in {problem.duration:.3g} s {said}")]
-
-
-def _often_at_bounds(plan: Plan, problem: Problem) -> str:
-    if problem.bounds is None or plan.status is Status.CONVERGED:
-        return ""
-    lower, upper = problem.bounds
-    near = _AT_BOUND * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    stages = ((plan.us <= lower + near) | (plan.us >= upper - near)).sum(axis=0)
-    worst = int(np.argmax(stages))
-    if stages[worst] < _OFTEN * plan.N:
-        return ""
-    return f"{_control(problem, worst)} is at its bound in {stages[worst]} of {plan.N} stages"
-
-
-def _outside(plan: Plan, problem: Problem) -> str:
-    if plan.status is not Status.OUTSIDE_LIMITS or problem.ranges is None or not np.isfinite(plan.xs).all():
-        return ""
-    beyond = problem.ranges.beyond(plan.xs)
-    n, worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-    name, unit = problem.ranges.coordinates[worst]
-    return f"{name} is {beyond[n, worst]:.3g} {unit} outside of its range at t = {plan.t[n]:.3g} s"
-
-
-def _control(problem: Problem, place: int) -> str:
-    mechanism = getattr(problem.dynamics, "mechanism", None)
-    names = mechanism.actuators.names if isinstance(mechanism, Mechanism) else ()
-    return f"the actuator {names[place]!r}" if place < len(names) and names[place] else f"control {place}"
+    held = "" if plan.status is Status.CONVERGED else control_at_bound(problem, plan.us)
+    outside = state_outside(problem, plan.xs, plan.t)
+    said = ", and ".join(filter(None, (outside, held)))
+    return [cure(problem, "duration", _whole(problem, LONGER), f"in {problem.duration:.3g} s {said}")] if said else []
 
 
 def _driven_everywhere(problem: Problem) -> Mechanism | None:
@@ -163,7 +134,7 @@ def _of_force(
         load = np.where(one_sided & ((force > upper) | (force < lower)), 2.0, load)
     worst = int(np.argmax(load))
     limit = upper[worst] if force[worst] > middle[worst] else lower[worst]
-    sentence = f"{_control(problem, a)} needs {force[worst]:.3g} {unit} of {limit:.3g} {unit}"
+    sentence = f"{control_name(problem, a)} needs {force[worst]:.3g} {unit} of {limit:.3g} {unit}"
     return _Need(float(load[worst]), sentence)
 
 

@@ -55,21 +55,25 @@ def fastest_rate(problem: Problem) -> float:
 
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
-    """As many iterations as the trend of the decrease needs, or other first guesses where there is no trend."""
-    if plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT):
+    """As many iterations as the trend of the decrease needs."""
+    if plan.status is not Status.MAX_ITERATIONS:
         return []
     lines = [line for line in plan.history if line.step > 0.0]
-    needed = iterations_needed(lines, plan.cost) if plan.status is Status.MAX_ITERATIONS else None
-    if needed is not None:
-        so_far = (
-            f"after {plan.nit} iterations a step still promises {lines[-1].expected / max(1.0, abs(plan.cost)):.1e}"
-        )
-        why = f"{so_far} of the cost, which falls on"
-        return [cure(problem, "max_iterations", needed, why)]
-    if problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
+    needed = iterations_needed(lines, plan.cost)
+    if needed is None:
         return []
-    stalls = f"the cost falls no further from {plan.cost:.5g} and its gradient stays at {plan.gradient_norm:.2g}"
-    return [cure(problem, "starts", STARTS, f"{stalls}: other first guesses end elsewhere")]
+    left = lines[-1].expected / max(1.0, abs(plan.cost))
+    why = f"after {plan.nit} iterations the next still promises {left:.1e} of the cost"
+    return [cure(problem, "max_iterations", needed, why)]
+
+
+def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Several first guesses, for a solve that came to no end from one."""
+    ended = plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT)
+    if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
+        return []
+    stays = f"the cost stays at {plan.cost:.5g} and the norm of its gradient at {plan.gradient_norm:.2g}"
+    return [cure(problem, "starts", STARTS, f"{stays}; other first guesses end elsewhere")]
 
 
 def iterations_needed(lines: list[Iteration], cost: float) -> int | None:

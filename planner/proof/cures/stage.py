@@ -32,14 +32,14 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
     if not (predicted > 1.0 or (share > 1.0 and ratio is not None and ratio <= FACTOR) or _cost_is_off(proof)):
         return []
     if integrator in FIRST_ORDER:
-        why = f"with {integrator} MuJoCo goes {_of(share)} what passes away, an error of first order"
+        why = f"with {integrator} plan and MuJoCo part by {_of(share)} what passes, an error of first order"
         return [cure(problem, "integrator", "rk4", why)]
     order = _order(proof, integrator)
     worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
     parts = (worst / SAFE) ** (1.0 / order) if math.isfinite(worst) else float(MOST)
     value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MOST))
     why = (
-        f"at {dt:.4g} s MuJoCo goes {_of(worst)} what passes away from the plan, an error that falls with the power "
+        f"at {dt:.4g} s plan and MuJoCo part by {_of(worst)} what passes, an error that falls with the power "
         f"{order:.2g} of the stage"
     )
     return [cure(problem, "dt", value, why)]
@@ -64,7 +64,7 @@ def _of(share: float) -> str:
 def _order(proof: Proof, integrator: str) -> float:
     nominal = NOMINAL.get(integrator, 4.0)
     observed = proof.convergence.observed
-    known = observed is not None and np.isfinite(observed)
+    known = observed is not None and np.isfinite(observed) and not proof.convergence.judged
     return float(min(max(observed, 1.0), nominal)) if known else nominal  # type: ignore[arg-type]
 
 
