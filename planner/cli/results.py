@@ -15,6 +15,7 @@ from planner.base.jsonable import write_json
 from planner.cli.console import Console
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
+from planner.proof.cures import cures
 from planner.proof.steps import with_rollouts, with_shown
 from planner.view.plots import CASE_PICTURES, case_pictures, draw_case_picture, draw_plan, draw_proof, save
 from planner.view.report import NAME as REPORT
@@ -43,6 +44,8 @@ def write_proof(
     """
     failed = {"verdict": "FAIL", "mode": None, "reason": f"The plan was not replayed. {plan.message}"}
     content = (failed if proof is None else proof.to_dict()) | {"plan_digest": digest}
+    if found := cures(plan, proof):
+        content["cures"] = [one.to_dict() for one in found]
     if path:
         content["refinement"] = [refinement_row(line) for line in path]
     write_json(folder / "proof.json", content)
@@ -143,6 +146,13 @@ def show_proof(proof: Proof, console: Console) -> None:
 def show_verdict(proof: Proof, console: Console) -> None:
     """Print the first line of a proof, and below it its reason."""
     console.say(f"\n{proof.headline}\n{proof.reason}")
+    show_cures(proof.replay.plan, proof, console)
+
+
+def show_cures(plan: Plan, proof: Proof | None, console: Console) -> None:
+    """Print what to write so that a plan passes, the most likely first."""
+    for i, one in enumerate(cures(plan, proof)):
+        console.say(f"{'or' if i else 'to pass'}: {one}")
 
 
 def completed(proof: Proof, rollouts: int, console: Console, **options: Any) -> Proof:

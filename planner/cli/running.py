@@ -22,6 +22,7 @@ from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof, prove
 from planner.proof.compare.model_parity import parity
+from planner.proof.cures import cures
 from planner.proof.hold import hold_gain
 from planner.proof.refinement import Refinement, refine
 
@@ -94,6 +95,8 @@ def _run(
         )  # fmt: skip
         results.write_proof(plan, proof, folder.path, digest, path)
         results.show_proof(proof, console)
+    else:
+        results.show_cures(plan, None, console)
     note = results.draw_results(
         plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
         options=_flags(arguments),
@@ -108,7 +111,7 @@ def _run(
     return 0 if plan.success and proof is not None and proof.passed else 1, {
         "plan": results.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
-        "video_note": note,
+        "video_note": note, "cures": [one.to_dict() for one in cures(plan, proof)],
     }  # fmt: skip
 
 

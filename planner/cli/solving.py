@@ -7,7 +7,7 @@ import argparse
 from planner.base.files import write_atomically
 from planner.cli.console import Console
 from planner.cli.problems import asked_problem, solved
-from planner.cli.results import plan_facts, show_plan
+from planner.cli.results import plan_facts, show_cures, show_plan
 from planner.problem.archive import plan_name
 
 
@@ -19,6 +19,7 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
         plan, seconds = solved(asked, arguments, console)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
+    show_cures(plan, None, console)
     console.say(str(out))
     facts = plan_facts(plan)
     return console.finish("solve", 0 if plan.success else 1, plan=facts, solve_seconds=seconds, file=str(out))

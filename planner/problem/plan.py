@@ -27,6 +27,7 @@ from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
+from planner.problem.at_bounds import control_at_bound, stalled, state_outside
 from planner.problem.costs.wanted import stored_tolerance
 from planner.problem.criteria import plain
 from planner.problem.parts import in_parts
@@ -58,6 +59,9 @@ class Status(StrEnum):
     )
     GIVEN = "The controls were given, not solved for; prove them with prove(..., optimal=False)."
     INTERRUPTED = "Interrupted; this is the best plan so far, and a new solve can start from its controls."
+
+
+_ON_LIMITS = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
 class Iteration(NamedTuple):
@@ -171,8 +175,17 @@ class Plan(Built):
 
     @property
     def message(self) -> str:
-        """The status in a sentence (as in SciPy)."""
-        return self.status.value
+        """The status in a sentence (as in SciPy); of a solve that hangs on its limits, on which."""
+        if self.problem is None or self.status not in _ON_LIMITS:
+            return self.status.value
+        outside = state_outside(self.problem, self.xs, self.t)
+        held = control_at_bound(self.problem, self.us)
+        if self.status is Status.OUTSIDE_LIMITS:
+            found = ", and ".join(filter(None, (outside, held)))
+            return f"{self.status.value[:-1]}: {found}." if found else self.status.value
+        if not held or (self.status is Status.MAX_ITERATIONS and not stalled(self.history, self.cost)):
+            return self.status.value
+        return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."
 
     @property
     def space(self) -> StateSpace:

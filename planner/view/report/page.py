@@ -18,6 +18,7 @@ from planner.cases.problem_file.chosen import chosen
 from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
+from planner.proof.cures import cures
 from planner.view.plots import case_pictures
 from planner.view.report.assessment import assessment
 from planner.view.report.reproduce import command, problem_text, typed
@@ -100,8 +101,14 @@ def _verdict(plan: Plan, proof: Proof | None) -> str:
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     return (
         f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{words}'
-        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}</div>"
+        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_cures(plan, proof)}</div>"
     )
+
+
+def _cures(plan: Plan, proof: Proof | None) -> str:
+    """What to write so that the plan passes."""
+    found = cures(plan, proof)
+    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in found)}</p>" if found else ""
 
 
 def _unchecked(proof: Proof | None) -> str:

@@ -1,0 +1,56 @@
+"""Where a plan is at the bounds of its controls or outside of the ranges of its states, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.model.mechanism import Mechanism
+from planner.problem.problem import Problem
+
+_NEAR = 1e-6  # of a range: at its bound
+_OFTEN = 0.1  # of the stages: then bounds are what a motion hangs on
+_GAINED = 1e-3  # of the cost: a second half of a solve that gains less has stalled
+
+
+def control_name(problem: Problem, place: int) -> str:
+    """A control by the name of its actuator, for a sentence."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    names = mechanism.actuators.names if isinstance(mechanism, Mechanism) else ()
+    return f"actuator {names[place]!r}" if place < len(names) and names[place] else f"control {place}"
+
+
+def control_at_bound(problem: Problem, us: np.ndarray) -> str:
+    """The control that is most often at a bound along us (N, nu), and in how many stages; "" where none is often."""
+    if problem.bounds is None:
+        return ""
+    lower, upper = problem.bounds
+    with np.errstate(invalid="ignore"):
+        near = _NEAR * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
+    worst = int(np.argmax(stages))
+    if stages[worst] < max(1, _OFTEN * len(us)):
+        return ""
+    return f"{control_name(problem, worst)} is at its bound in {stages[worst]} of {len(us)} stages"
+
+
+def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> str:
+    """What of the states xs (N+1, nx) is furthest outside of its range, and when; "" where nothing is."""
+    limits, ranges = problem.limits, problem.ranges
+    if ranges is None or limits is None or not np.isfinite(xs).all():
+        return ""
+    beyond = ranges.beyond(xs)
+    n, worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    if beyond[n, worst] <= limits.tolerance:
+        return ""
+    name, unit = ranges.coordinates[worst]
+    where = "from its exact goal" if worst >= len(ranges.component) - ranges.at_end else "outside of its range"
+    return f"{name} is {beyond[n, worst]:.3g} {unit}".rstrip() + f" {where} at t = {t[n]:.3g} s"
+
+
+def stalled(history: Sequence[Any], cost: float) -> bool:
+    """Whether the second half of a solve's iterations hardly lowered its cost."""
+    half = history[len(history) // 2 :]
+    return len(half) > 2 and half[0].cost - cost <= _GAINED * abs(cost)

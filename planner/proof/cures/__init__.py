@@ -1,0 +1,43 @@
+"""cures(): what to write so that a plan that failed will pass, with values computed from what was measured.
+
+Each file looks for one kind of cause and returns cures of it; here they stand in the order in which causes come before
+their effects: a motor that is too weak makes the end miss its goal, a joint beyond its range makes the replay differ.
+"""
+
+from __future__ import annotations
+
+from planner.problem.plan import Plan, Status
+from planner.proof.cures.cure import Cure
+from planner.proof.cures.effort import more_time
+from planner.proof.cures.goals import larger_weights, without_ignored
+from planner.proof.cures.limits import within_limits
+from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
+from planner.proof.cures.stage import shorter_stage
+from planner.proof.cures.touching import out_of_touch
+from planner.proof.verdict import Proof
+
+__all__ = ["Cure", "cures"]
+
+_CAUSES = (
+    first_guess, out_of_touch, within_limits, more_time, without_ignored, more_iterations, shorter_stage,
+    larger_weights, other_guesses,
+)  # fmt: skip
+
+
+def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
+    """What to write so that a plan passes, the most likely first; empty for one that passed, or where nothing is known.
+
+    Args:
+        plan: With its problem.
+        proof: Of the plan; None for a plan that was not replayed.
+    """
+    done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED)
+    if plan.problem is None or plan.problem.periodic is not None or (done if proof is None else proof.passed):
+        return ()
+    found: dict[str, Cure] = {}
+    for cause in _CAUSES:
+        for cure in cause(plan, plan.problem, proof):
+            found.setdefault(cure.key, cure)
+        if any(cure.value is None for cure in found.values()):  # what follows is its effect
+            break
+    return tuple(found.values())

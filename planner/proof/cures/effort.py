@@ -1,0 +1,171 @@
+"""A motion for which there is too little time: what its actuators would need, by inverse dynamics.
+
+The way from the start to the goal is taken as a polynomial of fifth order, from rest to rest, whose forces
+
+    tau(s; T) = M qdd / T^2 + (Coriolis) / T^2 + (damping) / T + gravity and springs
+
+fall with the duration T until gravity alone is left. The shortest T with all forces, controls and velocities within
+their ranges is found by bisection. It is known where every joint is a hinge or a slide and has an actuator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.algorithms import rnea
+from planner.model.coordinates import coordinates_of
+from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.problem.at_bounds import control_at_bound, control_name, state_outside
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.guess import quintic
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof.cures.cure import Cure, cure, no_cure
+from planner.proof.verdict import Proof
+
+LONGEST = 10.0  # times the duration
+KEPT = 0.9  # of a range: a plan that has not all of it to use needs some to correct
+LONGER = 1.5  # times the duration, where no smooth motion is known
+_POINTS = 100
+_STEPS = 30  # of the bisection
+
+
+@dataclass(frozen=True)
+class _Need:
+    """What the smooth motion needs of the most loaded actuator or joint."""
+
+    load: float  # over what it has; above 1 the motion does not fit
+    sentence: str
+
+
+def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """The duration in which a smooth motion fits, for a plan that has not met its goal or its limits."""
+    if problem.limits is None or not _short_of_force(plan, problem, proof):
+        return []
+    machine = _driven_everywhere(problem)
+    if machine is None:
+        return _of_bounds(plan, problem)
+    duration = problem.duration
+    now, longest = (_need(problem, machine, T) for T in (duration, LONGEST * duration))
+    if now.load <= KEPT:
+        return _of_bounds(plan, problem)
+    if longest.load > 1.0:
+        why = f"No duration lets the actuators hold the way to the goal: even in {LONGEST * duration:.3g} s"
+        return [no_cure("goal", f"{why} {longest.sentence}.")]
+    low, high = 1.0, LONGEST
+    for _ in range(_STEPS):
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if _need(problem, machine, middle * duration).load <= KEPT else (middle, high)
+    return [cure(problem, "duration", _whole(problem, high), f"in {duration:.3g} s {now.sentence}")]
+
+
+def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
+    """Whether the plan missed a goal or a limit, or the solve did not end, though it could have."""
+    if plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS, Status.NO_DESCENT):
+        return True
+    if proof is None:
+        return False
+    missed = any(one.name.startswith("planned") for one in proof.goal.failures)
+    return missed or any(one.name == "clamped_actuators" for one in proof.your_file.failures)
+
+
+def _of_bounds(plan: Plan, problem: Problem) -> list[Cure]:
+    """Half as long again, for a plan whose controls are often at their bounds, or that was outside of a range."""
+    held = "" if plan.status is Status.CONVERGED else control_at_bound(problem, plan.us)
+    outside = state_outside(problem, plan.xs, plan.t)
+    said = ", and ".join(filter(None, (outside, held)))
+    return [cure(problem, "duration", _whole(problem, LONGER), f"in {problem.duration:.3g} s {said}")] if said else []
+
+
+def _driven_everywhere(problem: Problem) -> Mechanism | None:
+    """The mechanism, where a smooth motion from rest to rest has its forces by inverse dynamics; else None."""
+    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.prescribed or cost is None:
+        return None
+    machine = dynamics.mechanism
+    moving = slice(machine.nq, machine.nq + machine.nv)
+    ends = np.concatenate([problem.x0[moving], cost.x_ref[-1][moving]])
+    whole = np.all(machine.kind == SCREW) and not np.any(machine.actuators.dynamics != DIRECT)
+    if not whole or machine.contacts or machine.body_contacts or np.any(ends):
+        return None
+    return machine if np.linalg.matrix_rank(machine.actuators.moment) == machine.nv else None
+
+
+def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
+    """The largest load along the smooth motion in this duration."""
+    cost = tracking_of(problem.cost)
+    assert cost is not None  # _driven_everywhere() asked
+    start, goal = problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq]
+    q, qd, qdd = quintic(start, goal, duration, _POINTS)
+    needs = [*_of_forces(problem, machine, q, qd, rnea(machine, q, qd, qdd)), *_of_velocities(problem, machine, qd)]
+    return max(needs, key=lambda one: one.load, default=_Need(0.0, ""))
+
+
+def _of_forces(problem: Problem, machine: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> list[_Need]:
+    """Of every actuator: its force beside what forcerange, actuatorfrcrange and the bounds of its control leave."""
+    acts = machine.actuators
+    forces = np.linalg.lstsq(acts.moment.T, tau.T, rcond=None)[0].T
+    lengths, speeds = q @ acts.moment.T, qd @ acts.moment.T
+    bias = acts.bias[:, 0] + acts.bias[:, 1] * lengths + acts.bias[:, 2] * speeds
+    needs = []
+    for a in range(machine.nu):
+        lower, upper = (np.full(len(q), side) for side in acts.force_range[a])
+        if problem.bounds is not None and acts.gain[a] != 0.0:
+            ends = np.array([problem.bounds[0][:, a].max(), problem.bounds[1][:, a].min()]) * acts.gain[a]
+            lower, upper = np.maximum(lower, ends.min() + bias[:, a]), np.minimum(upper, ends.max() + bias[:, a])
+        alone = np.flatnonzero(acts.moment[a])
+        if len(alone) == 1 and np.count_nonzero(acts.moment[:, alone[0]]) == 1:
+            ends = machine.joint_force_range[alone[0]] / acts.moment[a, alone[0]]
+            lower, upper = np.maximum(lower, ends.min()), np.minimum(upper, ends.max())
+        needs.append(_of_force(problem, a, forces[:, a], lower, upper, _unit(machine, a)))
+    return needs
+
+
+def _of_force(
+    problem: Problem, a: int, force: np.ndarray, lower: np.ndarray, upper: np.ndarray, unit: str
+) -> _Need:  # fmt: skip
+    with np.errstate(all="ignore"):  # a side may be infinite
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        one_sided = np.isfinite(lower) ^ np.isfinite(upper)
+        load = np.where(np.isfinite(half), np.abs(force - middle) / np.maximum(half, 1e-300), 0.0)
+        load = np.where(one_sided & ((force > upper) | (force < lower)), 2.0, load)
+    worst = int(np.argmax(load))
+    limit = upper[worst] if force[worst] > middle[worst] else lower[worst]
+    sentence = f"{control_name(problem, a)} needs {force[worst]:.3g} {unit} of {limit:.3g} {unit}"
+    return _Need(float(load[worst]), sentence)
+
+
+def _of_velocities(problem: Problem, machine: Mechanism, qd: np.ndarray) -> list[_Need]:
+    """Of every joint whose velocity has a range."""
+    ranges, needs = problem.ranges, []
+    if ranges is None:
+        return []
+    coordinates = coordinates_of(problem.dynamics)
+    for h in range(len(ranges.component) - ranges.at_end):
+        i = int(ranges.component[h]) - machine.nv
+        if not 0 <= i < machine.nv:
+            continue
+        upper, lower = ranges.upper[1:, h].min(), ranges.lower[1:, h].max()  # the goal is at rest: no offset
+        most = qd[np.argmax(np.abs(qd[:, i])), i]
+        limit = upper if most > 0.0 else lower
+        name, unit = coordinates[machine.nv + i]
+        load = abs(most / limit) if np.isfinite(limit) and limit != 0.0 else 0.0
+        needs.append(_Need(load, f"the {name} needs {most:.3g} {unit} of {limit:.3g} {unit}"))
+    return needs
+
+
+def _unit(machine: Mechanism, a: int) -> str:
+    joint = int(np.argmax(np.abs(machine.actuators.moment[a])))
+    return "N m" if np.any(machine.S[joint, :3] != 0.0) else "N"
+
+
+def _whole(problem: Problem, times: float) -> float:
+    """A duration at least so many times as long: whole tenths of a second where that makes it little longer."""
+    dt, N = problem.dynamics.dt, int(np.ceil(problem.N * times - 1e-9))
+    tenth = round(0.1 / dt)
+    if tenth and abs(tenth * dt - 0.1) < 1e-12 and tenth <= 0.1 * N:
+        N = -(-N // tenth) * tenth
+    return float(f"{N * dt:.6g}")

@@ -1,0 +1,92 @@
+"""Goals that the plan itself misses, because its cost asks too little for them; and what it left out of the file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.model.coordinates import coordinates_of
+from planner.problem.costs.tracking import TrackingCost, tracking_of
+from planner.problem.goals import Goal, goals_of
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
+from planner.proof.verdict import Proof
+
+AIM = 0.5  # of what passes
+LEAST, MOST = 3.0, 1e6  # times a weight
+_WEIGHTS = ("final_position", "final_velocity")
+
+
+def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Final weights that bring the end within half of what passes.
+
+    A final weight W leaves a miss e of a way d, as a spring of stiffness W against one of stiffness c = e W / (d - e)
+    does; so the miss e' needs the weight c (d - e') / e'.
+    """
+    if proof is None or (problem.requirements is not None and problem.requirements.goal is not None):
+        return []
+    cost = tracking_of(problem.cost)
+    missed = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
+    followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
+    if cost is None or not missed or not (followed or any(one.name.startswith("planned") for one in missed)):
+        return []
+    times: dict[str, dict[int, tuple[float, str]]] = {key: {} for key in _WEIGHTS}
+    coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]
+    for goal in goals_of(problem, plan.xs):
+        if (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
+            continue
+        ends = (plan.xs[-1:], proof.replay.xs[-1:]) if followed else (plan.xs[-1:],)
+        miss = max(float(goal.missed(x)[0]) for x in ends)
+        if miss > goal.tolerance:
+            key = _WEIGHTS[goal.unit.endswith("/s")]
+            times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
+    return [_of_weight(problem, cost, key, found) for key, found in times.items() if found]
+
+
+def _raised(problem: Problem, goal: Goal, miss: float) -> tuple[float, str]:
+    """Times that a weight must be as large, and why."""
+    aim, way = AIM * goal.tolerance, float(goal.missed(problem.x0[None])[0])
+    raised = miss / aim
+    if miss < way:
+        raised = miss / (way - miss) * (way - aim) / aim
+    why = f"the plan ends {miss:.3g} {goal.unit} from the goal of {goal.name}, and {goal.tolerance:.3g} pass"
+    return float(np.clip(raised, LEAST, MOST)), why
+
+
+def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: dict[int, tuple[float, str]]) -> Cure:
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    first = 0 if key == "final_position" else cost.ndx // 2
+    weights = np.diagonal(cost.Q[-1]).copy()
+    worst = max(found, key=lambda i: found[i][0])
+    why = found[worst][1]
+    value: object
+    if mechanism is None:
+        return cure(problem, f"weights.{key}", rounded_up(found[worst][0] * float(weights[worst])), why)
+    first = 0 if key == "final_position" else mechanism.nv
+    own = weights[first : first + mechanism.nv]
+    if np.ptp(own) == 0.0 or not all(mechanism.joint_names):
+        value = rounded_up(max(times * float(weights[i]) for i, (times, _) in found.items()))
+    else:
+        raised = {i: times for i, (times, _) in found.items()}
+        table = {}
+        for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
+            new = [float(own[i]) * raised.get(first + i, 1.0) for i in range(links.start, links.stop)]
+            asked = any(first + i in raised for i in range(links.start, links.stop))
+            new = [rounded_up(one) for one in new] if asked else new
+            if any(new):
+                table[name] = new[0] if len(new) == 1 else new
+        value = table
+    return cure(problem, f"weights.{key}", value, why)
+
+
+def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Nothing left out, for a plan that is followed in its own model and misses its goal in the user's file."""
+    ignored = problem.parameters.get("ignore")
+    if proof is None or problem.case != FILE or not ignored or proof.your_file.passed:
+        return []
+    followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
+    missed = [one for one in proof.your_file.failures if one.name.startswith("replayed")]
+    if not followed or not missed or not proof.goal.passed:
+        return []
+    why = f"the plan leaves out {', '.join(ignored)}, and with it your file has {missed[0]}"
+    return [cure(problem, "ignore", [], why)]

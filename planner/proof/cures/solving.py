@@ -1,0 +1,97 @@
+"""A solve that did not come to its end: a guess that runs away, too few iterations, or none that helps."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planner.model.space import space_of
+from planner.problem.plan import Iteration, Plan, Status
+from planner.problem.problem import Problem
+from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
+from planner.proof.cures.stage import rounded_step
+from planner.proof.verdict import Proof
+from planner.solvers.slq import DECREASE
+
+STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
+MOST_TIMES = 30.0  # more iterations
+STARTS = 8
+_FEW = 8  # lines of a history from which no trend is read
+_GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
+
+
+def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """The stage that the machine's fastest rate needs, or another guess, for one that runs away."""
+    if plan.status is not Status.NOT_FINITE:
+        return []
+    dt, found = problem.dynamics.dt, []
+    rate = fastest_rate(problem)
+    if rate * dt > STABLE:
+        why = f"the fastest rate of the machine at its start is {rate:.3g} per s, {rate * dt:.3g} times in a stage"
+        found.append(cure(problem, "dt", rounded_step(problem.duration, STABLE / rate), why))
+    if problem.case == FILE:
+        other = {"hold": "zero", "zero": "hold"}.get(problem.parameters.get("guess", "hold"), "zero")
+        why = "the first guess rolls out to infinite states"
+        found.append(cure(problem, "guess", other, why))
+    return found
+
+
+def fastest_rate(problem: Problem) -> float:
+    """The largest eigenvalue of the dynamics linearised at the start, 1/s; infinite where there is none.
+
+    A stage of h = 1e-6 dt gives exp(h J) = I + h J to first order.
+    """
+    dynamics = problem.dynamics
+    with_step = getattr(dynamics, "with_step", None)
+    if not callable(with_step):
+        return 0.0
+    h = 1e-6 * dynamics.dt
+    finer: Any = with_step(h, getattr(dynamics, "integrator", None))
+    A, _ = finer.linearize(np.stack([problem.x0, problem.x0]), problem.first_guess[:1])
+    J = (A[0] - np.eye(space_of(dynamics).ndx)) / h
+    return float(np.abs(np.linalg.eigvals(J)).max()) if np.isfinite(J).all() else math.inf
+
+
+def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """As many iterations as the trend of the decrease needs."""
+    if plan.status is not Status.MAX_ITERATIONS:
+        return []
+    lines = [line for line in plan.history if line.step > 0.0]
+    needed = iterations_needed(lines, plan.cost)
+    if needed is None:
+        return []
+    left = lines[-1].expected / max(1.0, abs(plan.cost))
+    why = f"after {plan.nit} iterations the next still promises {left:.1e} of the cost"
+    return [cure(problem, "max_iterations", needed, why)]
+
+
+def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Several first guesses, for a solve that came to no end from one."""
+    ended = plan.status not in (Status.MAX_ITERATIONS, Status.NO_DESCENT)
+    if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
+        return []
+    stays = f"the cost stays at {plan.cost:.5g} and the norm of its gradient at {plan.gradient_norm:.2g}"
+    return [cure(problem, "starts", STARTS, f"{stays}; other first guesses end elsewhere")]
+
+
+def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
+    """Iterations until the promised decrease is below the tolerance, by its trend; None where it does not fall."""
+    if not lines:
+        return None
+    half = lines[len(lines) // 2 :]
+    gained = half[0].cost - cost
+    expected = np.array([line.expected for line in half])
+    if len(lines) < _FEW:  # it was stopped early
+        return 1000 if len(lines) < 1000 else None
+    if np.any(expected <= 0.0) or not np.isfinite(expected).all():
+        return None
+    slope = float(np.polyfit(np.arange(len(half)), np.log(expected), 1)[0])
+    enough = DECREASE * max(1.0, abs(cost))
+    if slope >= 0.0:
+        return 10 * len(lines) if gained > _GAINED * abs(cost) else None
+    more = max(0.0, math.log(expected[-1] / enough) / -slope)
+    if more > MOST_TIMES * len(lines):
+        return 10 * len(lines) if gained > _GAINED * abs(cost) else None
+    return int(rounded_up(1.5 * more + len(lines)))

@@ -1,0 +1,78 @@
+"""A stage that is too long: MuJoCo at a refined step goes elsewhere, as the plan's own integrator predicts it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planner.problem.discretisation import FIRST_ORDER
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.cures.cure import Cure, cure
+from planner.proof.growth import FACTOR
+from planner.proof.order import NOMINAL
+from planner.proof.verdict import Proof
+
+SAFE = 0.5  # of what passes: the error that is aimed at
+MOST = 16  # times shorter: beyond, something else is wrong
+_MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of steps that people write
+
+
+def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """The stage at which the integrator's error is half of what passes, by its order."""
+    if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
+        return []
+    if proof.refined_feedback.passed and (proof.mode is not None or proof.refined_open_loop.passed):
+        return []
+    dt, integrator = problem.dynamics.dt, getattr(problem.dynamics, "integrator", "rk4")
+    ratio = proof.errors.ratio("feedback")
+    share = float(proof.errors.measured["feedback"].max())
+    predicted = float(proof.errors.predicted["feedback"].max())
+    if not (predicted > 1.0 or (share > 1.0 and ratio is not None and ratio <= FACTOR) or _cost_is_off(proof)):
+        return []
+    if integrator in FIRST_ORDER:
+        why = f"with {integrator} plan and MuJoCo part by {_of(share)} what passes, an error of first order"
+        return [cure(problem, "integrator", "rk4", why)]
+    order = _order(proof, integrator)
+    worst = max(one for one in (share, predicted, _cost_share(proof)) if math.isfinite(one) or one == predicted)
+    parts = (worst / SAFE) ** (1.0 / order) if math.isfinite(worst) else float(MOST)
+    value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MOST))
+    why = (
+        f"at {dt:.4g} s plan and MuJoCo part by {_of(worst)} what passes, an error that falls with the power "
+        f"{order:.2g} of the stage"
+    )
+    return [cure(problem, "dt", value, why)]
+
+
+def rounded_step(duration: float, most: float) -> float:
+    """The longest stage up to `most` that people would write, of which the duration is a whole number."""
+    power = 10.0 ** math.floor(math.log10(most))
+    for scale in (power, power / 10.0, power / 100.0):
+        for mantissa in _MANTISSAS:
+            step = float(f"{mantissa * scale:.3g}")
+            stages = duration / step
+            if step <= most * (1.0 + 1e-9) and abs(round(stages) - stages) < 1e-9 * stages:
+                return step
+    return duration / math.ceil(duration / most)
+
+
+def _of(share: float) -> str:
+    return f"{share:.3g} times" if math.isfinite(share) else "any number of times"
+
+
+def _order(proof: Proof, integrator: str) -> float:
+    nominal = NOMINAL.get(integrator, 4.0)
+    observed = proof.convergence.observed
+    known = observed is not None and np.isfinite(observed) and not proof.convergence.judged
+    return float(min(max(observed, 1.0), nominal)) if known else nominal  # type: ignore[arg-type]
+
+
+def _cost_share(proof: Proof) -> float:
+    """The largest error of the cost over its bound, with the gains."""
+    return max((one.value / one.bound for one in proof.refined_feedback.measured
+                if one.name == "cost_error" and one.bound), default=0.0)  # fmt: skip
+
+
+def _cost_is_off(proof: Proof) -> bool:
+    return _cost_share(proof) > 1.0

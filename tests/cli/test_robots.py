@@ -1,0 +1,119 @@
+"""benchmarks/robots.py: problem files by one rule, and what comes of a few machines by others."""
+
+import sysconfig
+import tomllib
+from pathlib import Path
+
+import pytest
+from robots import tried
+from robots_problems import problem_text
+from robots_table import MACHINES, Machine
+
+ARM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body>
+      <joint name="far" axis="0 1 0" limited="true" range="0.5 2.5"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.4"/>
+      <body pos="0 0 0.4">
+        <joint name="near" axis="0 1 0" limited="true" range="-1 0.2"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.4"/>
+        <body pos="0 0 0.4">
+          <joint name="follows" axis="0 1 0"/>
+          <joint name="loose" axis="1 0 0"/>
+          <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="follows" joint2="near" polycoef="0.1 2 0 0 0"/></equality>
+  <actuator><motor joint="far"/><motor joint="near"/></actuator>
+  {keyframe}
+</mujoco>
+"""
+HOPPER = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body pos="0 0 1">
+      <freejoint/>
+      <geom type="sphere" size="0.1"/>
+      <body pos="0 0 -0.3">
+        <joint name="knee" axis="0 1 0" limited="true" range="-1 1"/>
+        <geom type="sphere" size="0.05"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="knee"/></actuator>
+</mujoco>
+"""
+URDF = """
+<robot name="two">
+  <link name="base"/><link name="upper"/><link name="tip"/>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit lower="0.1" upper="0.5" effort="10" velocity="1"/></joint>
+  <joint name="turn" type="continuous"><parent link="upper"/><child link="tip"/><axis xyz="0 0 1"/>
+    <limit effort="10" velocity="1"/></joint>
+</robot>
+"""
+
+
+def table_of(folder, text, kind, name="machine.xml"):
+    (folder / name).write_text(text, encoding="utf-8")
+    return tomllib.loads(problem_text(folder / name, kind, folder))
+
+
+def test_a_pose_outside_of_its_ranges_is_moved_inside_and_ties_are_kept(tmp_path):
+    table = table_of(tmp_path, ARM.format(keyframe=""), "arm")
+    # far: 0 is outside of 0.5 ... 2.5, more room upwards; near: more room downwards; follows = 0.1 + 2 near
+    assert table["start"] == pytest.approx([0.5, 0.0, 0.1, 0.0])
+    assert table["goal"] == pytest.approx([0.5 + 0.15 * 2.0, -0.15 * 1.2, 0.1 - 2.0 * 0.18, 0.0])
+    assert table["duration"] == 1.5
+
+
+def test_the_first_keyframe_is_the_start_where_it_is_within_the_ranges(tmp_path):
+    keyframe = '<keyframe><key name="home" qpos="{} 0 0.1 0.3"/></keyframe>'
+    assert table_of(tmp_path, ARM.format(keyframe=keyframe.format(1)), "hand")["start"] == "home"
+    outside = table_of(tmp_path, ARM.format(keyframe=keyframe.format(0)), "hand")
+    assert outside["start"] == pytest.approx([0.5, 0.0, 0.1, 0.3])
+    assert outside["goal"][3] == 0.3  # nothing drives it
+
+
+def test_a_machine_with_legs_gets_a_floor_below_its_lowest_point(tmp_path):
+    table = table_of(tmp_path, HOPPER, "legged")
+    assert Path(table["model"]).name != "machine.xml"
+    assert 'type="plane"' in Path(table["model"]).read_text(encoding="utf-8")
+    assert 'pos="0 0 0.65"' in Path(table["model"]).read_text(encoding="utf-8")  # 1 - 0.3 - 0.05
+    assert table["goal"] == pytest.approx([*table["start"][:7], 0.03 * 2.0])
+
+
+def test_a_urdf_has_tables_of_the_joints_with_an_effort(tmp_path):
+    table = table_of(tmp_path, URDF, "arm", "two.urdf")
+    assert table["start"] == pytest.approx({"lift": 0.1, "turn": 0.0})
+    assert table["goal"] == pytest.approx({"lift": 0.1 + 0.15 * 0.4, "turn": 0.5})
+
+
+def test_what_mujoco_cannot_read_is_a_row(tmp_path):
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>", encoding="utf-8")
+    row = tried(Machine("nobody", "arm", "broken.xml"), tmp_path)
+    assert (row.verdict, row.machine) == ("no problem", "broken")
+    assert row.message
+
+
+def test_names_and_kinds_are_told_apart():
+    assert len({(one.package, one.path) for one in MACHINES}) == len(MACHINES) >= 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["suite/reacher", "suite/cartpole", "assets/inverted_pendulum"])
+def test_machines_of_others_pass_at_the_first_try(name):
+    packages = Path(sysconfig.get_paths()["purelib"])
+    machine = next(one for one in MACHINES if one.path.endswith(f"{name}.xml"))
+    if not (packages / machine.path).is_file():
+        pytest.skip(f"{machine.package} is not installed")
+    row = tried(machine, packages)
+    assert row.verdict == "PASS", row.message
+    assert row.load is not None
+    assert row.plan is not None
+    assert row.verdict_seconds is not None

@@ -1,0 +1,189 @@
+"""cures(): what a FAIL says to write is computed, and with it the plan passes."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.cases.problem_file import load, of_table
+from planner.proof.cures import cures
+
+ARM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0 0 {gravity}"/>
+  <worldbody>
+    {world}
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="0.1" {shoulder}/>
+      <geom name="upper" type="capsule" size="0.03" fromto="0 0 0 0.4 0 0" mass="2" {collides}/>
+      <body pos="0.4 0 0">
+        <joint name="elbow" axis="0 1 0" damping="0.1" {elbow}/>
+        <geom name="lower" type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1" {collides}/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="at shoulder" joint="shoulder" {motor}/><motor name="at elbow" joint="elbow" {motor}/>
+  </actuator>
+</mujoco>
+"""
+USUAL = {
+    "gravity": -9.81, "world": "", "shoulder": "", "elbow": "", "motor": "", "collides": 'contype="0" conaffinity="0"',
+}  # fmt: skip
+POLE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body>
+      <joint name="slider" type="slide" axis="1 0 0" damping="0.1" {slider}/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+      <body>
+        <joint name="pole" axis="0 1 0"/>
+        <inertial pos="0 0 0.5" mass="0.2" diaginertia="0.01 0.01 0.01"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="slider" {motor}/></actuator>
+</mujoco>
+"""
+
+
+def file(folder, model, *tables, **keys):
+    """A problem file of a model's text, with lines of TOML by key and more tables."""
+    (folder / "machine.xml").write_text(model, encoding="utf-8")
+    keys = {"model": '"machine.xml"', "start": "[0.0, 0.0]", "duration": "1.0", "dt": "0.01"} | keys
+    text = "\n".join([*(f"{key} = {value}" for key, value in keys.items()), *tables])
+    (folder / "problem.toml").write_text(text, encoding="utf-8")
+    return load(folder / "problem.toml").problem
+
+
+def arm(folder, *tables, goal="[-0.5, 0.8]", model=None, **keys):
+    return file(folder, ARM.format(**USUAL | (model or {})), *tables, goal=goal, **keys)
+
+
+def pole(folder, *tables, slider="", motor="", **keys):
+    return file(folder, POLE.format(slider=slider, motor=motor), *tables, goal="[0.5, 0.0]", **keys)
+
+
+def tried(problem, **options):
+    plan = planner.solve(problem, **options)
+    proof = planner.prove(plan, rollouts=0) if np.isfinite(plan.xs).all() else None
+    return plan, proof
+
+
+def passes_with(problem, *keys):
+    """That a plan passes with cures of these keys, one after the other; returns the first value and sentence."""
+    given = []
+    for key in keys:
+        plan, proof = tried(problem)
+        assert proof is None or not proof.passed
+        found = cures(plan, proof)
+        assert found, proof and proof.reason
+        assert found[0].key == key, (found[0].sentence, proof and proof.reason)
+        assert found[0].sentence.startswith("`"), found[0].sentence
+        given.append(found[0])
+        problem = of_table(found[0].applied(problem.parameters), problem.twin)
+    plan, proof = tried(problem)
+    assert proof is not None
+    assert proof.passed, (given[-1].sentence, proof.reason)
+    assert cures(plan, proof) == ()
+    return given[0].value, given[0].sentence
+
+
+def test_a_goal_that_is_asked_for_too_little(tmp_path):
+    value, said = passes_with(arm(tmp_path, "[weights]", "final_position = 20"), "weights.final_position")
+    assert value > 20.0
+    assert "rad" in said
+    assert f"weights.final_position = {value}" in said
+
+
+def test_a_weight_by_joint_stays_one_by_joint(tmp_path):
+    problem = arm(tmp_path, "[weights]", "final_position = { shoulder = 20.0, elbow = 1e4 }")
+    value, _ = passes_with(problem, "weights.final_position")
+    assert value["elbow"] == 1e4
+    assert value["shoulder"] > 20.0
+
+
+def test_a_stage_that_is_too_long(tmp_path):
+    value, said = passes_with(arm(tmp_path, goal="[-2.0, 2.5]", dt="0.1"), "dt")
+    assert value < 0.1
+    assert "at 0.1 s" in said
+
+
+def test_an_integrator_of_first_order(tmp_path):
+    value, _ = passes_with(arm(tmp_path, integrator='"euler"'), "integrator")
+    assert value == "rk4"
+
+
+def test_a_range_that_the_plan_does_not_know(tmp_path):
+    # the cart goes back before it goes forward, or the pole falls
+    value, said = passes_with(
+        pole(tmp_path, "[weights]", "final_position = 1e5", "final_velocity = 1e5", duration="2.0",
+             slider='limited="true" range="-0.02 1"'), "limits.position"
+    )  # fmt: skip
+    assert value == "model"
+    assert "slider" in said
+
+
+def test_a_clamp_that_the_plan_does_not_know(tmp_path):
+    problem = arm(tmp_path, model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.6 0.6"'})
+    value, said = passes_with(problem, "limits.control")
+    assert value == "model"
+    assert "of -0.6 to 0.6" in said
+
+
+def test_too_little_time_for_a_motor(tmp_path):
+    problem = arm(
+        tmp_path,
+        "[limits]",
+        'control = "model"',
+        model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.4 0.4"'},
+    )
+    value, said = passes_with(problem, "duration")
+    # without gravity the forces fall with the square of the duration
+    assert 1.0 < value < 3.0
+    assert "'at shoulder' needs" in said
+    assert "0.4 N m" in said
+
+
+def test_too_little_time_for_a_speed(tmp_path):
+    problem = arm(tmp_path, "[limits]", "velocity = 0.7", model={"gravity": 0})
+    value, said = passes_with(problem, "duration")
+    # 15/8 of the mean speed of 0.8 rad in 1 s, and 0.9 of 0.7 rad/s
+    assert value == pytest.approx(15.0 / 8.0 * 0.8 / 0.63, rel=0.1)
+    assert "velocity of elbow" in said
+
+
+def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
+    problem = arm(
+        tmp_path, "[limits]", 'control = "model"', model={"motor": 'ctrllimited="true" ctrlrange="-1 1"'}
+    )  # fmt: skip
+    plan, proof = tried(problem)
+    assert not proof.passed
+    found = cures(plan, proof)[0]
+    assert found.value is None
+    assert "even in 10 s actuator 'at shoulder' needs" in found.sentence
+
+
+def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
+    # least effort swings the arm beyond its goal
+    wall = '<geom name="wall" type="box" size="0.05 0.5 0.5" pos="-0.06 0 0.75"/>'
+    model = {"gravity": 0, "world": wall, "collides": ""}
+    problem = arm(tmp_path, goal="[-1.5707963, 0.0]", contacts='"off"', model=model)
+    value, said = passes_with(problem, "goal", "weights.velocity")
+    assert "geom 'wall' and geom 'upper' are 0.02 m in each other" in said
+    assert np.abs(np.array(value) - [-1.5707963, 0.0]).max() < 0.2
+
+
+def test_a_solve_that_was_stopped_early(tmp_path):
+    problem = arm(tmp_path, goal="[-2.0, 2.5]")
+    plan, proof = tried(problem, max_iterations=2)
+    assert not proof.passed
+    first = cures(plan, proof)[0]
+    assert first.key == "max_iterations"
+    assert first.applied(problem.parameters) == problem.parameters  # a flag, no key of the file
+    assert tried(problem, max_iterations=first.value)[1].passed
+
+
+def test_a_plan_that_passes_needs_no_cure(tmp_path):
+    assert cures(*tried(arm(tmp_path))) == ()
