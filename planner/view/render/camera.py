@@ -74,7 +74,8 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     """The box around everything that moves, but for the bodies (nbody,) of the scenery, over the poses path (P, nq)."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
-    seen = np.flatnonzero(moving(model) & drawn(model) & ~scenery[model.geom_bodyid])
+    moved = moving(model) & ~scenery[model.geom_bodyid]
+    seen = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
     shown, sticks = np.flatnonzero(~scenery)[1:], Sticks(model)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:

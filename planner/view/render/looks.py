@@ -41,7 +41,7 @@ def show_one_shape_for_each_part(model: Any) -> None:
 
     Groups say which are which by convention alone, so what collides decides: shapes of a link that do not collide, and
     that are about as large as those that do, are there to be seen. Where the colliding ones have a group of their own,
-    no link that has anything else shows a shape of that group.
+    no link that has anything else shows a shape of that group; nor is any shown that one can see through.
     """
     mujoco = gl.load_mujoco()
     parts = _parts(model)
@@ -59,10 +59,11 @@ def show_one_shape_for_each_part(model: Any) -> None:
         if len(seen) and len(solids):
             size = [np.linalg.norm(high[few].max(axis=0) - low[few].min(axis=0)) for few in (seen, solids)]
             hidden[solids] = size[0] >= _COVERS * size[1]
-            hidden[solids] |= _opacity(model)[solids] < 1.0  # a ball that one sees through, around what it guards
     proxies = set(model.geom_group[hidden]) - set(model.geom_group[shown & ~collides])
     for part in set(map(int, parts[shown & ~collides])):
         hidden |= shown & collides & (parts == part) & np.isin(model.geom_group, list(proxies))
+    if np.any(hidden):  # a ball that one sees through, around what it guards
+        hidden |= shown & collides & (_opacity(model) < 1.0)
     model.geom_group[shown] = 0
     gone = (parts >= 0) & (hidden | ~shown)
     model.geom_matid[gone], model.geom_rgba[gone, 3] = -1, 0.0

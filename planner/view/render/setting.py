@@ -17,7 +17,8 @@ _CELL = 0.125  # of the machine's size, about: the side of the floor's squares
 _BELOW = 2e-3  # of the machine's size: how far our floor is below the lowest shape, or the two would flicker
 _LEVEL = 0.7  # upward part of the normal of a floor
 _LAMP_REACH = 3.0  # distance of our lamp, in sizes of the machine
-_LIT_BY_OTHERS = 0.72  # brightness of our floor in their light, which is mostly glaring
+_LIT_BY_OTHERS, _GLOW = 0.6, 0.3  # brightness of our floor in others' light, which may glare, and without any
+_COARSE = 10.0  # sizes of the machine: in a model as large as that, MuJoCo's map of shadows is too coarse for it
 _POSES = 32  # of a film, under which the floor is laid
 
 _OURS = "planner {}"
@@ -58,6 +59,7 @@ def _furnished(film: Film) -> tuple[Any, int]:
     ours = int(model.geom(_OURS.format("floor")).id)
     if lit:
         model.geom_rgba[ours, :3] = _LIT_BY_OTHERS
+        model.mat_emission[model.geom_matid[ours]] = _GLOW
     else:
         lamp = model.light(_OURS.format("lamp")).id
         if hasattr(model, "light_type"):  # since MuJoCo 3.3.3
@@ -97,12 +99,15 @@ def _lay_floor(model: Any, film: Film, ours: int) -> None:
     lamp = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, _OURS.format("lamp"))
     if lamp >= 0:
         model.light_pos[lamp] = middle - _LAMP_REACH * size * model.light_dir[lamp]
+        model.light_castshadow[lamp] = model.stat.extent < _COARSE * size
 
 
 def _has_floor(model: Any, data: Any, ours: int, scenery: np.ndarray, size: float) -> bool:
-    """Whether a plane, a field of heights or a box that looks up is as wide as the machine: of the world or scenery."""
+    """Whether there is scenery, or a plane, field of heights or box of the world that looks up, wide as the machine."""
     kinds = gl.load_mujoco().mjtGeom
-    for i in np.flatnonzero(drawn(model) & (~moving(model) | scenery[model.geom_bodyid])):
+    if np.any(drawn(model) & scenery[model.geom_bodyid]):
+        return True
+    for i in np.flatnonzero(drawn(model) & ~moving(model)):
         upward = abs(data.geom_xmat[i].reshape(3, 3)[2, 2]) > _LEVEL
         endless = model.geom_type[i] == kinds.mjGEOM_PLANE and not np.all(model.geom_size[i, :2])
         flat = any(model.geom_type[i] == kind for kind in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD, kinds.mjGEOM_BOX))
