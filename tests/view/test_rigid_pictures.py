@@ -84,8 +84,9 @@ def test_a_trail_follows_the_site():
 def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     """The ghost of a turned plan covers the pixels that the machine itself would cover if it were turned so."""
     box = '<geom type="box" size="0.3 0.1 0.15" contype="0" conaffinity="0" rgba="{}"/><body name="thigh"'
-    lamp = '<worldbody><light dir="0 0 -1" castshadow="false"/>'  # the machine alone, not its shadow, is compared
-    lit = TREE.replace("<worldbody>", lamp)
+    lamp = '<light dir="0 0 -1" castshadow="false"/>'  # the machine alone, not its shadow or floor, is compared
+    floor = '<geom type="plane" size="0 0 1" pos="0 0 -9" contype="0" conaffinity="0"/>'
+    lit = TREE.replace("<worldbody>", f"<worldbody>{lamp}{floor}")
     tree, hidden = (lit.replace('<body name="thigh"', box.format(rgba)) for rgba in ("0.8 0.2 0.2 1", "0 0 0 0"))
     stage = Appearance(title="", distance=2.5, azimuth=90.0, elevation=-10.0)
     mechanism = Mechanism.from_mjcf(tree)

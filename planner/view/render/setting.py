@@ -91,6 +91,7 @@ def _lay_floor(model: Any, film: Film, ours: int) -> None:
     level = not np.any(g) or g[2] < -_LEVEL * np.linalg.norm(g)
     if level and np.isfinite(lowest) and not _has_floor(model, data, ours, scenery, size):
         model.geom_pos[ours, 2] = lowest - _BELOW * size
+        model.geom_sameframe[ours] = 0  # or MuJoCo would leave it in the world's origin
         power, rest = divmod(np.log10(_CELL * size), 1.0)
         cell = 10.0**power * next(k for k in (5.0, 2.0, 1.0) if np.log10(k) <= rest)
         model.mat_texrepeat[model.geom_matid[ours]] = 0.5 / cell  # a texture is two squares wide
