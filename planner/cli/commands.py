@@ -12,7 +12,19 @@ import numpy as np
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
-from planner.cli import checking, compiling, listing, paper, parser, proving, rendering, reporting, running, solving
+from planner.cli import (
+    checking,
+    compiling,
+    describing,
+    listing,
+    paper,
+    parser,
+    proving,
+    rendering,
+    reporting,
+    running,
+    solving,
+)
 from planner.cli.console import Console
 
 INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -20,7 +32,7 @@ TRACEBACK = "PLANNER_TRACEBACK"
 """Variable of the environment: set to anything, where an error of the planner itself was raised is printed."""
 
 _COMMANDS = {
-    "list": listing.list_cases, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+    "list": listing.list_cases, "model": describing.describe_model, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip

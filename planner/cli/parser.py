@@ -205,6 +205,14 @@ def build() -> argparse.ArgumentParser:
     no_refine = {"--no-refine": _switch("Do not solve a failed plan again at a finer step.")}
     folder = {"--out": _takes("DIR", "Folder of the results. Default: renders/CASE.")}
     command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
+    command(
+        "model", "Describe a model of your own: its joints, actuators and contacts, and what looks wrong.",
+        {"model": {"metavar": "FILE", "help": "An MJCF file."},
+         "--write": _takes("FILE", "Also write a problem file to start from, which runs as it is."),
+         "--out": _takes("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
+         "--no-picture": _switch("Draw no picture, which needs OpenGL.")},
+        _OUTPUT,
+    )  # fmt: skip
     with_case("run", "Plan, prove, plot and film a case or a problem file.", no_refine, _PROOF, _NO_VIDEO, folder)
     with_case(
         "solve",

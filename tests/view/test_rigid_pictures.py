@@ -83,8 +83,9 @@ def test_a_trail_follows_the_site():
 @pytest.mark.render
 def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     """The ghost of a turned plan covers the pixels that the machine itself would cover if it were turned so."""
-    box = '<geom type="box" size="0.3 0.1 0.15" contype="0" conaffinity="0" rgba="{}"/><body name="thigh"'
-    tree, hidden = (TREE.replace('<body name="thigh"', box.format(rgba)) for rgba in ("0.8 0.2 0.2 1", "0 0 0 0"))
+    box = '<geom type="box" size="0.3 0.1 0.15" contype="0" conaffinity="0" rgba="0.8 0.2 0.2 1"/><body name="thigh"'
+    lamp = '<light dir="0 0 -1" castshadow="false"/>'  # the machine alone, not its shadow, is compared
+    tree = TREE.replace('<body name="thigh"', box).replace("<worldbody>", f"<worldbody>{lamp}")
     stage = Appearance(title="", distance=2.5, azimuth=90.0, elevation=-10.0)
     mechanism = Mechanism.from_mjcf(tree)
     x0 = mechanism.home.copy()
@@ -95,15 +96,18 @@ def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     turned = run.plan_xs.copy()
     turned[:, 0], turned[:, 3:7] = -0.5, exp_quaternion(np.array([0.0, np.pi / 2, 0.0]))
 
-    def drawn(text, ghost, qpos):
+    away = turned[:, : mechanism.nq].copy()
+    away[:, 1] = 50.0
+
+    def drawn(ghost, qpos):
         film = Film.of(replace(run, plan_xs=turned, qpos=qpos), np.array([0.0]))
-        with Scene(replace(film, mjcf=text), 160, 90, ghost=ghost) as scene:
+        with Scene(film, 160, 90, ghost=ghost) as scene:
             return scene.draw(0).astype(int)
 
     def where(a, b):
         return np.abs(a - b).max(axis=-1) > 8
 
-    ghost = where(drawn(tree, True, run.qpos), drawn(tree, False, run.qpos))
-    machine = where(drawn(tree, False, turned[:, : mechanism.nq]), drawn(hidden, False, turned[:, : mechanism.nq]))
+    ghost = where(drawn(True, run.qpos), drawn(False, run.qpos))
+    machine = where(drawn(False, turned[:, : mechanism.nq]), drawn(False, away))
     assert ghost.sum() > 100
     assert (ghost & machine).sum() > 0.85 * (ghost | machine).sum()

@@ -167,7 +167,7 @@ def test_a_child_process_draws_both_alike(monkeypatch):
 
 def test_the_time_of_a_pose_hides_nothing_of_it():
     picture = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
-    with_time = overlay.write_time(picture, 1.5, 20, 0.5)
+    with_time = overlay.write_below(picture, "1.50 s", 20, 0.5)
     assert with_time.shape == (60, 60, 3)
     np.testing.assert_array_equal(with_time[:40], picture)
     assert with_time[40:].min() < 100  # ink

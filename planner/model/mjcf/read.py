@@ -7,8 +7,9 @@ link is part of it.
 
 from __future__ import annotations
 
+import copy
 import itertools
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_st
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
-from planner.model.mjcf.meshes import coarsen_visual_meshes
+from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
     Refusal,
@@ -38,7 +39,6 @@ from planner.model.mjcf.refuse import (  # fmt: skip
 )
 from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
 from planner.model.mjcf.tendons import read_tendons, row_of
-from planner.model.mjcf.text import model_tree
 from planner.model.space import unit
 
 MOST_PHRASES = 30  # in one sentence
@@ -58,6 +58,13 @@ def read(
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
+    return read_opened(lambda: opened(model, assets), ignore=ignore, contacts=contacts)
+
+
+def read_opened(
+    file: Callable[[], Opened], *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on"
+) -> Mechanism:
+    """A mechanism of a file that is opened once the other arguments are checked, or that was opened before."""
     if not isinstance(ignore, Collection | None):
         raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
@@ -65,12 +72,8 @@ def read(
         choice("ignore", kind, KINDS)
     off = not isinstance(contacts, ContactLaw) and choice("contacts", contacts, ("on", "off")) == "off"
     out = {*ignored, *(["contacts"] if off else [])}
-    name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
-
-    root, files = model_tree(model, assets, stored=assets is not None)
-    survey = Survey(compile_model(root, files, name))
-    if coarsen_visual_meshes(root, files, survey.model):
-        survey = Survey(compile_model(root, files, name))
+    given, files, survey, name = file()
+    root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
     law = contacts if isinstance(contacts, ContactLaw) else None
     left_out = [] if law is None else give_law(root, survey, law)

@@ -11,8 +11,11 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
+from planner.view.render.looks import drawn, geom_boxes, moving
+from planner.view.render.sticks import Sticks
 
 _MARGIN = 1.12  # the picture's half sizes over the motion's
+ROOM = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
 
@@ -71,21 +74,19 @@ def swept_box(model: Any, path: np.ndarray, scenery: np.ndarray) -> Box:
     """The box around everything that moves, but for the bodies (nbody,) of the scenery, over the poses path (P, nq)."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
-    moving = np.flatnonzero((model.body_weldid[model.geom_bodyid] != 0) & ~scenery[model.geom_bodyid])
-    shown = np.flatnonzero(~scenery)[1:]
+    moved = moving(model) & ~scenery[model.geom_bodyid]
+    seen = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
+    shown, sticks = np.flatnonzero(~scenery)[1:], Sticks(model)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for qpos in path:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        R = data.geom_xmat[moving].reshape(-1, 3, 3)
-        centre = data.geom_xpos[moving] + np.einsum("gij,gj->gi", R, model.geom_aabb[moving, :3])
-        half = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[moving, 3:])
-        points = np.concatenate([centre - half, centre + half, data.xpos[shown]])
+        points = np.concatenate([*geom_boxes(model, data, seen), data.xpos[shown], sticks.ends(data)])
         if len(points):
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     if not np.isfinite(low).all():  # nothing but a world
         low, high = model.stat.center - model.stat.extent / 2, model.stat.center + model.stat.extent / 2
-    least = 0.05 * max(float(np.max(high - low)), 1e-3)
+    least = ROOM * max(float(np.max(high - low)), 1e-3)
     return Box(low - least, high + least)
 
 

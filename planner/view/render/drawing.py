@@ -28,6 +28,7 @@ from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.film import Film
+from planner.view.render.setting import visible_model
 from planner.view.render.scene import Scene, best_rows
 
 Progress = Callable[[int, int], object]
@@ -162,7 +163,8 @@ def _draw_strip(film: Film, job: Job) -> np.ndarray:
 def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     """All poses from one camera: (height, width, 3)."""
     gap = max(1, round(height / 270))
-    rows = best_rows(film, width, height)
+    model = visible_model(film)
+    rows = best_rows(film, model, width, height)
     columns = math.ceil(len(film) / rows)
     tile = (width - gap * (columns - 1)) // columns
     high = (height - gap * (rows - 1)) // rows
@@ -171,10 +173,11 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     strip = np.full((height, width, 3), 255, np.uint8)
     # Both sides share the remainder of the division.
     left = (width - tile * columns - gap * (columns - 1)) // 2
-    with Scene(film, tile, high - band, ghost=False) as scene:
+    with Scene(film, tile, high - band, ghost=False, model=model) as scene:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
-            picture = overlay.write_time(scene.draw(frame), t, band, unit, unstable=t >= film.unstable)
+            words = film.words[frame] if film.words else overlay.time_words(t, unstable=t >= film.unstable)
+            picture = overlay.write_below(scene.draw(frame), words, band, unit, bad=t >= film.unstable)
             strip[row : row + high, column : column + tile] = picture
     return strip
 

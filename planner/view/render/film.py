@@ -14,9 +14,10 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.problem.appearance import Appearance, Ghost
-from planner.problem.default_appearance import appearance_of
+from planner.problem.default_appearance import appearance_of, default_appearance
 
 if TYPE_CHECKING:
+    from planner.model.mechanism import Mechanism
     from planner.proof.replays.contact_history import ContactHistory
     from planner.proof.replays.replaying import Replay
 
@@ -54,6 +55,7 @@ class Film:
     unstable: float = math.inf  # s, when the simulation ran away
     caption: Caption | None = None
     assets: dict[str, bytes] = field(default_factory=dict)  # files that the model's text names
+    words: tuple[str, ...] = ()  # under each pose of a strip, in place of its time
 
     @classmethod
     def of(cls, replay: Replay, t: np.ndarray, caption: Caption | None = None) -> Film:
@@ -93,6 +95,18 @@ class Film:
             caption=caption,
             assets=replay.twin.assets,
         )
+
+    @classmethod
+    def of_poses(cls, mechanism: Mechanism, poses: dict[str, np.ndarray]) -> Film:
+        """A frame for each pose qpos (nq,) of a machine, by the words under it."""
+        qpos, none = np.array(list(poses.values())), np.zeros((len(poses), 0, 3))
+        t = np.arange(float(len(poses)))
+        return cls(
+            mjcf=mechanism.mjcf, appearance=replace(default_appearance(mechanism), readouts=(), plots=()), t=t,
+            qpos=qpos, ghost_qpos=qpos, forces=none, points=none, readings=np.zeros((len(poses), 0, 2)),
+            largest=np.zeros(0), shift=np.zeros((len(poses), 3)), path_t=t, path_qpos=qpos, path_ghost_qpos=qpos,
+            assets=mechanism.assets, words=tuple(poses),
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.t)

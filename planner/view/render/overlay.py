@@ -199,13 +199,20 @@ def speed_words(speed: float) -> str:
     return f"{speed:.3g}\N{MULTIPLICATION SIGN} speed"
 
 
-def write_time(picture: np.ndarray, t: float, band: int, unit: float, *, unstable: bool = False) -> np.ndarray:
-    """A pose of a strip with its time in a band under it: (height + band, width, 3)."""
+def time_words(t: float, *, unstable: bool) -> str:
+    """The time under a pose."""
+    return f"{t:.2f} s, unstable" if unstable else f"{t:.2f} s"
+
+
+def write_below(picture: np.ndarray, words: str, band: int, unit: float, *, bad: bool = False) -> np.ndarray:
+    """A pose of a strip with words in a band under it: (height + band, width, 3)."""
     height, width, _ = picture.shape
     image = Image.new("RGB", (width, height + band), _PAPER)
     image.paste(Image.fromarray(picture), (0, 0))
-    words, ink = (f"{t:.2f} s, unstable", _BAD) if unstable else (f"{t:.2f} s", _INK)
     font = _font("DejaVuSans.ttf", 18 * unit)
+    if font.getlength(words) > 0.96 * width:
+        font = _font("DejaVuSans.ttf", 18 * unit * 0.96 * width / font.getlength(words))
+    ink = _BAD if bad else _INK
     ImageDraw.Draw(image).text((width / 2, height + band / 2), words, ink, font, anchor="mm")
     return np.asarray(image)
 

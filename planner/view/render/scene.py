@@ -1,6 +1,6 @@
 """The three-dimensional part of a picture: the machine, the ghost, trails, force arrows, goal line, camera.
 
-Only kinematics is computed here. A model without a sky or lights of its own gets both.
+Only kinematics is computed here.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ import copy
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from PIL import Image
 
 from planner.base import gl
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.model.mjcf.survey import compile_model
 from planner.problem.appearance import Appearance
 from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.film import Film
+from planner.view.render.setting import visible_model
 from planner.view.render.shapes import Paint, Shapes, without_shadow
+from planner.view.render.sticks import Sticks
 
 GHOST = (0.05, 0.62, 0.48)
 _ASIDE = 0.34  # opacity of a ghost beside the machine
@@ -31,12 +31,9 @@ TRAIL = (0.80, 0.25, 0.10, 1.0)
 _GHOST_TRAIL = 0.8  # opacity
 _THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
 
-_SKY = {"name": "planner_sky", "type": "skybox", "builtin": "gradient", "rgb1": "0.55 0.70 0.88",
-        "rgb2": "0.93 0.95 0.97", "width": "64", "height": "384"}  # fmt: skip
 _FLOOR = 2.0  # camera distances: a shape as large as that is a floor
 _SHADOWS = 1024  # pixels of the shadow map of a picture beside another
 _ROOM = 0.7  # of the height of a picture beside another is free of words
-_SHOWN_GROUPS = 3  # geom groups that MuJoCo draws unless told otherwise
 
 
 class Scene:
@@ -44,13 +41,14 @@ class Scene:
 
     def __init__(
         self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
-        beside: Sequence[Film] = (), narrow: bool = False,
+        beside: Sequence[Film] = (), narrow: bool = False, model: Any = None,
     ) -> None:  # fmt: skip
         """Open the model and an OpenGL context for a picture of width x height pixels.
 
         The picture is drawn `oversize` times larger in both directions, then shrunk: in software this costs no more
         than OpenGL's own multisampling, and smooths the edges of shadows too. The camera must also suit the films
-        `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one.
+        `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one. `model` is the
+        film's visible_model(), where there is one already; it is changed.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -61,7 +59,7 @@ class Scene:
         self._mujoco = mujoco
         self._film, self._appearance, self._ghost = film, film.appearance, ghost
         self._width, self._height = width, height
-        model = visible_model(film)
+        model = visible_model(film) if model is None else model
         # The frame buffer that the model asks for may be smaller than the picture.
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
@@ -73,7 +71,8 @@ class Scene:
         self._model = model
         self._ghost_model = _without_scenery(model, self._appearance)
         self._data, self._ghost_data = mujoco.MjData(model), mujoco.MjData(model)
-        self._option, self._perturb = _option(model), mujoco.MjvPerturb()
+        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._sticks = Sticks(model)
         self._camera = mujoco.MjvCamera()
         # An appearance's own camera is for wide pictures, unless it goes with the machine or is one of several.
         placed = not beside or self._appearance.accompany is not None or bool(self._appearance.views)
@@ -109,6 +108,7 @@ class Scene:
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and self._ground[geom.objid]:
                 without_shadow(geom)
+        self._sticks.add(self._data, scene)
         if self._ghost:
             self._add_ghost(self._film.ghost_qpos[frame])
         shapes = Shapes(scene, self._camera.distance)
@@ -189,6 +189,7 @@ class Scene:
         mujoco.mjv_addGeoms(
             self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
         )
+        self._sticks.add(self._ghost_data, scene)
         for geom in scene.geoms[first : scene.ngeom]:
             geom.pos[:] += self._appearance.ghost_offset
             geom.matid = -1
@@ -197,42 +198,16 @@ class Scene:
             without_shadow(geom)
 
 
-def visible_model(film: Film) -> Any:
-    """The film's model with a sky and light, its own or ours; ModelError where MuJoCo refuses its text."""
-    mujoco = gl.load_mujoco()
-    model = compile_model(film.mjcf, film.assets)
-    if not np.any(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
-        root = ElementTree.fromstring(film.mjcf)
-        ElementTree.SubElement(ElementTree.SubElement(root, "asset"), "texture", _SKY)
-        model = compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets)
-    if not model.nlight:
-        model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.55
-    return model
-
-
-def best_rows(film: Film, width: int, height: int) -> int:
+def best_rows(film: Film, model: Any, width: int, height: int) -> int:
     """Number of rows in which the poses of a strip are largest; 1 where the appearance places the camera."""
     if film.appearance.distance is not None:
         return 1
-    model = visible_model(film)
 
     def size(rows: int) -> float:
         columns, high = -(-len(film) // rows), height / rows
         return high / whole_motion([film], model, film.appearance, width / columns / high, ghost=False)[1]
 
     return max(range(1, 1 + min(3, len(film))), key=size)
-
-
-def _option(model: Any) -> Any:
-    """MuJoCo's own drawing options; more shapes where these would hide the whole machine."""
-    mujoco = gl.load_mujoco()
-    option = mujoco.MjvOption()
-    moving = model.body_weldid[model.geom_bodyid] != 0
-    if not np.any(moving):
-        option.flags[mujoco.mjtVisFlag.mjVIS_INERTIA] = True
-    elif not np.any(model.geom_group[moving] < _SHOWN_GROUPS):
-        option.geomgroup[:] = 1
-    return option
 
 
 def ghost_paint(appearance: Appearance) -> Paint:

@@ -21,6 +21,7 @@ from planner.view.render.drawing import Job, Progress, carry_out
 from planner.view.render.film import Caption, Film
 
 if TYPE_CHECKING:
+    from planner.model.mechanism import Mechanism
     from planner.proof import Proof
 
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
@@ -116,13 +117,44 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     count("poses", poses, least=2, most=max(2, width // 16))  # 16 pixels each
     film = Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses))
     gl.require_backend()
+    _write_png(carry_out([film], Job("strip", width, height)), path)
+    return Path(path)
+
+
+def render_poses(
+    mechanism: Mechanism, poses: dict[str, np.ndarray], path: PathLike, *, width: int = 1920, height: int = 540
+) -> Path:
+    """Write a PNG with some poses of a machine side by side, e.g. its keyframes.
+
+    Args:
+        mechanism: The machine.
+        poses: qpos (nq,) by the words under each; one or more.
+        path: The file, ending in .png.
+        width: Of the whole picture, pixels.
+        height: Pixels.
+
+    Returns:
+        The path.
+
+    Raises:
+        PlannerError: An argument is wrong.
+        RenderingUnavailable: No OpenGL library was found.
+        FileError: The file cannot be written.
+    """
+    _check_suffix(path, ".png")
+    _check_size(width, height)
+    count("poses", len(poses), most=max(1, width // 16))
+    gl.require_backend()
+    _write_png(carry_out([Film.of_poses(mechanism, poses)], Job("strip", width, height)), path)
+    return Path(path)
+
+
+def _write_png(picture: np.ndarray, path: PathLike) -> None:
     with write_atomically(path) as hidden:
-        picture = carry_out([film], Job("strip", width, height))
         try:
             Image.fromarray(picture).save(hidden, format="PNG")
         except OSError as error:
             raise file_error(error, path) from error
-    return Path(path)
 
 
 def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 720) -> np.ndarray:

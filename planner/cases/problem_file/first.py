@@ -1,0 +1,122 @@
+"""Write a problem.toml to start from, which runs as it is, for a machine that was only opened."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import PathLike, write_atomically
+from planner.cases.problem_file.keys import KEYS
+from planner.model.mjcf.opened import Opened
+from planner.problem.description import Description
+from planner.problem.first_move import FirstMove, driven_joints, first_move
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_WIDE = 100  # characters of a line
+
+
+def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: Description) -> Path:
+    """Write a problem file for a model; returns the path.
+
+    Raises:
+        FileError: There is a file of that name, or it cannot be written.
+        PlannerError: The machine cannot be planned with, or nothing in it can be moved.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        raise PlannerError(f"--write is {path}, expected a name ending in .toml.")
+    if path.exists():
+        raise FileError(f"{path} is there already, expected a new name: nothing is overwritten.")
+    text = first_problem(os.path.relpath(model, path.parent), str(path), file, known)
+    with write_atomically(path) as hidden:
+        hidden.write_text(text, encoding="utf-8")
+    return path
+
+
+def first_problem(model: str, name: str, file: Opened, known: Description) -> str:
+    """The text of a problem file `name` for a model, named as seen from that file.
+
+    Raises:
+        PlannerError: As for write_first_problem.
+    """
+    mechanism = known.loaded.mechanism
+    if mechanism is None:
+        raise PlannerError(f"there is nothing to write: {known.loaded.refusal}")
+    move = first_move(file.survey.model, mechanism, known.joints)
+    joints = [known.joints[j]["name"] for j in move.goal]
+    if not move.goal:
+        raise PlannerError("no hinge or slide is driven, expected one: no goal can be proposed.")
+    named = all(joint["name"] for joint in known.joints if joint["unit"])
+    lines = [f"# planner run {name}", "", *_line("model", json.dumps(Path(model).as_posix()), KEYS["model"])]
+    lines += _keys(known)
+    if mechanism.nu == 0:
+        everything = [known.joints[j]["name"] for j in driven_joints(mechanism)]
+        lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
+    lines += ["", *_start(move, known, named), *_goal(move, known, named)]
+    lines += _line("duration", f"{move.duration:g}", KEYS["duration"])
+    lines += _line("dt", "0.01", KEYS["dt"])
+    if known.name:
+        lines += _line("title", json.dumps(known.name), KEYS["title"])
+    lines += [
+        "", "# [weights]  numbers, or tables by joint (effort: by actuator); `planner list` names them all",
+        "# [limits]   bounds of controls, positions and velocities, exact goals", "",
+    ]  # fmt: skip
+    assert joints
+    return "\n".join(lines)
+
+
+def _keys(known: Description) -> list[str]:
+    """The keys without which the model is refused."""
+    lines: list[str] = []
+    for key, value in known.loaded.keys.items():
+        lines += _line(key, json.dumps(value), KEYS[key])
+    return lines
+
+
+def _start(move: FirstMove, known: Description, named: bool) -> list[str]:
+    if move.keyframe:
+        return _line("start", json.dumps(move.keyframe), "a keyframe of the model")
+    if not named:
+        return _line("start", _numbers(move.start), "all positions, as qpos has them")
+    if not move.moved:
+        return _line("start", "{}", "a keyframe, or a table of joints; those not named are where the model puts them")
+    return _line(
+        "start", _table(move.moved, known),
+        "joints that the model puts outside of their ranges; the others are where it puts them",
+    )  # fmt: skip
+
+
+def _goal(move: FirstMove, known: Description, named: bool) -> list[str]:
+    units = sorted({known.joints[j]["unit"] for j in move.goal})
+    words = f"{' and '.join(units)}; joints that are not named end where they started"
+    if named:
+        return _line("goal", _table(move.goal, known), words)
+    goal = move.start.copy()
+    for j, end in move.goal.items():
+        goal[known.joints[j]["position"]] = end
+    return _line("goal", _numbers(goal), "all positions, as qpos has them")
+
+
+def _table(positions: dict[int, float], known: Description) -> str:
+    pairs = [f"{_key(known.joints[j]['name'])} = {value:g}" for j, value in positions.items()]
+    return "{ " + ", ".join(pairs) + " }"
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else json.dumps(name)
+
+
+def _numbers(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{float(value):.6g}" for value in values) + "]"
+
+
+def _line(key: str, value: Any, comment: str) -> list[str]:
+    """A key with a comment behind it, or above it where the line would be long."""
+    line = f"{key} = {value}"
+    return [f"{line:<30}  # {comment}"] if len(line) + len(comment) < _WIDE else [f"# {comment}", line]

@@ -1,0 +1,135 @@
+"""The command `model`: what a machine is, what is planned with, what looks wrong, and a problem file to start from."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.cases.problem_file.first import write_first_problem
+from planner.cli.console import Console, shown
+from planner.model.mjcf.opened import opened
+from planner.problem.description import HOME, Description, describe
+
+PICTURE = "poses.png"
+COLUMNS = 120
+_POSES = 8  # in a row of the picture
+_MOST = 12  # phrases of a list
+
+
+def describe_model(arguments: argparse.Namespace, console: Console) -> int:
+    """Describe a model, draw its keyframes and write a problem file."""
+    if arguments.out == "":
+        raise PlannerError("--out is empty, expected the name of a folder.")
+    file = opened(arguments.model)
+    known = describe(file)
+    _show(arguments.model, known, console)
+    written = None
+    if arguments.write is not None:
+        written = write_first_problem(arguments.write, arguments.model, file, known)
+        console.say(f"\n{written}: a problem to start from; planner run {written}")
+    picture, note = (None, "") if arguments.no_picture else _picture(arguments, known)
+    if picture is not None:
+        console.say(f"\n{picture}: {'its home pose' if list(known.poses) == [HOME] else 'its keyframes'}")
+    elif note:
+        console.say(f"\nno picture: {note}")
+    return console.finish(
+        "model", 0, file=str(arguments.model), **known.to_dict(), picture=None if picture is None else str(picture),
+        picture_note=note, written=None if written is None else str(written),
+    )  # fmt: skip
+
+
+def _picture(arguments: argparse.Namespace, known: Description) -> tuple[Path | None, str]:
+    """The file of the strip of keyframes, or why there is none."""
+    from planner.view.render.video import render_poses
+
+    mechanism = known.loaded.mechanism
+    if mechanism is None:
+        return None, "the model is refused"
+    folder = Path(arguments.out or f"renders/{Path(arguments.model).stem}")
+    poses = dict(list(known.poses.items())[:_POSES])
+    columns = min(4, len(poses))
+    rows = -(-len(poses) // columns)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return render_poses(mechanism, poses, folder / PICTURE, width=480 * columns, height=420 * rows), ""
+    except RenderingUnavailable as error:
+        return None, str(error)
+    except OSError as error:
+        return None, f"cannot write {folder}: {error.strerror}"
+
+
+def _show(path: str, known: Description, console: Console) -> None:
+    size = f"{known.degrees_of_freedom} degree{'s' * (known.degrees_of_freedom != 1)} of freedom"
+    name = f"{path}{f' ({known.name})' if known.name else ''}"
+    console.say(f"{name}: {size}, {len(known.actuators)} actuators, {known.mass:.4g} kg that move")
+    rows = [
+        (one["name"] or one["label"], one["kind"], _range(one["range"], one["unit"]),
+         *(shown(one[key]) for key in ("damping", "armature", "friction_loss")), _spring(one),
+         shown(one["velocity_limit"]))
+        for one in known.joints
+    ]  # fmt: skip
+    heads = ("joint", "kind", "range", "damping", "armature", "friction loss", "spring", "velocity limit")
+    _table(console, heads, rows)
+    actuators = [
+        (one["name"], one["kind"], one["acts_on"], _range(one["control_range"], ""), _range(one["force_range"], ""))
+        for one in known.actuators
+    ]
+    _table(console, ("actuator", "kind", "acts on", "control range", "force range"), actuators)
+    bodies = [
+        (
+            one["name"],
+            f"{one['mass']:.4g}",
+            " ".join(f"{x:.3g}" for x in one["inertia"]),
+            "" if one["moves"] else "rests",
+        )
+        for one in known.bodies
+    ]
+    _table(console, ("body", "mass, kg", "principal inertias, kg m^2", ""), bodies)
+    pairs = known.contacts["pairs"]
+    facts = [("gravity", " ".join(f"{g:g}" for g in known.gravity) + " m/s^2")]
+    facts += [("contacts", f"{pairs} pairs of shapes may touch" if pairs else "no shapes may touch")]
+    facts += [("keyframes", ", ".join(known.poses))] if list(known.poses) != [HOME] else []
+    facts += [("planned with", _listed(known.planned))] if known.planned else []
+    facts += [("left out", _listed(known.left_out))] if known.left_out else []
+    facts += [("needs", ", ".join(f"{key} = {_toml(value)}" for key, value in known.loaded.keys.items()))] * bool(
+        known.loaded.keys
+    )
+    facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
+    facts += [("problem", f"{one.problem}; write {one.mend}") for one in known.troubles]
+    console.say()
+    console.table(("", ""), facts, COLUMNS)
+
+
+def _table(console: Console, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    """A table without the columns in which there is nothing; nothing at all without rows."""
+    if not rows:
+        return
+    used = [k for k in range(len(heads)) if k == 0 or any(row[k] for row in rows)]
+    console.say()
+    console.table([heads[k] for k in used], [[row[k] for k in used] for row in rows])
+
+
+def _range(ends: list[float] | None, unit: str) -> str:
+    return "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}{f' {unit}' if unit else ''}"
+
+
+def _spring(joint: dict[str, object]) -> str:
+    stiffness, rest = joint["stiffness"], joint["spring_rest"]
+    return "" if stiffness is None else f"{stiffness:.4g}" + ("" if rest is None else f" about {rest:.4g}")
+
+
+def _toml(value: object) -> str:
+    words = {True: "true", False: "false"}
+    return (
+        words[value]
+        if isinstance(value, bool)
+        else str(value).replace("'", '"')
+        if not isinstance(value, str)
+        else f'"{value}"'
+    )
+
+
+def _listed(phrases: list[str]) -> str:
+    more = len(phrases) - _MOST
+    return ", ".join(phrases[:_MOST]) + (f" and {more} more" if more > 0 else "")

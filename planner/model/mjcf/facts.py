@@ -1,0 +1,167 @@
+"""Facts of a compiled MJCF file as plain records, whether a plan can be made with it or not."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.refuse import actuator_disabled
+from planner.model.mjcf.survey import disabled, named
+
+Record = dict[str, Any]
+
+
+def joint_records(model: Any) -> list[Record]:
+    """Name, kind, unit and numbers of every joint; None where it has none. A ball's or free joint's numbers are sums."""
+    limits = not disabled(model, "constraint", "limit")
+    records: list[Record] = []
+    for j in range(model.njnt):
+        dofs = slice(model.jnt_dofadr[j], model.jnt_dofadr[j + 1] if j + 1 < model.njnt else model.nv)
+        kind = load_mujoco().mjtJoint(int(model.jnt_type[j])).name.removeprefix("mjJNT_").lower()
+        stiffness = float(model.jnt_stiffness[j]) * (not disabled(model, "spring", "passive"))
+        place = int(model.jnt_qposadr[j])
+        records.append({
+            "name": model.joint(j).name, "label": named(model, "joint", j), "kind": kind,
+            "unit": {"hinge": "rad", "slide": "m"}.get(kind, ""), "position": place,
+            "range": [float(x) for x in model.jnt_range[j]] if limits and model.jnt_limited[j] else None,
+            "damping": _most(model.dof_damping[dofs]), "armature": _most(model.dof_armature[dofs]),
+            "friction_loss": _most(model.dof_frictionloss[dofs]), "stiffness": stiffness or None,
+            "spring_rest": float(model.qpos_spring[place]) if stiffness and kind in ("hinge", "slide") else None,
+            "inertia": float(np.min(model.dof_M0[dofs])),
+        })  # fmt: skip
+    return records
+
+
+def _most(values: np.ndarray) -> float | None:
+    largest = float(np.max(np.abs(values), initial=0.0))
+    return largest or None
+
+
+def body_records(model: Any) -> list[Record]:
+    """Name, mass in kg and principal inertias in kg m^2 of every body that has mass, and whether it moves."""
+    return [
+        {
+            "name": model.body(b).name, "mass": float(model.body_mass[b]), "moves": bool(model.body_weldid[b]),
+            "inertia": [float(x) for x in model.body_inertia[b]],
+        }
+        for b in range(1, model.nbody) if model.body_mass[b] > 0.0
+    ]  # fmt: skip
+
+
+def actuator_records(model: Any) -> list[Record]:
+    """Name, kind, target and ranges of every actuator."""
+    clamped = not disabled(model, "clampctrl")
+    records: list[Record] = []
+    for i in range(len(model.actuator_trntype)):
+        force = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else None
+        control = model.actuator_ctrlrange[i] if clamped and model.actuator_ctrllimited[i] else None
+        records.append({
+            "name": model.actuator(i).name, "kind": _kind(model, i), "acts_on": _target(model, i),
+            "control_range": None if control is None else [float(x) for x in control],
+            "force_range": None if force is None else [float(x) for x in force],
+        })  # fmt: skip
+    return records
+
+
+def _kind(model: Any, i: int) -> str:
+    mujoco = load_mujoco()
+    dynamics = _word(mujoco.mjtDyn, model.actuator_dyntype[i])
+    gain, bias = (_word(kind, value) for kind, value in (
+        (mujoco.mjtGain, model.actuator_gaintype[i]), (mujoco.mjtBias, model.actuator_biastype[i])
+    ))  # fmt: skip
+    kp, kv = (float(x) for x in model.actuator_biasprm[i, 1:3])
+    if actuator_disabled(model, i):
+        return "switched off"
+    if "muscle" in (dynamics, gain, bias):
+        return "muscle"
+    if bias == "affine" and kp:
+        kind = "velocity servo" if dynamics == "integrator" else "position servo"
+        return f"{kind}, kp {-kp:g}" + (f", kv {-kv:g}" if kv else "")
+    if bias == "affine" and kv:
+        return f"velocity servo, kv {-kv:g}"
+    if gain == "affine" and np.any(model.actuator_gainprm[i, 1:3]):
+        return "damper"
+    kind = "motor" if gain in ("fixed", "affine") and bias in ("none", "affine") else f"{gain} gain, {bias} bias"
+    return kind if dynamics == "none" else f"{kind} behind a {dynamics}"
+
+
+def _word(kinds: Any, value: int) -> str:
+    return kinds(int(value)).name.split("_")[-1].lower()
+
+
+def _target(model: Any, i: int) -> str:
+    """The joint, tendon, site or body on which an actuator acts."""
+    kind = _word(load_mujoco().mjtTrn, model.actuator_trntype[i])
+    element = {"jointinparent": "joint", "slidercrank": "site"}.get(kind, kind)
+    return kind if element == "undefined" else named(model, element, int(model.actuator_trnid[i, 0]))
+
+
+def coupled_joints(model: Any) -> set[int]:
+    """Joints that an active equality ties to others."""
+    mujoco = load_mujoco()
+    tied: set[int] = set()
+    for i in np.flatnonzero(model.eq_active0):
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT:
+            tied |= {int(j) for j in (model.eq_obj1id[i], model.eq_obj2id[i]) if j >= 0}
+        elif model.eq_type[i] == mujoco.mjtEq.mjEQ_TENDON:
+            for tendon in (t for t in (model.eq_obj1id[i], model.eq_obj2id[i]) if t >= 0):
+                wraps = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+                joints = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+                tied |= set(map(int, model.wrap_objid[wraps][joints]))
+    return tied
+
+
+class Overlap(NamedTuple):
+    """Two bodies whose shapes are within each other."""
+
+    shapes: str  # "geom 'foot' and geom 'floor'"
+    bodies: tuple[str, str]
+    depth: float  # m
+
+
+def overlaps(model: Any, qpos: np.ndarray) -> list[Overlap]:
+    """The deepest overlap of each two bodies whose shapes may touch, where they are within each other at a pose (nq,)."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    found: dict[tuple[int, int], Overlap] = {}
+    for contact in data.contact[: data.ncon]:
+        geoms = [int(g) for g in contact.geom]
+        if min(geoms) < 0 or contact.dist >= 0.0:
+            continue
+        bodies = tuple(int(model.geom_bodyid[g]) for g in geoms)
+        one = Overlap(
+            " and ".join(named(model, "geom", g) for g in geoms),
+            (model.body(bodies[0]).name, model.body(bodies[1]).name), -float(contact.dist),
+        )  # fmt: skip
+        key = (min(bodies), max(bodies))
+        if key not in found or one.depth > found[key].depth:
+            found[key] = one
+    return sorted(found.values(), key=lambda one: -one.depth)
+
+
+def has_ground(model: Any) -> bool:
+    """Whether a shape of the world may carry what stands on it."""
+    still = (model.body_weldid[model.geom_bodyid] == 0) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    return bool(np.any(still))
+
+
+def free_bases(model: Any) -> list[str]:
+    """Names of the bodies that hang on nothing."""
+    free = np.flatnonzero(model.jnt_type == int(load_mujoco().mjtJoint.mjJNT_FREE))
+    return [named(model, "body", int(model.jnt_bodyid[j])) for j in free]
+
+
+def gravity_of(model: Any) -> np.ndarray:
+    """(3,) m/s^2, 0 where it is switched off."""
+    return np.array(model.opt.gravity) * (not disabled(model, "gravity"))
+
+
+def moving_mass(model: Any) -> float:
+    """The mass of all bodies that move, kg."""
+    return float(np.sum(model.body_mass[model.body_weldid != 0]))

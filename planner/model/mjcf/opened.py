@@ -1,0 +1,34 @@
+"""Open an MJCF file: its text with includes resolved, the files it names, and MuJoCo's compilation of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from planner.model.mjcf.meshes import coarsen_visual_meshes
+from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.text import is_text, model_tree
+
+
+class Opened(NamedTuple):
+    """A file as it was written; only its visual meshes are coarser."""
+
+    root: ElementTree.Element  # Not to be changed
+    files: dict[str, bytes]  # By the names that the text uses
+    survey: Survey
+    name: str  # For a sentence
+
+
+def opened(model: str | Path, assets: dict[str, bytes] | None = None) -> Opened:
+    """Read and compile a file or text.
+
+    Raises:
+        ModelError: It cannot be read, or MuJoCo refuses it.
+    """
+    name = "the model" if is_text(model) else f"the model {model}"
+    root, files = model_tree(model, assets, stored=assets is not None)
+    survey = Survey(compile_model(root, files, name))
+    if coarsen_visual_meshes(root, files, survey.model):
+        survey = Survey(compile_model(root, files, name))
+    return Opened(root, files, survey, name)

@@ -1,0 +1,177 @@
+"""Describe a machine of somebody's own: what it is, what is planned with, what is not, and what looks wrong.
+
+Records are plain (dicts, lists, numbers, text), for a table or for JSON.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.model.contact.laws import ContactLaw
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contacts import contact_refusals
+from planner.model.mjcf.facts import (
+    Record,
+    actuator_records,
+    body_records,
+    free_bases,
+    gravity_of,
+    has_ground,
+    joint_records,
+    moving_mass,
+)
+from planner.model.mjcf.opened import Opened
+from planner.model.mjcf.read import read_opened
+from planner.model.mjcf.refuse import KINDS, unmodelled
+from planner.problem.troubles import Trouble, troubles_of
+
+
+class Loaded(NamedTuple):
+    """A machine that can be planned with, and the keys of a problem file that make it so."""
+
+    mechanism: Mechanism | None  # None where nothing makes it so
+    keys: dict[str, Any]  # ignore, contacts, settle: those that differ from their defaults
+    refusal: str  # why the file is refused as it is; "" where it is not
+
+
+@dataclass(frozen=True)
+class Description:
+    """What is known of a file.
+
+    Attributes:
+        name: The model's own name.
+        joints: One record per joint.
+        bodies: One per body that has mass.
+        actuators: One per actuator.
+        contacts: Which shapes may touch, and which of them the plan knows.
+        gravity: m/s^2.
+        mass: Of all that moves, kg.
+        free_bases: Bodies that hang on nothing.
+        degrees_of_freedom: How many.
+        planned: What the plan computes with, a phrase each.
+        left_out: What the plan leaves out, a phrase each.
+        loaded: How the machine is loaded.
+        poses: qpos (nq,) by the keyframe's name; the home pose where the file has no keyframe.
+        troubles: What looks wrong, and what mends it.
+    """
+
+    name: str
+    joints: list[Record]
+    bodies: list[Record]
+    actuators: list[Record]
+    contacts: Record
+    gravity: list[float]
+    mass: float
+    free_bases: list[str]
+    degrees_of_freedom: int
+    planned: list[str]
+    left_out: list[str]
+    loaded: Loaded
+    poses: dict[str, np.ndarray]
+    troubles: list[Trouble]
+
+    def to_dict(self) -> Record:
+        """As JSON values."""
+        return {
+            "name": self.name, "degrees_of_freedom": self.degrees_of_freedom, "mass": self.mass,
+            "gravity": self.gravity, "free_bases": self.free_bases, "joints": self.joints, "bodies": self.bodies,
+            "actuators": self.actuators, "contacts": self.contacts,
+            "keyframes": [] if list(self.poses) == [HOME] else list(self.poses),
+            "planned": self.planned, "left_out": self.left_out, "refused": self.loaded.refusal,
+            "keys": self.loaded.keys, "problems": [trouble._asdict() for trouble in self.troubles],
+        }  # fmt: skip
+
+
+_FORCES = ("damping", "armature", "stiffness")
+"""Arrays (nv,) of a mechanism that act in the plan."""
+HOME = "home"
+"""The name of the pose in which a file without keyframes puts the joints."""
+
+
+def describe(file: Opened) -> Description:
+    """Describe a machine, whether a plan can be made with it or not.
+
+    Raises:
+        ModelError: It has no joints.
+    """
+    model = file.survey.model
+    if model.nv == 0:
+        raise ModelError("the model has no joints, expected at least one.")
+    loaded = load_somehow(file)
+    joints, actuators = joint_records(model), actuator_records(model)
+    mechanism = loaded.mechanism
+    for j, joint in enumerate(joints):
+        limit = np.inf if mechanism is None else float(np.min(mechanism.velocity_limit[mechanism.joint_links[j]]))
+        joint["velocity_limit"] = limit if np.isfinite(limit) else None
+    keyframes = {model.key(k).name or f"keyframe {k}": np.array(model.key_qpos[k]) for k in range(model.nkey)}
+    return Description(
+        name=file.root.get("model", ""), joints=joints, bodies=body_records(model), actuators=actuators,
+        contacts=_contacts(file, mechanism), gravity=[float(g) for g in gravity_of(model)], mass=moving_mass(model),
+        free_bases=free_bases(model), degrees_of_freedom=int(model.nv), planned=_planned(mechanism, joints),
+        left_out=_left_out(file, mechanism), loaded=loaded, poses=keyframes or {HOME: np.array(model.qpos0)},
+        troubles=troubles_of(model, mechanism, joints, keyframes),
+    )  # fmt: skip
+
+
+def load_somehow(file: Opened) -> Loaded:
+    """Load the machine as it is, else without what is not modelled, and its contacts by a law of the ground or not."""
+    model, refusal = file.survey.model, ""
+    kinds = [one for one in KINDS if one in {refused.kind for refused in unmodelled(model)}]
+    ignore = {"ignore": kinds} if kinds else {}
+    law = ContactLaw.resting(moving_mass(model), gravity=float(np.linalg.norm(gravity_of(model))) or 9.81)
+    ground = [(ignore | {"contacts": "ground", "settle": True}, law)] if free_bases(model) and has_ground(model) else []
+    plain = [({}, None), *([(ignore, None)] if ignore else [])]
+    for keys, contacts in [*plain, *ground, (ignore | {"contacts": "off"}, "off")]:
+        options = {} if contacts is None else {"contacts": contacts}
+        try:
+            mechanism = read_opened(lambda: file, ignore=keys.get("ignore", ()), **options)
+        except ModelError as error:
+            refusal = refusal or str(error)
+            continue
+        if keys.get("settle") and not mechanism.contacts:
+            continue
+        return Loaded(mechanism, keys, refusal)
+    return Loaded(None, {}, refusal)
+
+
+def _contacts(file: Opened, mechanism: Mechanism | None) -> Record:
+    model, pairs = file.survey.model, file.survey.pairs
+    refused = [one.phrase for one in contact_refusals(file.survey)]
+    return {
+        "pairs": len(pairs), "refused": refused,
+        "shapes": [" and ".join(model.geom(g).name or f"geom number {g}" for g in pair.geoms) for pair in pairs],
+        "with_planes": 0 if mechanism is None else len(mechanism.contacts),
+        "between_bodies": 0 if mechanism is None else len(mechanism.body_contacts),
+    }  # fmt: skip
+
+
+def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
+    """Phrases for what the mechanism computes with, read from the mechanism itself."""
+    if mechanism is None:
+        return []
+    counts = [
+        (mechanism.nv, "degree", " of freedom"), (sum(joint["range"] is not None for joint in joints), "joint range", ""),
+        (mechanism.nu, "actuator", ""), (len(mechanism.stops), "spring", " at ends of joint ranges"),
+        (len(mechanism.contacts), "contact", " with the ground"),
+        (len(mechanism.body_contacts), "contact", " between bodies"),
+    ]  # fmt: skip
+    phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
+    arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
+    return phrases + [f"{name} of {_joints(np.count_nonzero(values))}" for name, values in arrays if np.any(values)]
+
+
+def _joints(number: int) -> str:
+    return f"{number} joint{'s' * (number != 1)}"
+
+
+def _left_out(file: Opened, mechanism: Mechanism | None) -> list[str]:
+    """What acts in the file and not in the plan."""
+    if mechanism is None:
+        return [one.phrase for one in [*unmodelled(file.survey.model), *contact_refusals(file.survey)]]
+    pairs, known = len(file.survey.pairs), mechanism.contacts or mechanism.body_contacts
+    untold = [f"contacts of all {pairs} pairs of shapes that may touch"] if pairs and not known else []
+    return [*untold, *(phrase for phrase in mechanism.ignored if phrase != "contacts")]

@@ -1,0 +1,163 @@
+"""Choose a start, a goal and a duration that are moderate for a machine that nobody has described to us."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.algorithms import mass_matrix
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.facts import Record, coupled_joints, overlaps
+from planner.problem.troubles import holding
+
+_WAY = 0.15  # of a joint's range
+_WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
+_TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
+_INSIDE = 0.05  # of a range: how far a start is kept from its ends
+_SMALLER = (1.0, 0.5, 0.25, 0.1)  # parts of the way that are tried, until one touches nothing
+_ON_THE_WAY = 4  # poses that are looked at
+_PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # of the quintic, in way / T and way / T^2
+_SHARE = 0.3  # of the limits of speeds and forces that the move is to take
+_SHORTEST, _LONGEST = 1.0, 20.0  # s
+_TIPPING = 2.0  # s, at least, where joints that nothing drives have to be balanced
+
+
+class FirstMove(NamedTuple):
+    """A motion to begin with."""
+
+    keyframe: str  # Where it starts, "" where `start` says so
+    start: np.ndarray  # (nq,)
+    moved: dict[int, float]  # Joints that do not start where the file puts them, by number: position
+    goal: dict[int, float]  # Joints that move, by number: position
+    duration: float  # s, a multiple of 0.1
+
+
+def first_move(model: Any, mechanism: Mechanism, joints: list[Record]) -> FirstMove:
+    """A start within all ranges and a goal that moves every driven joint by the same part of its range."""
+    keyframe, start = _start(model, mechanism, joints)
+    moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
+             if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
+    driven = [j for j in driven_joints(mechanism) if j not in coupled_joints(model)]
+    standing = _undriven_base(mechanism)
+    ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
+    goal = _allowed(model, mechanism, joints, start, ways)
+    return FirstMove(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
+
+
+def driven_joints(mechanism: Mechanism) -> list[int]:
+    """Hinges and slides that an actuator moves, or all of them where there is no actuator, by number."""
+    reached = np.any(mechanism.actuators.moment != 0.0, axis=0) | (mechanism.nu == 0)
+    return [
+        j for j, links in enumerate(mechanism.joint_links)
+        if links.stop - links.start == 1 and mechanism.kind[links.start] == SCREW and reached[links.start]
+    ]  # fmt: skip
+
+
+def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
+    """The first keyframe within all ranges, else the nearest pose to the file's own that is well within them."""
+    for name, x in mechanism.keyframes.items():
+        if all(low <= x[one["position"]] <= high for one in joints for low, high in [one["range"] or (-np.inf, np.inf)]
+               if one["unit"]):  # fmt: skip
+            return name, x[: mechanism.nq].copy()
+    start = np.array(model.qpos0)
+    for one in joints:
+        if one["range"] is not None and one["unit"]:
+            low, high = one["range"]
+            room, q = _INSIDE * (high - low), start[one["position"]]
+            if not low <= q <= high:
+                start[one["position"]] = _short(float(np.clip(q, low + room, high - room)))
+    return "", start
+
+
+def _room(model: Any, joint: Record) -> float:
+    if joint["range"] is not None:
+        return joint["range"][1] - joint["range"][0]
+    return _TURN / _WAY if joint["unit"] == "rad" else _SLIDE / _WAY * float(model.stat.extent)
+
+
+def _allowed(
+    model: Any, mechanism: Mechanism, joints: list[Record], start: np.ndarray, ways: dict[int, float]
+) -> dict[int, float]:
+    """Goals on the side of each joint's range that has more room, as far as nothing new touches on the way."""
+    before = {frozenset(one.bodies) for one in overlaps(model, start)}
+    best: dict[int, float] = {}
+    for part in _SMALLER:
+        for turned in (1.0, -1.0):
+            goal = {j: _goal(joints[j], start, part * turned * way) for j, way in ways.items()}
+            poses = [_between(joints, start, goal, s / _ON_THE_WAY) for s in range(1, _ON_THE_WAY + 1)]
+            touches = any({frozenset(one.bodies) for one in overlaps(model, pose)} - before for pose in poses)
+            if not touches and _holds(mechanism, poses[-1]):
+                return goal
+            if not touches:
+                best = best or goal
+    return best or goal
+
+
+def _goal(joint: Record, start: np.ndarray, way: float) -> float:
+    """The start and a way, towards the roomier side of the range (the other one for a negative way)."""
+    q = float(start[joint["position"]])
+    if joint["range"] is None:
+        return _short(q + way)
+    low, high = joint["range"]
+    room = _INSIDE * (high - low)
+    side = 1.0 if q <= 0.5 * (low + high) else -1.0
+    return _short(float(np.clip(q + side * way, low + room, high - room)))
+
+
+def _between(joints: list[Record], start: np.ndarray, goal: dict[int, float], s: float) -> np.ndarray:
+    pose = start.copy()
+    for j, end in goal.items():
+        place = joints[j]["position"]
+        pose[place] += s * (end - pose[place])
+    return pose
+
+
+def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
+    """Whether the actuators can hold a pose (nq,), where nothing else has to."""
+    if mechanism.nu == 0 or _undriven_base(mechanism):
+        return True
+    actuators = mechanism.actuators
+    u, force = holding(mechanism, pose)
+    low, high = actuators.control_range.T
+    least, most = actuators.force_range.T
+    return bool(np.all((low <= u) & (u <= high) & (least <= force) & (force <= most)))
+
+
+def _undriven_base(mechanism: Mechanism) -> bool:
+    """Whether the first link of a tree is free, or one of several that no actuator moves."""
+    roots = np.flatnonzero(mechanism.parent < 0)
+    driven = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    return mechanism.nu > 0 and not np.any(driven[roots])
+
+
+def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> float:
+    """As long as the shortest quintic that takes a share of every limit of speed and force, in tenths of a second."""
+    driven = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    duration = _SHORTEST if np.all(driven) else _TIPPING
+    inertia = np.diagonal(mass_matrix(mechanism, start))
+    most = _strongest(mechanism)
+    for j, end in goal.items():
+        i = mechanism.joint_links[j].start
+        way = abs(end - start[mechanism.q_address[i]])
+        duration = max(duration, _PEAK_SPEED * way / (_SHARE * mechanism.velocity_limit[i]))
+        if most[i] > 0.0:
+            duration = max(duration, math.sqrt(_PEAK_FORCE * way * inertia[i] / (_SHARE * most[i])))
+    return math.ceil(10.0 * min(duration, _LONGEST)) / 10.0
+
+
+def _strongest(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) the largest generalized force of the actuators at each degree of freedom, infinite without limits."""
+    actuators = mechanism.actuators
+    control = np.abs(actuators.control_range).max(axis=1, initial=0.0)
+    motors = (actuators.bias[:, 1:] == 0.0).all(axis=1)  # a servo's force has no bound from its control
+    force = np.where(motors, np.abs(actuators.gain) * control, np.inf)
+    force = np.minimum(force, np.abs(actuators.force_range).max(axis=1, initial=0.0))
+    moment = np.abs(actuators.moment)
+    return np.where(moment > 0.0, moment * force[:, None], 0.0).sum(axis=0) if len(force) else np.zeros(mechanism.nv)
+
+
+def _short(value: float) -> float:
+    """A position in few digits."""
+    return float(f"{value:.4g}")

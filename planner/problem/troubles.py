@@ -1,0 +1,169 @@
+"""Find what looks wrong in a machine of somebody's own, each with the key or edit that mends it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.algorithms import bias
+from planner.model.mechanism import INTEGRATOR, Mechanism
+from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
+
+_LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff
+_MENDED = 1e-2  # of that median: the armature that is proposed
+_SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
+_SPARE = 1.5  # times what holds: the range that is proposed
+_MOST = 4  # of a kind that are told one by one
+
+
+class Trouble(NamedTuple):
+    """Something that looks wrong."""
+
+    problem: str  # One sentence
+    mend: str  # The key or edit
+
+
+def troubles_of(
+    model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
+) -> list[Trouble]:
+    """What looks wrong in a compiled model: in a fixed order, the most serious first."""
+    found = [*_actuation(model, joints), *_surroundings(model), *_light(joints)]
+    found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
+    for name, qpos in keyframes.items():
+        found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
+    found += _overlapping(model)
+    if mechanism is not None and not free_bases(model):
+        pose = next(iter(keyframes.values()), np.array(model.qpos0))
+        found += _weak(mechanism, pose)
+    return found
+
+
+def _actuation(model: Any, joints: list[Record]) -> list[Trouble]:
+    found: list[Trouble] = []
+    single = [joint["name"] for joint in joints if joint["unit"] and joint["name"]]
+    if model.nu == 0:
+        motors = f'<actuator><motor joint="{single[0] if single else "..."}" ctrlrange="-10 10"/></actuator>'
+        prescribed = f", or prescribed = {_listed(single)} to plan accelerations" if single else ""
+        found.append(Trouble("there are no actuators, so nothing moves the machine", f"add {motors}{prescribed}"))
+    unnamed = [joint["label"] for joint in joints if not joint["name"]]
+    if unnamed:
+        which = f"{_few(unnamed)} {'has' if len(unnamed) == 1 else 'have'} no name"
+        found.append(Trouble(
+            f"{which}, so a table of joints cannot name {'it' if len(unnamed) == 1 else 'them'}",
+            'name="..." in the file, or start and goal as lists of all positions',
+        ))  # fmt: skip
+    return found
+
+
+def _surroundings(model: Any) -> list[Trouble]:
+    found: list[Trouble] = []
+    if not np.any(gravity_of(model)):
+        found.append(Trouble("gravity is 0", '<option gravity="0 0 -9.81"/>, unless that is meant'))
+    elif (free := free_bases(model)) and not has_ground(model):
+        floor = '<geom name="floor" type="plane" size="0 0 1"/> in <worldbody>'
+        found.append(Trouble(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
+    return found
+
+
+def _light(joints: list[Record]) -> list[Trouble]:
+    """Joints about which next to nothing turns, against the others of their kind."""
+    found: list[Trouble] = []
+    for unit, quantity in (("rad", "kg m^2"), ("m", "kg")):
+        alike = [joint for joint in joints if joint["unit"] == unit]
+        median = float(np.median([joint["inertia"] for joint in alike])) if alike else 0.0
+        tiny = [joint for joint in alike if joint["inertia"] < _LIGHT * median]
+        for joint in tiny[:_MOST]:
+            found.append(Trouble(
+                f"the inertia at {joint['label']} is {joint['inertia']:.2g} {quantity}, "
+                f"{joint['inertia'] / median:.1g} of the median joint's, so its motion is very stiff",
+                f'armature="{_MENDED * median:.2g}" at the joint',
+            ))  # fmt: skip
+    return found
+
+
+def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> list[Trouble]:
+    """Hinges and slides that a pose puts outside of their ranges."""
+    found: list[Trouble] = []
+    for joint in joints:
+        if joint["range"] is None or not joint["unit"]:
+            continue
+        (low, high), q = joint["range"], float(qpos[joint["position"]])
+        if not low - 1e-9 <= q <= high + 1e-9:
+            within = min(max(q, low), high)
+            found.append(Trouble(
+                f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to {high:.4g}",
+                mend(joint, within),
+            ))  # fmt: skip
+    return [*found[:_MOST], *_more(found[_MOST:])]
+
+
+def _to_start(joint: Record, within: float) -> str:
+    name = joint["name"]
+    return f"start = {{ {name} = {within:.4g} }}" if name else f"{within:.4g} for it in the list of start"
+
+
+def _to_key(joint: Record, within: float) -> str:
+    return f"{within:.4g} for it in the keyframe's qpos, or another start"
+
+
+def _more(rest: list[Trouble]) -> list[Trouble]:
+    return [Trouble(f"so have {len(rest)} more joints", "the same")] if rest else []
+
+
+def _overlapping(model: Any) -> list[Trouble]:
+    deep = [one for one in overlaps(model, model.qpos0) if one.depth > _SHALLOW * float(model.stat.extent)]
+    found = [
+        Trouble(
+            f"{one.shapes} are {1000.0 * one.depth:.3g} mm within each other at the start",
+            f'<contact><exclude body1="{one.bodies[0]}" body2="{one.bodies[1]}"/></contact>, or another start'
+            if all(one.bodies) and "world" not in one.bodies else "a start in which they are apart",
+        )
+        for one in deep[:_MOST]
+    ]  # fmt: skip
+    more = len(deep) - _MOST
+    return found + ([Trouble(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
+
+
+def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[Trouble]:
+    """Actuators whose ranges cannot hold a pose (nq,) of a machine with a fixed base against gravity and springs."""
+    found: list[Trouble] = []
+    needed, actuators = holding(mechanism, qpos), mechanism.actuators
+    for name, u, force, controls, forces in zip(
+        actuators.names, *needed, actuators.control_range, actuators.force_range, strict=True
+    ):
+        for value, (low, high), attribute in ((u, controls, "ctrlrange"), (force, forces, "forcerange")):
+            if low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
+                continue
+            wide = min(low, _SPARE * value), max(high, _SPARE * value)
+            found.append(Trouble(
+                f"actuator {name!r} needs {value:.3g} to hold the start against gravity, and its {attribute} is "
+                f"{low:.3g} to {high:.3g}",
+                f'{attribute}="{wide[0]:.3g} {wide[1]:.3g}", or a start that takes less to hold',
+            ))  # fmt: skip
+    return found[: 2 * _MOST]
+
+
+def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Controls (nu,) and actuator forces (nu,) that hold the driven joints at a pose (nq,), and nothing else.
+
+    The smallest forces that do. An actuator that integrates its control, or has no gain, needs no control.
+    """
+    actuators = mechanism.actuators
+    driven = np.any(actuators.moment != 0.0, axis=0)
+    tau = bias(mechanism, qpos, np.zeros(mechanism.nv))[driven]
+    force = np.linalg.lstsq(actuators.moment[:, driven].T, tau, rcond=None)[0]
+    screws = np.flatnonzero(mechanism.kind == 0)
+    lengths = actuators.moment[:, screws] @ qpos[mechanism.q_address[screws]]
+    controlled = (actuators.dynamics != INTEGRATOR) & (actuators.gain != 0.0)
+    own = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths
+    return np.where(controlled, (force - own) / np.where(actuators.gain == 0.0, 1.0, actuators.gain), 0.0), force
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
+
+
+def _listed(names: list[str]) -> str:
+    """Names as a TOML list, the first few of them."""
+    return "[" + ", ".join(f'"{name}"' for name in names[:_MOST]) + (", ...]" if len(names) > _MOST else "]")
