@@ -82,7 +82,7 @@ class ControlBounds:
     def at_bound(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Whether controls us (N, nu) along the states xs (N+1, nx) are at a bound, or outside."""
         lower, upper = self.at(slice(None), xs[: len(us)])
-        nearly = 0.0 if self.servos is None else AT_BOUND
+        nearly = 0.0 if self.servos is None else AT_BOUND * np.maximum(1.0, np.abs(us))
         return (us <= lower + nearly) | (us >= upper - nearly)
 
     def moved(self, us: np.ndarray, xs: np.ndarray, to: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ class ControlBounds:
         """How far controls us (N, nu) along the states xs (N+1, nx) may change."""
         if self.servos is None:
             return Moves(self.lower - us, self.upper - us)
-        lower, upper, *shares = self._sides(slice(None), xs[: len(us)])
+        lower, upper, *shares = self.shares(xs, us)
         servos, by_x = self.servos, [np.zeros((*us.shape, self.servos.ndx)) for _ in range(2)]
         for rows, share in zip(by_x, shares, strict=True):
             of_servos = share[:, servos.control]
@@ -105,14 +105,24 @@ class ControlBounds:
             rows[:, servos.control[:, None], servos.in_dx] = slopes
         return Moves(lower - us, upper - us, *by_x)
 
-    def shares(self, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds (N, nu) at states xs (N+1, nx), and the parts (N, nu, 2) of both lines; 0 where a number bounds."""
-        return self._sides(slice(None), xs[:-1])
+    def shares(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Bounds (N, nu) along states xs (N+1, nx), and the parts (N, nu, 2) of both lines; 0 where a number bounds.
+
+        Where controls us (N, nu) are at bounds but for rounding, these are the bounds: the minimum over a box would
+        else take the smallest of steps.
+        """
+        lower, upper, by_low, by_high = self._sides(slice(None), xs[: len(us)])
+        nearly = AT_BOUND * np.maximum(1.0, np.abs(us))
+        lower, upper = (
+            np.where(np.abs(us - lower) <= nearly, us, lower),
+            np.where(np.abs(us - upper) <= nearly, us, upper),
+        )
+        return lower, upper, by_low, by_high
 
     def _sides(self, stages: Any, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """As shares, for any stages and states."""
         assert self.servos is not None
-        shape = (*xs.shape[:-1], self.lower.shape[1])
+        shape = np.broadcast_shapes(self.lower[stages].shape, (*xs.shape[:-1], self.lower.shape[1]))
         lower, upper = (np.broadcast_to(side[stages], shape).copy() for side in (self.lower, self.upper))
         which = self.servos.control
         least, most = lower[..., which], upper[..., which]

@@ -107,7 +107,7 @@ class CompiledEngine(Engine):
         """The sweep and search of iterate, with bounds."""
         w, dynamics, bounds = self._w, self._dynamics, self._bounds
         if bounds is not None and bounds.servos is not None:
-            w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs)
+            w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
         riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
         norm, value, definite = riccati(w.table, mu, dynamics.dt)
         if not definite:
