@@ -33,8 +33,8 @@ ARM = """
 """
 
 
-def arm(integrator="rk4", limits=None, goal=(1.0, 0.8), N=40, text=ARM):
-    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text, contacts="off"), 0.02, integrator)
+def arm(integrator="rk4", limits=None, goal=(1.0, 0.8), N=40, text=ARM, dt=0.02):
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text, contacts="off"), dt, integrator)
     cost = TrackingCost.joints(
         dynamics, [*goal, 0.0, 0.0], N, effort=0.01, final_position=1e3, final_velocity=1e2, velocity=0.01
     )
@@ -133,7 +133,6 @@ def test_the_slope_is_that_of_the_clipped_rollout():
         cost = engine.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
         done = engine.iterate(True, 0, 1e-2, True, cost, 0.0, -1.0)
         assert done.kind == 0
-        xs, us = NumpyEngine(problem), None
         again = NumpyEngine(problem)
         again.start(problem.x0, np.tile([1.5, 0.3], (40, 1)))
         xs, us = again.trajectory()
@@ -227,13 +226,15 @@ def test_a_user_bounds_a_servo_himself():
     assert arm(limits=Limits(control="off")).bounds is None
 
 
-def test_a_plan_at_a_servo_s_limit_is_replayed_without_a_clamp(plan):
+def test_a_plan_at_a_servo_s_limit_is_replayed_without_a_clamp():
+    plan = planner.solve(arm(N=160, dt=0.005))
+    assert plan.problem.bounds.at_bound(plan.xs, plan.us)[:, 0].any()
     proof = planner.prove(plan)
     assert proof.passed, str(proof)
     found = {one.name: one for one in proof.your_file.measured}
     assert found["clamped_actuators"].value == 0.0, found["clamped_actuators"].note
     free = planner.solve(replace(plan.problem, limits=None))
-    assert forces(free.problem, free.xs, free.us).max() > 8.0  # the clamp matters
+    assert np.abs(forces(free.problem, free.xs, free.us)).max() > 6.5  # the clamp matters
 
 
 def test_the_figure_shows_bounds_along_the_plan(plan):
