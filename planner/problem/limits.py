@@ -4,7 +4,9 @@
     lower <= x_i(n) <= upper   for n = 1 ... N        to a tolerance, by an augmented Lagrangian
     x_i(N) = goal_i                                   likewise
 
-Ranges hold at the knots. What the feedback of a plan asks for is put back within the bounds of the controls.
+Ranges hold at the knots, to the tolerance. Between knots a motion bulges out a little more: so ranges of the model are
+kept with a margin, and a plan stays off MuJoCo's stops. What the feedback of a plan asks for is put back within the
+bounds of the controls.
 """
 
 from __future__ import annotations
@@ -19,34 +21,46 @@ from planner.base.arguments import array, choice, number, numbers, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
+from planner.problem.actuator_limits import model_bounds, servo_bounds
+from planner.problem.control_bounds import ControlBounds, Servos
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
+from planner.problem.joint_limits import Range, check_margin, model_ranges
 from planner.problem.state_ranges import StateRanges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
-MODEL, EXACT = "model", "exact"
+MODEL, OFF, EXACT = "model", "off", "exact"
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Bounds and goals that a plan keeps. A bound of None or infinity is none.
+    """Bounds and goals that a plan keeps. A bound of None or infinity is none, and so is "off".
+
+    Numbers take the place of the model's own limits. In a table "off" is no limit, and what a table does not name
+    keeps the limit of the model.
 
     Attributes:
-        control: (lower, upper), each a number, (nu,) or (N, nu); a number b for -b to b; a dict of numbers or pairs
-            by the names of actuators; "model" for the model's ctrlrange, and forcerange where it bounds a control.
-        position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges. rad or m.
-        velocity: A number for all joints, or by joint a number or (lower, upper). rad/s or m/s.
+        control: (lower, upper), each a number, (nu,) or (N, nu); a number b for -b to b; a table of numbers or pairs
+            by the names of actuators; "model" for the model's ctrlrange, forcerange and actuatorfrcrange. Those of
+            servos bound controls that depend on the state; some bound none (planner.problem.actuator_limits.unbounded).
+        position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
+            rad or m. Joints whose stops the mechanism has have none.
+        velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
+            URDF has. rad/s or m/s.
         state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
         final: "exact" for all that has a final weight, or names of joints (their positions and velocities), or
             indices of components of the deviation: what is to end at the cost's own goal.
         tolerance: How far a state may be outside its range, or from an exact goal.
+        margin: How far plans stay off the ends of the model's ranges, in rad or m, a number or a table by joint. By
+            default 1 % of the range and at least 0.01 rad or 1 mm, but no more of the least than a tenth of the range.
+            A start or a goal within the margin moves the bound out to it.
 
     Raises:
         PlannerError: Where a Problem is made with it: names that the machine does not have, a lower bound above the
-            upper one, joints that have no ranges.
+            upper one, joints that have no ranges, a start or a goal outside its range.
     """
 
     control: Any = None
@@ -55,6 +69,12 @@ class Limits:
     state: Any = None
     final: Any = None
     tolerance: float = TOLERANCE
+    margin: Any = None
+
+    @classmethod
+    def of_model(cls) -> Limits:
+        """The limits of the model: its clamps, its ranges and its limits of velocities."""
+        return cls(control=MODEL, position=MODEL, velocity=MODEL)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tolerance", number("the limits' tolerance", self.tolerance, above=0.0))
@@ -83,24 +103,31 @@ class Limits:
             raise PlannerError(f"limits is {shown(table)}, expected a table with some of: {', '.join(names)}.")
         return cls(**{choice("the key in [limits]", name, names): value for name, value in table.items()})
 
-    def bounds(self, dynamics: Dynamics, N: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Lower and upper bounds of the controls, (N, nu) each; None where there are none.
+    def bounds(self, dynamics: Dynamics, N: int) -> ControlBounds | None:
+        """Lower and upper bounds of the controls; None where there are none.
 
         Raises:
             PlannerError: As for the class.
         """
         nu, mechanism = dynamics.nu, getattr(dynamics, "mechanism", None)
-        if self.control is None:
+        servos: Servos | None = None
+        if self.control is None or _is(self.control, OFF):
             return None
         if isinstance(self.control, str):
-            choice("the limits' control", self.control, (MODEL,))
-            lower, upper = _of_model(_named(mechanism, "control"), nu)
+            choice("the limits' control", self.control, (MODEL, OFF))
+            machine = _named(mechanism, "control")
+            lower, upper = model_bounds(machine, nu)
+            servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx)
         elif isinstance(self.control, Mapping):
-            inputs = places(_named(mechanism, "control"), getattr(dynamics, "prescribed", ()))[1]
-            lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
+            machine = _named(mechanism, "control")
+            inputs, given = places(machine, getattr(dynamics, "prescribed", ()))[1], set()
+            lower, upper = model_bounds(machine, nu)
             for name, value in self.control.items():
                 place = inputs[choice("the actuator in the limits' control", name, inputs)]
-                lower[place], upper[place] = _pair(f"the limit of control {name!r}", value)
+                if not _is(value, MODEL):
+                    lower[place], upper[place] = _pair(f"the limit of control {name!r}", value)
+                    given |= set(np.arange(nu)[place].ravel().tolist())
+            servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx, frozenset(given))
         elif isinstance(self.control, Sequence) and len(self.control) == 2:
             lower, upper = _sides("the limits' control", self.control)
         else:
@@ -112,7 +139,8 @@ class Limits:
             n, a = map(int, wrong[0])
             given = f"{lower[n, a]:g} ... {upper[n, a]:g}"
             raise PlannerError(f"control {a} is limited to {given}, expected a lower bound below the upper.")
-        return (lower, upper) if np.isfinite(lower).any() or np.isfinite(upper).any() else None
+        some = servos is not None or np.isfinite(lower).any() or np.isfinite(upper).any()
+        return ControlBounds(lower, upper, servos) if some else None
 
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateRanges | None:
         """The ranges of the states, and exact goals; None where there are none.
@@ -136,50 +164,70 @@ class Limits:
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         lower, upper = np.full((2, N + 1, len(found) + len(at_end)), np.inf)
         lower = -lower
-        for h, (i, (low, high)) in enumerate(found.items()):
+        wanted = np.zeros(space.ndx, dtype=bool)
+        wanted[at_end] = True
+        weighed = np.zeros(space.ndx, dtype=bool)
+        if getattr(cost, "x_ref", None) is not None and getattr(cost, "Q", None) is not None:
+            weighed = np.abs(cost.Q[-1]).max(axis=0) > 0.0  # pyright: ignore
+        for h, (i, kept) in enumerate(found.items()):
             name, unit = coordinates[i]
             if i in rotations:
                 raise PlannerError(f"{name} is an orientation, expected ranges of hinges, slides or velocities.")
-            for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if i in at_end else ())):
-                if not low <= value <= high:
-                    ranged = f"{low:g} ... {high:g} {unit}".rstrip()
-                    raise PlannerError(f"the {what} has {name} at {value:.6g}, expected {ranged}.")
-            lower[1:, h], upper[1:, h] = low - offset[1:, i], high - offset[1:, i]
+            aims = wanted[i] or (kept.of_model and weighed[i])
+            for what, value in (("start", start[i]), *((("goal", offset[-1, i]),) if aims else ())):
+                room = kept.met(float(value))
+                if room is None:
+                    raise PlannerError(
+                        f"the {what} has {name} at {value:.6g} {unit}".rstrip() + kept.refusal(coordinates[i], value)
+                    )
+                kept = room
+            lower[1:, h], upper[1:, h] = kept.low - offset[1:, i], kept.high - offset[1:, i]
         lower[N, len(found) :] = upper[N, len(found) :] = 0.0
         limited = tuple(coordinates[i] for i in (*found, *at_end))
         component = np.array([*found, *at_end], dtype=np.int64)
         return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
 
-    def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Pair]:
-        """(lower, upper) by component."""
-        found: dict[int, Pair] = {}
-        if self.position is not None:
+    def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Range]:
+        """Ranges by component."""
+        found: dict[int, Range] = {}
+        if self.margin is not None:
+            check_margin(_named(mechanism, "margin"), self.margin)
+        if self.position is not None and not _is(self.position, OFF):
             machine = _named(mechanism, "position")
             if isinstance(self.position, str):
-                choice("the limits' position", self.position, (MODEL,))
-            limited = {n: machine.joint_range[machine.joint(n)] for n in machine.joint_names if n}
-            limited = {name: ranges[0] for name, ranges in limited.items() if np.isfinite(ranges).any()}
-            given = limited if self.position == MODEL else _table("position", self.position)
-            for joint, value in given.items():
+                choice("the limits' position", self.position, (MODEL, OFF))
+            found = model_ranges(machine, self.margin)
+            for joint, value in {} if _is(self.position, MODEL) else _table("position", self.position).items():
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:
                     expected = "expected ranges of hinge and slide joints only"
                     raise PlannerError(f"joint {joint!r} is a ball or free joint, {expected}.")
-                i = links.start
-                found[i] = _pair(f"the range of joint {joint!r}", value)
-        if self.velocity is not None:
-            machine, given = _named(mechanism, "velocity"), self.velocity
-            if not isinstance(given, Mapping):
-                most = number("the limits' velocity", given, above=0.0)
-                given = {name: most for name in machine.joint_names if name}
-            for joint, value in given.items():
-                links, pair = machine.joint(joint), _pair(f"the velocity range of joint {joint!r}", value)
-                for i in range(machine.nv + links.start, machine.nv + links.stop):
-                    found[i] = pair
+                if not _is(value, MODEL):
+                    found[links.start] = Range.of(*_pair(f"the range of joint {joint!r}", value))
+        if self.velocity is not None and not _is(self.velocity, OFF):
+            found |= self._velocities(_named(mechanism, "velocity"))
         for i, value in ({} if self.state is None else _table("state", self.state)).items():
             i = _index("state", i, ndx)
-            found[i] = _pair(f"the range of component {i}", value)
-        return {i: pair for i, pair in sorted(found.items()) if np.isfinite(pair).any()}
+            found[i] = Range.of(*_pair(f"the range of component {i}", value))
+        return {i: kept for i, kept in sorted(found.items()) if np.isfinite([kept.low, kept.high]).any()}
+
+    def _velocities(self, machine: Mechanism) -> dict[int, Range]:
+        """Ranges of velocities by component."""
+        given: Any = self.velocity
+        if isinstance(given, (str, Mapping)):
+            found = {machine.nv + i: Range.of(-most, most) for i, most in enumerate(map(float, machine.velocity_limit))}
+        else:
+            most, found = number("the limits' velocity", given, above=0.0), {}
+            given = {name: most for name in machine.joint_names if name}
+        if isinstance(given, str):
+            choice("the limits' velocity", given, (MODEL, OFF))
+            return found
+        for joint, value in given.items():
+            links = machine.joint(joint)
+            if not _is(value, MODEL):
+                pair = _pair(f"the velocity range of joint {joint!r}", value)
+                found |= {machine.nv + i: Range.of(*pair) for i in range(links.start, links.stop)}
+        return found
 
     def _at_end(self, mechanism: Mechanism | None, cost: Cost, ndx: int) -> list[int]:
         """The components that are to end at the goal exactly."""
@@ -227,8 +275,15 @@ def _index(name: str, value: Any, ndx: int) -> int:
     return int(value)
 
 
+def _is(value: Any, word: str) -> bool:
+    """Whether a limit is this word; an array never is."""
+    return isinstance(value, str) and value == word
+
+
 def _pair(name: str, value: Any) -> Pair:
-    """(lower, upper) from a pair, or from a number b for -b to b."""
+    """(lower, upper) from a pair, from a number b for -b to b, or "off" for none."""
+    if _is(value, OFF):
+        return -np.inf, np.inf
     if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
         if len(value) != 2:
             raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
@@ -256,29 +311,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):  # an int may be larger than any float
         return None
     return value
-
-
-def _of_model(mechanism: Mechanism, nu: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (nu,) of the controls from ctrlrange, forcerange and actuatorfrcrange."""
-    acts = mechanism.actuators
-    lower, upper = np.full(nu, -np.inf), np.full(nu, np.inf)
-    lower[: acts.nu], upper[: acts.nu] = acts.control_range.T
-    for a, name in enumerate(acts.names):
-        ranges = [(acts.force_range[a], acts.gain[a], "forcerange", 1)]
-        for i in np.flatnonzero(acts.moment[a]):
-            several, gain = int(np.count_nonzero(acts.moment[:, i])), acts.gain[a] * acts.moment[a, i]
-            ranges.append((mechanism.joint_force_range[i], gain, "actuatorfrcrange", several))
-        for limits, gain, what, several in ranges:
-            if not np.isfinite(limits).any():
-                continue
-            if acts.dynamics[a] != DIRECT or np.any(acts.bias[a]) or several > 1 or gain == 0.0:
-                raise PlannerError(
-                    f"actuator {name!r} has a {what} that is no bound of its control alone, "
-                    f"expected one of a motor that drives its joint alone."
-                )
-            low, high = sorted(limits / gain)
-            lower[a], upper[a] = max(lower[a], low), min(upper[a], high)
-    return lower, upper
 
 
 def _sides(name: str, pair: Any) -> list[np.ndarray]:

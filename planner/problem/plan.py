@@ -204,10 +204,10 @@ class Plan(Built):
         """Versions of the software that made the plan."""
         return installed_versions() if self.made_with is None else self.made_with
 
-    def within_bounds(self, n: int | np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), put back within the problem's bounds."""
+    def within_bounds(self, n: int | np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Controls u (..., nu) of stage n, or (K, nu) of stages n (K,), put back within the problem's bounds at x."""
         bounds = None if self.problem is None else self.problem.bounds
-        return u if bounds is None else np.clip(u, bounds[0][n], bounds[1][n])
+        return u if bounds is None else bounds.clip(n, u, x)
 
     def between_knots(self, parts: int) -> np.ndarray:
         """States (N * parts + 1, nx) at every part of a stage: the plan's own integrator, from each knot on."""

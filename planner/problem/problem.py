@@ -17,6 +17,7 @@ from planner.model.space import space_of
 from planner.model.coupled_states import check_closed
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
+from planner.problem.control_bounds import ControlBounds
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.costs.wanted import checked_tolerance
@@ -74,7 +75,7 @@ class Problem(Built):
             joints and frames. None: 2 % of the way, see planner.problem.goals.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start or horizon were replaced.
-        bounds: Lower and upper bounds of the controls, (N, nu) each, of the limits; None for none.
+        bounds: Of the controls, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
 
     Raises:
@@ -97,7 +98,7 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     decrease_tolerance: float | None = None
     gain_tolerance: float = 0.0
-    bounds: tuple[np.ndarray, np.ndarray] | None = field(init=False, default=None)
+    bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:

@@ -50,8 +50,8 @@ def recomputed(
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
         if plan.hinges is not None and problem.ranges is not None:
             quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
-        moves = None if problem.bounds is None else (problem.bounds[0] - us, problem.bounds[1] - us)
-        norm = float(np.linalg.norm(lq.projected(lq.gradient(A, B, quadratic), moves)))
+        moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
+        norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
         rounded = (A, B) if rng is None else (_with_wrong_digits(rng, A), _with_wrong_digits(rng, B))
         sweep = lq.riccati(*rounded, quadratic, bounds=moves) if known else None
@@ -132,8 +132,9 @@ def _moved(plan: Plan, problem: Problem, now: Recomputed, size: float) -> tuple[
     for _ in range(_DRAWS):
         xs, us = (_with_wrong_digits(rng, x) for x in (plan.xs, plan.us))
         if problem.bounds is not None:
-            at_bound = (plan.us <= problem.bounds[0]) | (plan.us >= problem.bounds[1])
-            us = np.where(at_bound, plan.us, us)
+            at_bound = problem.bounds.at_bound(plan.xs, plan.us)
+            held = problem.bounds.moved(plan.us, plan.xs, xs)
+            us = np.where(at_bound, held, us)
         other = recomputed(plan, problem, xs, us, rng)
         gradient = max(gradient, abs(other.gradient_norm - now.gradient_norm) / size)
         if now.sweep is not None:

@@ -26,7 +26,7 @@ def more_steps(plan: Plan, problem: Problem) -> float:
         quadratic = problem.cost.quadratize(xs, us)
         if plan.hinges is not None and problem.ranges is not None:
             quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
-        moves = None if problem.bounds is None else (problem.bounds[0] - us, problem.bounds[1] - us)
+        moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
         if sweep is None:
             break
@@ -49,7 +49,8 @@ def _rolled(
     states[:, 0] = problem.x0
     for n in range(len(us)):
         dx = plan.space.difference(states[:, n], np.broadcast_to(xs[n], states[:, n].shape))
-        controls[:, n] = plan.within_bounds(n, us[n] + lengths[:, None] * sweep.k[n] + dx @ sweep.K[n].T)
+        wanted = us[n] + lengths[:, None] * sweep.k[n] + dx @ sweep.K[n].T
+        controls[:, n] = plan.within_bounds(n, wanted, states[:, n])
         states[:, n + 1] = problem.dynamics.step(states[:, n], controls[:, n])
     return states, controls
 

@@ -56,8 +56,12 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         return Section("same step", not_applicable=_FRICTION)
     compiled.check(problem.dynamics.nu)
     space, twin, model = plan.space, compiled.twin, compiled.copy()
-    # Stops that the plan does not have are not transcribed. The refined replays and the user's file judge them.
-    model.opt.disableflags |= load_mujoco().mjtDisableBit.mjDSBL_LIMIT
+    # Stops and clamps that the plan does not have are not transcribed. The refined replays and the user's file judge
+    # them: a plan keeps its own at the ends of stages, and a servo's force passes its limit by a little in between.
+    flags = load_mujoco().mjtDisableBit
+    model.opt.disableflags |= flags.mjDSBL_LIMIT | flags.mjDSBL_CLAMPCTRL
+    model.actuator_forcelimited[:] = 0
+    model.jnt_actfrclimited[:] = 0
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
     reduction = getattr(mechanism, "reduction", None)

@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.base.measured import Measured
 from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of
+from planner.problem.control_bounds import AT_BOUND
 from planner.problem.goals import goals_of, terms_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -136,9 +137,11 @@ def limit_violations(
     """
     measured = []
     if problem.bounds is not None and us is not None:
-        lower, upper = problem.bounds
-        outside = float(np.maximum(lower - us, us - upper).max())
-        active = int(np.sum((us <= lower) | (us >= upper)))
+        own = len(xs) == len(us) + 1  # in a replay the force of a servo is judged, not its control
+        lower, upper = problem.bounds.at(slice(None), xs[:-1] if own else None)
+        nearly = 0.0 if problem.bounds.servos is None else AT_BOUND * np.maximum(1.0, np.abs(us))
+        outside = float(np.maximum(lower - us - nearly, us - upper - nearly).max())
+        active = int(np.sum((us <= lower + nearly) | (us >= upper - nearly)))
         note = f"largest, {whose}; {active} of {us.size} controls at a bound"
         measured.append(Measured("control_violation", max(outside, 0.0), "", 0.0, note))
     ranges, limits = problem.ranges, problem.limits

@@ -203,8 +203,7 @@ def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> 
     """B without the controls that their bounds hold."""
     if problem.bounds is None:
         return B
-    lower, upper = problem.bounds
-    held = lq.projected(gradient, (lower - plan.us, upper - plan.us)) != gradient
+    held = lq.projected(gradient, problem.bounds.moves(plan.xs, plan.us)) != gradient
     return np.where(held[:, None, :], 0.0, B)
 
 

@@ -16,11 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.kernels.lq.bounded import AT_BOUND
+from planner.kernels.lq.along_bounds import AT_BOUND
+from planner.problem.control_bounds import Moves
 from planner.problem.costs.terms import Quadratic
 from planner.solvers.box import box_minimum
-
-Bounds = tuple[np.ndarray, np.ndarray]  # of the change of each control, (N, nu) each: at most 0, at least 0
 
 
 class Sweep(NamedTuple):
@@ -48,12 +47,33 @@ def gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic) -> np.ndarray:
     return quadratic.r + np.einsum("nxu,nx->nu", B, costates(A, quadratic)[1:])  # Eq. 18
 
 
-def projected(gradient: np.ndarray, bounds: Bounds | None) -> np.ndarray:
+def reduced_gradient(A: np.ndarray, B: np.ndarray, quadratic: Quadratic, bounds: Moves | None) -> np.ndarray:
+    """The gradient (N, nu) where controls that their bounds hold move along them as the state does.
+
+    It is that of Eq. 18 but for bounds that depend on the state: the costate gains d bound/dx times what pushes.
+    """
+    if bounds is None or bounds.lower_by_x is None or bounds.upper_by_x is None:
+        return gradient(A, B, quadratic)
+    found, costate = np.empty_like(quadratic.r), quadratic.q[-1]
+    for n in reversed(range(len(A))):
+        found[n] = g = quadratic.r[n] + B[n].T @ costate  # Eq. 18
+        low, high = _pushing(bounds.lower[n], bounds.upper[n], g)
+        costate = quadratic.q[n] + A[n].T @ costate  # Eq. 16
+        costate += np.where(low, g, 0.0) @ bounds.lower_by_x[n] + np.where(high, g, 0.0) @ bounds.upper_by_x[n]
+    return found
+
+
+def _pushing(lower: np.ndarray, upper: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether controls are at their lower, or upper, bounds and a gradient pushes against these."""
+    return (lower >= -AT_BOUND) & (gradient > 0.0), (upper <= AT_BOUND) & (gradient < 0.0)
+
+
+def projected(gradient: np.ndarray, bounds: Moves | None) -> np.ndarray:
     """A gradient (N, nu) without what pushes against a bound that the control is at: zero at a minimum."""
     if bounds is None:
         return gradient
-    lower, upper = bounds
-    return np.where(((lower >= -AT_BOUND) & (gradient > 0.0)) | ((upper <= AT_BOUND) & (gradient < 0.0)), 0.0, gradient)
+    low, high = _pushing(bounds.lower, bounds.upper, gradient)
+    return np.where(low | high, 0.0, gradient)
 
 
 def riccati(
@@ -61,12 +81,13 @@ def riccati(
     B: np.ndarray,
     quadratic: Quadratic,
     mu: float = 0.0,
-    bounds: Bounds | None = None,
+    bounds: Moves | None = None,
     second: np.ndarray | None = None,
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
-    With bounds each stage's k is the minimum over its box; clamped controls have no gains (see kernels.lq.bounded).
+    With bounds each stage's k is the minimum over its box; clamped controls have no gains, or those that follow their
+    bounds where these depend on the state (see kernels.lq.bounded).
 
     Args:
         A: (N, ndx, ndx).
@@ -91,13 +112,20 @@ def riccati(
         h = quadratic.r[n] + B[n].T @ s[n + 1]
         if quadratic.S is not None:
             H_ux = H_ux + quadratic.S[n]
-        s_x = quadratic.q[n] + A[n].T @ s[n + 1]
+        s_x, follows, more = quadratic.q[n] + A[n].T @ s[n + 1], None, 0.0
         try:
             if bounds is not None:
-                k[n], clamped = box_minimum(H, h, bounds[0][n], bounds[1][n])
+                k[n], clamped = box_minimum(H, h, bounds.lower[n], bounds.upper[n])
                 value += float(h @ k[n] + 0.5 * k[n] @ H @ k[n])
                 kc = np.where(clamped, k[n], 0.0)  # a constant to what is left
-                h, s_x = np.where(clamped, 0.0, h + H @ kc), s_x + H_ux.T @ kc
+                h, s_x = h + H @ kc, s_x + H_ux.T @ kc
+                if bounds.lower_by_x is not None and bounds.upper_by_x is not None:  # the bounds move with the state
+                    rows = np.where((k[n] <= bounds.lower[n])[:, None], bounds.lower_by_x[n], bounds.upper_by_x[n])
+                    follows = np.where(clamped[:, None], rows, 0.0)
+                    along = follows.T @ H_ux
+                    s_x, more = s_x + follows.T @ h, along + along.T + follows.T @ H @ follows
+                    H_ux = H_ux + H @ follows
+                h = np.where(clamped, 0.0, h)
                 H_ux = np.where(clamped[:, None], 0.0, H_ux)
                 H = np.where(clamped[:, None] | clamped, np.diag(clamped.astype(float)), H)
             U = np.linalg.cholesky(H).T
@@ -108,9 +136,12 @@ def riccati(
         Y = np.linalg.solve(U.T, H_ux)
         y = np.linalg.solve(U.T, h)
         K[n] = -np.linalg.solve(U, Y)
+        if follows is not None:
+            K[n] += follows
         if bounds is None:
             k[n] = -np.linalg.solve(U, y)
         P[n] = quadratic.Q[n] + A[n].T @ P[n + 1] @ A[n] + T[:ndx, :ndx] - Y.T @ Y  # Eq. 33
+        P[n] += more
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = s_x - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42
@@ -120,19 +151,19 @@ def riccati(
     return Sweep(K, k, P, s, float(np.sum(gradient(A, B, quadratic) * dus)), value)
 
 
-def direction(
-    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Bounds | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Moves | None = None) -> tuple[np.ndarray, np.ndarray]:
     """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
 
-    With bounds, what leads out of one that the control is at becomes zero: so the clipped controls set out.
+    With bounds, what leads out of one that the control is at follows it: so the clipped controls set out.
     """
     N, ndx, nu = B.shape
     dxs, dus = np.zeros((N + 1, ndx)), np.empty((N, nu))
     for n in range(N):
         dus[n] = sweep.k[n] + sweep.K[n] @ dxs[n]  # Eq. 25
         if bounds is not None:
-            outward = ((bounds[0][n] >= -AT_BOUND) & (dus[n] < 0.0)) | ((bounds[1][n] <= AT_BOUND) & (dus[n] > 0.0))
-            dus[n, outward] = 0.0
+            floor = 0.0 if bounds.lower_by_x is None else bounds.lower_by_x[n] @ dxs[n]
+            ceiling = 0.0 if bounds.upper_by_x is None else bounds.upper_by_x[n] @ dxs[n]
+            dus[n] = np.where((bounds.lower[n] >= -AT_BOUND) & (dus[n] < floor), floor, dus[n])
+            dus[n] = np.where((bounds.upper[n] <= AT_BOUND) & (dus[n] > ceiling), ceiling, dus[n])
         dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
     return dxs, dus

@@ -50,7 +50,7 @@ def roll_out(
             if K is not None and about is not None:
                 us[n] += K[n] @ space.difference(xs[n], about[n])
             if problem.bounds is not None:
-                us[n] = np.clip(us[n], problem.bounds[0][n], problem.bounds[1][n])
+                us[n] = problem.bounds.clip(n, us[n], xs[n])
             xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
             if not np.isfinite(xs[n + 1]).all():
                 return math.inf, us

@@ -31,7 +31,11 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
     cost = planner.TrackingCost.joints(
         dynamics, [2.0, 0.0, 0.0, 0.0], 200, effort=1.0, final_position=1e5, final_velocity=1e5
     )
-    by_hand = planner.solve(planner.Problem(dynamics, cost, crane.home, decrease_tolerance=problem.decrease_tolerance))
+    by_hand = planner.solve(
+        planner.Problem(
+            dynamics, cost, crane.home, limits=planner.Limits.of_model(), decrease_tolerance=problem.decrease_tolerance
+        )
+    )
     np.testing.assert_array_equal(by_hand.us, plan.us)
 
 

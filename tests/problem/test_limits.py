@@ -69,7 +69,7 @@ def test_an_indefinite_quadratic_is_refused():
 def test_bounds_hold_exactly_and_the_end_is_stationary(plan):
     """Karush, Kuhn and Tucker: the gradient (Eq. 19) vanishes where controls are free, and pushes out elsewhere."""
     problem = plan.problem
-    lower, upper = problem.bounds
+    lower, upper = problem.bounds.lower, problem.bounds.upper
     assert plan.success
     assert np.all((plan.us >= lower) & (plan.us <= upper))
     low, high = plan.us == lower, plan.us == upper
@@ -125,7 +125,7 @@ def test_the_slope_is_that_of_the_clipped_rollout():
     engine.start(problem.x0, 3.0 * np.sin(np.arange(2 * problem.N)).reshape(-1, 2) * 4.0)
     xs, us = engine.trajectory()
     A, B = problem.dynamics.linearize(xs, us)
-    sweep = lq.riccati(A, B, problem.cost.quadratize(xs, us), 1.0, engine._moves(us))
+    sweep = lq.riccati(A, B, problem.cost.quadratize(xs, us), 1.0, engine._moves(xs, us))
     step = 1e-7
     _, J = engine._rollout(problem.x0, (us + step * sweep.k)[:, None], sweep.K, xs)
     assert (J[0] - cost) / step == pytest.approx(sweep.slope, rel=1e-4)
@@ -219,7 +219,9 @@ def test_a_first_guess_outside_is_clipped():
 def test_feedback_asks_for_no_more_than_the_bounds(plan):
     pushed = replace(plan, K=50.0 * np.ones_like(plan.K))
     run = planner.replay(pushed, feedback=True)
-    lower, upper = (np.repeat(side, run.substeps, axis=0) for side in plan.problem.bounds)
+    lower, upper = (
+        np.repeat(side, run.substeps, axis=0) for side in (plan.problem.bounds.lower, plan.problem.bounds.upper)
+    )
     assert np.all((run.ctrl >= lower) & (run.ctrl <= upper))
     assert (run.ctrl == upper).any()
 
@@ -255,7 +257,7 @@ def test_limits_of_the_hopper():
         ({"control": (np.zeros(3), np.ones(3))}, "expected \\(2,\\)"),
         ({"position": {"wrist": (0.0, 1.0)}}, "expected one of"),
         ({"position": {"elbow": (1.0, 0.5)}}, "lower bound below the upper"),
-        ({"position": {"elbow": (0.5, 1.0)}}, "the start has elbow at 0, expected 0.5 ... 1 rad"),
+        ({"position": {"elbow": (0.5, 1.0)}}, "the start has elbow at 0 rad, expected 0.5 ... 1 rad: write 0.5"),
         ({"position": {"elbow": 1.0}, "final": "all"}, "expected one of: exact"),
         ({"velocity": 0.0}, "greater than 0"),
         ({"state": {9: (0.0, 1.0)}}, "expected an index of 0 to 3"),

@@ -12,9 +12,10 @@
     effort = 0.01
     final_position = { trolley = 1000.0, swing = 1000.0 }
 
-    [limits]                            # optional; see planner.problem.limits
-    control = "model"                   # or a number, or a table by actuator
-    velocity = { trolley = 1.5 }        # and position: "model", or { joint = [lower, upper] }
+    [limits]                            # optional: the model's own hold unless they are "off"; see problem.limits
+    control = "off"                     # or a number, or a table by actuator; "model" by default
+    velocity = { trolley = 1.5 }        # and position: "model", "off", or { joint = [lower, upper] }
+    margin = 0.02                       # rad or m, how far plans stay off the ends of the model's ranges
     final = "exact"                     # meet the goal exactly where final weights are above 0
 
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
@@ -41,7 +42,14 @@ from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
 from planner.cases.problem_file.step import with_step
-from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
+from planner.cases.problem_file.table import (
+    check_keys,
+    checked_starts,
+    checked_values,
+    read_table,
+    with_defaults,
+    with_model_limits,
+)
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
@@ -83,7 +91,7 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """
     path = Path(path)
-    table = with_defaults(read_table(path), str(path))
+    table = with_defaults(with_model_limits(read_table(path)), str(path))
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")

@@ -28,12 +28,16 @@ KEYS = {
     "weights": "table, below",
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
     "durations": "[shortest, longest] s, between which an objective with time chooses",
-    "limits": "table, below; none by default",
+    "limits": 'table, below; by default the model\'s own, "off" for none',
 }
 LIMITS = {
-    "control": 'bounds of the controls: "model" (ctrlrange, forcerange), a number, or a table by actuator',
-    "position": 'ranges of hinge and slide joints: "model", or a table of [lower, upper] by joint, rad or m',
-    "velocity": "a number for all joints, or a table by joint: a number or [lower, upper], rad/s or m/s",
+    "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '
+    "by actuator",
+    "position": 'ranges of hinge and slide joints: "model", "off", or a table of [lower, upper] by joint, rad or m',
+    "velocity": '"model" (of a URDF), "off", a number for all joints, or a table by joint: a number or [lower, upper], '
+    "rad/s or m/s",
+    "margin": "how far plans stay off the ends of the model's ranges, rad or m: a number or a table by joint; by "
+    "default 1 % of the range, at least 0.01 rad or 1 mm",
     "final": '"exact" for all that has a final weight, or a list of joints: to end at the goal exactly',
     "tolerance": "how far a state may be outside its range, or from an exact goal",
 }
@@ -60,6 +64,8 @@ GROUND = {
     "ramp": "m of smoothing",
 }
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
+MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
+"""What holds unless it is switched off: a key of it is "off", or limits itself is."""
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on",

@@ -11,10 +11,10 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, RESOLVED, WEIGHTS
+from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
-from planner.problem.limits import Limits
+from planner.problem.limits import OFF, Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.solvers.multistart import MOST_STARTS
 
@@ -58,6 +58,16 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
     return {**DEFAULTS, **table, "weights": dict(table.get("weights", {}))}
+
+
+def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:
+    """The table of a file with the limits of its model, as far as it does not say otherwise."""
+    limits = table.get("limits", {})
+    if limits == OFF:
+        limits = dict.fromkeys(MODEL_LIMITS, OFF)
+    if not isinstance(limits, dict):
+        raise PlannerError(f"limits is {shown(limits)}, expected {OFF!r} or a table [limits].")
+    return table | {"limits": MODEL_LIMITS | limits}
 
 
 def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None:

@@ -5,6 +5,8 @@ left as a constant, h += H_c k_c, and leaves it: its row and column become those
 sweep's own steps go on (see riccati), and give a clamped control no gains: feedback does not ask for more than there
 is. Of the others the gains are those of the plain sweep.
 
+A servo that is clamped by a bound of its own follows it, u = k + K dx (see along_bounds).
+
 Compiled apart from the plain sweep, so that a problem without bounds pays nothing.
 """
 
@@ -12,6 +14,7 @@ from __future__ import annotations
 
 import math
 
+from planner.kernels.lq.along_bounds import along_bounds, at_lower, at_upper, follow, gains_along, push_along
 from planner.kernels.lq.box import box_minimum
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
@@ -19,21 +22,7 @@ from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
-from planner.kernels.numba.lanes import at, floats, load, pointer, store
-
-AT_BOUND = 1e-11  # a step can end a few roundings inside a bound
-
-
-@inline
-def at_lower(us, lower, i):
-    """Whether a control is at its lower bound, but for rounding."""
-    return load(us, i) - load(lower, i) <= AT_BOUND
-
-
-@inline
-def at_upper(us, upper, i):
-    """Whether a control is at its upper bound, but for rounding."""
-    return load(upper, i) - load(us, i) <= AT_BOUND
+from planner.kernels.numba.lanes import at, floats, integers, load, pointer, store
 
 
 @inline
@@ -48,16 +37,22 @@ def _projected(w, n):
         pushes = (at_lower(us, lower, i) and g > 0.0) or (at_upper(us, upper, i) and g < 0.0)
         if not pushes:
             norm2 += g * g
+    if w[W.servos] > 0:
+        push_along(w, n)
     return norm2
 
 
 @inline
-def _clamp(w):
+def _clamp(w, mu, n):
     """Take the clamped controls out of the quadratic of a stage."""
-    nu, width = w[W.nu], w[W.width]
+    nu, width, servo = w[W.nu], w[W.width], 0
     M, s, k = floats(w, W.H), floats(w, W.h), floats(w, W.box)
     clamped = at(k, nu)
     for c in range(nu):
+        if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == c:
+            if load(clamped, c) > 0.0:
+                follow(w, mu, n, servo)
+            servo += 1
         if load(clamped, c) > 0.0:
             kc = load(k, c)
             for a in range(c):
@@ -82,7 +77,7 @@ def _finish_bounded(w, mu, n):
     norm2 = _projected(w, n)
     value, definite = box_minimum(w, mu, n)
     if definite:
-        _clamp(w)
+        _clamp(w, mu, n)
         _, definite = factorize(w, mu)
     if definite:
         next_value(w)
@@ -90,6 +85,8 @@ def _finish_bounded(w, mu, n):
         k, box = at(floats(w, W.k), n * nu), floats(w, W.box)
         for a in range(nu):
             store(k, a, load(box, a))
+        if w[W.servos] > 0:
+            gains_along(w, n)
     return norm2, value, definite
 
 
@@ -134,7 +131,7 @@ def riccati_structured_bounded(w, mu, dt):
 def bounded_direction(w, dt):
     """The direction dus (N, nu) in which the clipped controls set out, and the slope of J along it.
 
-    du = k + K dx, but zero where it leads out of a bound that the control is at.
+    du = k + K dx, but along the bound that the control is at where it leads out of it.
     """
     w = pointer(w)
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
@@ -154,6 +151,8 @@ def bounded_direction(w, dt):
                 du = 0.0
             store(dus, i, du)
             slope += load(gradient, i) * du
+        if w[W.servos] > 0:
+            slope += along_bounds(w, n, dx)
         advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))

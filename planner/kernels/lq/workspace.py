@@ -20,11 +20,12 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_hinges hinges exact penalised",
+    "control_terms bounded stage_hinges hinges exact penalised servos",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
-    "hinge_weight hinge_active T costates penalty_hessian",
+    "hinge_weight hinge_active T costates penalty_hessian range_lower range_upper servo_control servo_start servo_x "
+    "servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
 )
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
 ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)
@@ -41,6 +42,7 @@ class Workspace:
         bounds: Lower and upper bounds of the controls, (N, nu) each; None for none.
         hinges: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
             many those are.
+        servos: A planner.problem.control_bounds.Servos, or None.
 
     Attributes:
         table: The argument of kernels.
@@ -62,11 +64,15 @@ class Workspace:
         T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
         penalties: A kernels.tree.penalty_table.PenaltyTable, or None.
+        lower: (N, nu) bounds of the controls; those of servos at the nominal states.
+        upper: (N, nu).
+        lower_share: (N, nu, 2) the parts of a servo's two lines that bound it at the nominal states, 0 for numbers.
+        upper_share: (N, nu, 2).
     """
 
     def __init__(
         self, cost: Any, space: Any, structured: bool, bounds: tuple[np.ndarray, np.ndarray] | None = None,
-        hinges: tuple[np.ndarray, int] | None = None,
+        hinges: tuple[np.ndarray, int] | None = None, servos: Any = None,
     ) -> None:  # fmt: skip
         Q, R = cost.Q, cost.R
         N, nu = R.shape[:2]
@@ -90,6 +96,9 @@ class Workspace:
         self.k, self.dus, self.gradient = (np.zeros((N, nu)) for _ in range(3))
         self.transport = np.zeros((N, len(quaternions), 18))
         lower, upper = (np.empty((0, nu)), np.empty((0, nu))) if bounds is None else bounds
+        self.lower, self.upper = (lower, upper) if servos is None else (lower.copy(), upper.copy())
+        shares = (N, nu, 2) if servos is not None else (0, nu, 2)
+        self.lower_share, self.upper_share = np.zeros(shares), np.zeros(shares)
         hinge_dx, at_end = (np.empty(0, dtype=np.int64), 0) if hinges is None else hinges
         self.hinge_lower, self.hinge_upper, self.hinge_weight, active = (
             np.zeros((N + 1, len(hinge_dx))) for _ in range(4)
@@ -111,10 +120,12 @@ class Workspace:
             "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
             "trial_x": lane_array((N + 1) * nx, WIDTH),
             "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
-            "lower": lower, "upper": upper, "box": np.zeros(nu * (nu + 6)),
+            "lower": self.lower, "upper": self.upper, "box": np.zeros(nu * (nu + 6)),
             "hinge_dx": np.array(hinge_dx, dtype=np.int64), "hinge_lower": self.hinge_lower,
             "hinge_upper": self.hinge_upper, "hinge_weight": self.hinge_weight, "hinge_active": active,
         }  # fmt: skip
+        self._arrays |= {"range_lower": lower, "range_upper": upper, **_servo_arrays(servos)}
+        self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
         self._arrays |= {"T": self.T, "costates": self.costates, "penalty_hessian": np.zeros(0)}
         self.penalties: Any = None
@@ -124,6 +135,7 @@ class Workspace:
             "stage_plain": stage[3], "final_terms": len(final[0]), "final_plain": final[3],
             "control_terms": len(control[0]), "bounded": bounds is not None, "stage_hinges": len(hinge_dx) - at_end,
             "hinges": len(hinge_dx), "exact": False, "penalised": 0,
+            "servos": 0 if servos is None else len(servos.control),
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
@@ -144,6 +156,20 @@ class Workspace:
         self._arrays["penalty_hessian"] = lane_array(len(self.xs), penalties.rows, padded(penalties.rows))
         self.table[W.penalised] = penalties.rows
         self.table[W.penalty_hessian] = self._arrays["penalty_hessian"].ctypes.data
+
+
+def _servo_arrays(servos: Any) -> dict[str, np.ndarray]:
+    """The lines that bound servos, as lists of their entries; a servo's begin at servo_start."""
+    if servos is None:
+        empty = {name: np.empty(0) for name in ("servo_now", "servo_late", "servo_low", "servo_high")}
+        return empty | {f"servo_{name}": np.empty(0, dtype=np.int64) for name in ("control", "start", "x", "dx")}
+    servo, entry = np.nonzero((servos.now != 0.0) | (servos.late != 0.0))
+    return {
+        "servo_control": np.array(servos.control, dtype=np.int64),
+        "servo_start": np.searchsorted(servo, np.arange(len(servos.control) + 1)),
+        "servo_x": servos.in_x[entry], "servo_dx": servos.in_dx[entry], "servo_now": servos.now[servo, entry],
+        "servo_late": servos.late[servo, entry], "servo_low": servos.low, "servo_high": servos.high,
+    }  # fmt: skip
 
 
 def _terms(weights: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

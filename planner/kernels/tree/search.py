@@ -72,6 +72,33 @@ def _clip(w, n, U):
 
 
 @inline
+def _clip_servos(w, n, X, U):
+    """The same where bounds of servos are lines of the state (see planner.problem.control_bounds)."""
+    nu, entry = w[W.nu], integers(w, W.servo_x)
+    lower, upper = at(floats(w, W.range_lower), n * nu), at(floats(w, W.range_upper), n * nu)
+    control, start = integers(w, W.servo_control), integers(w, W.servo_start)
+    now, late = floats(w, W.servo_now), floats(w, W.servo_late)
+    least, most = floats(w, W.servo_low), floats(w, W.servo_high)
+    servo = 0
+    for a in range(nu):
+        low, high = spread(load(lower, a)), spread(load(upper, a))
+        if servo < w[W.servos] and load(control, servo) == a:
+            first, last = spread(0.0), spread(0.0)
+            for t in range(load(start, servo), load(start, servo + 1)):
+                y = load(X, load(entry, t))
+                first += load(now, t) * y
+                last += load(late, t) * y
+            l = maximum(load(least, servo) - first, load(least, servo) - last)
+            h = minimum(load(most, servo) - first, load(most, servo) - last)
+            middle = 0.5 * (l + h)
+            low, high = (
+                minimum(maximum(minimum(l, middle), low), high), minimum(maximum(maximum(h, middle), low), high)
+            )  # fmt: skip
+            servo += 1
+        store(U, a, minimum(maximum(load(U, a), low), high))
+
+
+@inline
 def _control_cost(w, U, n, e):
     """1/2 |u - u_ref|^2 of stage n."""
     nu, u_ref = w[W.nu], at(floats(w, W.u_ref), n * w[W.nu])
@@ -140,7 +167,9 @@ def rollout(w, m, r, search, dt, feedback, external, p):
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
-        if w[W.bounded] > 0:
+        if w[W.servos] > 0:
+            _clip_servos(w, n, X, U)
+        elif w[W.bounded] > 0:
             _clip(w, n, U)
         J += _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)

@@ -49,7 +49,7 @@ def motion(plan: Plan, mechanism: Mechanism, x0: np.ndarray, rates: Rates, feedb
         x, u = normalised(mechanism, x), plan.us[n]
         if feedback:
             wanted = dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([t]))[0]
-            u = plan.within_bounds(n, u + plan.K[n] @ space.difference(x, wanted))
+            u = plan.within_bounds(n, u + plan.K[n] @ space.difference(x, wanted), x)
         return _lifted(mechanism, x, rates(x, u))
 
     for n in range(plan.N):

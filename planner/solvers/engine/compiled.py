@@ -34,7 +34,9 @@ class CompiledEngine(Engine):
         self._bounds, self._dynamics = problem.bounds, dynamics
         ranges = problem.ranges
         hinges = None if ranges is None else (ranges.component, ranges.at_end)
-        self._w = Workspace(cost, space_of(dynamics), dynamics.structured, problem.bounds, hinges)
+        numbers = None if problem.bounds is None else (problem.bounds.lower, problem.bounds.upper)
+        servos = None if problem.bounds is None else problem.bounds.servos
+        self._w = Workspace(cost, space_of(dynamics), dynamics.structured, numbers, hinges, servos)
         self._memory = dynamics.memory(problem.N)
         self._penalised = dynamics if penalties and isinstance(dynamics, PenalisedDynamics) else None
         if self._penalised is not None:
@@ -62,7 +64,7 @@ class CompiledEngine(Engine):
         kernels = self._dynamics.kernels if self._penalised is None else self._penalised.penalised_kernels
         compile_together((sweep, "gradients", *kernels, *more))
         self._w.xs[0] = x0
-        self._w.us[:] = us if self._bounds is None else np.clip(us, *self._bounds)
+        self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
         return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
 
@@ -103,7 +105,9 @@ class CompiledEngine(Engine):
         self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
     ) -> Outcome:
         """The sweep and search of iterate, with bounds."""
-        w, dynamics = self._w, self._dynamics
+        w, dynamics, bounds = self._w, self._dynamics, self._bounds
+        if bounds is not None and bounds.servos is not None:
+            w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
         riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
         norm, value, definite = riccati(w.table, mu, dynamics.dt)
         if not definite:

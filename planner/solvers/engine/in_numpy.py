@@ -12,6 +12,7 @@ from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STE
 from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
+from planner.problem.control_bounds import Moves
 from planner.problem.costs.terms import Quadratic
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -50,9 +51,9 @@ class NumpyEngine(Engine):
         model = self._cost.quadratize(xs, us)
         return model if self._hinges is None or self._ranges is None else self._ranges.added(self._hinges, model, xs)
 
-    def _moves(self, us: np.ndarray) -> lq.Bounds | None:
-        """How far each control may change from us (N, nu)."""
-        return None if self._bounds is None else (self._bounds[0] - us, self._bounds[1] - us)
+    def _moves(self, xs: np.ndarray, us: np.ndarray) -> Moves | None:
+        """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
+        return None if self._bounds is None else self._bounds.moves(xs, us)
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
@@ -62,9 +63,9 @@ class NumpyEngine(Engine):
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
-        us = us if self._bounds is None else np.clip(us, *self._bounds)
-        xs, J = self._rollout(x0, us[:, None, :].copy(), None, us)  # no gains yet
-        self._nominal = xs[:, 0].copy(), us.copy()
+        first = us[:, None, :].copy()
+        xs, J = self._rollout(x0, first, None, us)  # no gains yet
+        self._nominal = xs[:, 0].copy(), first[:, 0].copy()
         if np.isfinite(J[0]):
             _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
             self.largest_control_weight = float(np.abs(self._cost.quadratize(*self._nominal).R).max()) or 1.0
@@ -82,7 +83,7 @@ class NumpyEngine(Engine):
                 if K is not None:
                     us[n] += self._space.difference(xs[n], nominal[n]) @ K[n].T
                 if self._bounds is not None:
-                    us[n] = np.clip(us[n], self._bounds[0][n], self._bounds[1][n])
+                    us[n] = self._bounds.clip(n, us[n], xs[n])
                 xs[n + 1] = self._dynamics.step(xs[n], us[n])  # Eq. 10
             J = np.array([self._value(xs[:, c], us[:, c]) for c in range(candidates)], dtype=float)
         return xs, J
@@ -90,14 +91,17 @@ class NumpyEngine(Engine):
     def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
-        model, moves = self._quadratized(xs, us), self._moves(us)
+        model, moves = self._quadratized(xs, us), self._moves(xs, us)
         if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
             K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
         dx, total = np.zeros(self._space.ndx), 0.0
         for n in range(len(us)):
             du = self._dus[n] + K[n] @ dx if K is not None else self._dus[n]
-            if moves is not None:  # what is clipped stays where it is
-                du = np.where(((moves[0][n] >= 0.0) & (du < 0.0)) | ((moves[1][n] <= 0.0) & (du > 0.0)), 0.0, du)
+            if moves is not None:  # what is clipped stays where it is, or follows its bound
+                floor = 0.0 if moves.lower_by_x is None else moves.lower_by_x[n] @ dx
+                ceiling = 0.0 if moves.upper_by_x is None else moves.upper_by_x[n] @ dx
+                du = np.where((moves.lower[n] >= 0.0) & (du < floor), floor, du)
+                du = np.where((moves.upper[n] <= 0.0) & (du > ceiling), ceiling, du)
             total += float(model.q[n] @ dx + model.r[n] @ du)
             dx = A[n] @ dx + B[n] @ du
         return total + float(model.q[-1] @ dx)
@@ -126,10 +130,11 @@ class NumpyEngine(Engine):
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._quadratized(xs0, us0)
-            self._gradient = lq.gradient(self._A, self._B, self._model)
-            self._norm = float(np.linalg.norm(lq.projected(self._gradient, self._moves(us0))))
+            moves = self._moves(xs0, us0)
+            self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
+            self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
             self._second = self._second_order(xs0, us0) if self._exact else None
-        moves = self._moves(us0)
+        moves = self._moves(xs0, us0)
         sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second if self._swept else None)
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)

@@ -24,9 +24,9 @@ def draw_control_bounds(axes: Axes, plan: Plan, index: int, colour: str) -> None
     """Draw the bounds of one control, and shade the stages in which it is at one."""
     if plan.problem is None or plan.problem.bounds is None:
         return
-    lower, upper = (side[:, index] for side in plan.problem.bounds)
-    u = plan.us[:, index]
-    _draw(axes, plan.t, lower, upper, (u <= lower) | (u >= upper), colour, held=True)
+    bounds = plan.problem.bounds
+    lower, upper = (side[:, index] for side in bounds.at(slice(None), plan.xs[:-1]))
+    _draw(axes, plan.t, lower, upper, bounds.at_bound(plan.xs, plan.us)[:, index], colour, held=True)
 
 
 def draw_state_range(axes: Axes, plan: Plan, index: int, colour: str) -> None:

@@ -1,0 +1,136 @@
+"""Bounds of the controls of a problem: numbers for each stage, and for servos bounds that depend on the state.
+
+A servo's force is F = gain u + bias[0] + bias[1] length + bias[2] length rate, and its file clamps F. So its control is
+bounded by lines of the state, u within (F - bias(x)) / gain, and by its ctrlrange. The control is held over a stage
+while the joints move on: a second pair of lines has the lengths at the stage's end, as the velocities at its start
+predict them. Where the two pairs leave nothing in between, their mean is taken; where they lie outside of the
+ctrlrange, the end of it that is nearest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+AT_BOUND = 1e-11  # as in kernels.lq.bounded
+
+
+class Moves(NamedTuple):
+    """How far each control may change at a trajectory, and how its bounds change with the state."""
+
+    lower: np.ndarray  # (N, nu) at most 0
+    upper: np.ndarray  # (N, nu) at least 0
+    lower_by_x: np.ndarray | None = None  # (N, nu, ndx) of the bounds; None where they are constant
+    upper_by_x: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """Lines low - c y <= u <= high - c y of S controls in M entries y of the state, c being `now` and `late`."""
+
+    control: np.ndarray  # (S,) which controls
+    in_x: np.ndarray  # (M,) the entries of a state
+    in_dx: np.ndarray  # (M,) the same of a deviation
+    low: np.ndarray  # (S,)
+    high: np.ndarray  # (S,)
+    now: np.ndarray  # (S, M) at the start of a stage
+    late: np.ndarray  # (S, M) at its end
+    ndx: int
+
+    def lines(self, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Lower and upper bounds (..., S) at states xs (..., nx), and for each the parts (..., S, 2) of both lines."""
+        y = xs[..., self.in_x]
+        at = np.stack([y @ self.now.T, y @ self.late.T], axis=-1)  # (..., S, 2)
+        low, high = self.low[:, None] - at, self.high[:, None] - at
+        parts = [
+            np.stack([first, ~first], axis=-1) for first in (low[..., 0] >= low[..., 1], high[..., 0] <= high[..., 1])
+        ]
+        lower, upper = low.max(axis=-1), high.min(axis=-1)
+        crossed = lower > upper
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (lower + upper)
+        lower, upper = np.where(crossed, middle, lower), np.where(crossed, middle, upper)
+        parts = [np.where(crossed[..., None], 0.5, part) for part in parts]
+        return lower, upper, parts[0], parts[1]
+
+
+@dataclass(frozen=True, eq=False)
+class ControlBounds:
+    """Lower and upper bounds of the controls, (N, nu) each, and those of servos."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    servos: Servos | None = None
+
+    def at(self, stages: Any, xs: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds (..., nu) of stages (an index, a slice or (...,)) at states xs (..., nx).
+
+        Without states those of servos are left out.
+        """
+        lower, upper = self.lower[stages], self.upper[stages]
+        if self.servos is None or xs is None:
+            return lower, upper
+        low, high, _, _ = self._sides(stages, xs)
+        return low, high
+
+    def clip(self, stages: Any, us: np.ndarray, xs: np.ndarray | None) -> np.ndarray:
+        """Controls us (..., nu) put back within the bounds at states xs (..., nx)."""
+        return np.clip(us, *self.at(stages, xs))
+
+    def at_bound(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Whether controls us (N, nu) along the states xs (N+1, nx) are at a bound, or outside."""
+        lower, upper = self.at(slice(None), xs[: len(us)])
+        nearly = 0.0 if self.servos is None else AT_BOUND * np.maximum(1.0, np.abs(us))
+        return (us <= lower + nearly) | (us >= upper - nearly)
+
+    def moved(self, us: np.ndarray, xs: np.ndarray, to: np.ndarray) -> np.ndarray:
+        """Controls us (N, nu) at bounds along the states xs (N+1, nx), moved as their bounds are along `to`."""
+        if self.servos is None:
+            return us
+        (lower, upper), after = self.at(slice(None), xs[: len(us)]), self.at(slice(None), to[: len(us)])
+        low = us - lower < upper - us
+        return us + np.where(low, after[0] - lower, after[1] - upper)
+
+    def moves(self, xs: np.ndarray, us: np.ndarray) -> Moves:
+        """How far controls us (N, nu) along the states xs (N+1, nx) may change."""
+        if self.servos is None:
+            return Moves(self.lower - us, self.upper - us)
+        lower, upper, *shares = self.shares(xs, us)
+        servos, by_x = self.servos, [np.zeros((*us.shape, self.servos.ndx)) for _ in range(2)]
+        for rows, share in zip(by_x, shares, strict=True):
+            of_servos = share[:, servos.control]
+            slopes = -(of_servos[..., :1] * servos.now + of_servos[..., 1:] * servos.late)  # (N, S, M)
+            rows[:, servos.control[:, None], servos.in_dx] = slopes
+        return Moves(lower - us, upper - us, *by_x)
+
+    def shares(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Bounds (N, nu) along states xs (N+1, nx), and the parts (N, nu, 2) of both lines; 0 where a number bounds.
+
+        Where controls us (N, nu) are at bounds but for rounding, these are the bounds: the minimum over a box would
+        else take the smallest of steps.
+        """
+        lower, upper, by_low, by_high = self._sides(slice(None), xs[: len(us)])
+        nearly = AT_BOUND * np.maximum(1.0, np.abs(us))
+        lower, upper = (
+            np.where(np.abs(us - lower) <= nearly, us, lower),
+            np.where(np.abs(us - upper) <= nearly, us, upper),
+        )
+        return lower, upper, by_low, by_high
+
+    def _sides(self, stages: Any, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """As shares, for any stages and states."""
+        assert self.servos is not None
+        shape = np.broadcast_shapes(self.lower[stages].shape, (*xs.shape[:-1], self.lower.shape[1]))
+        lower, upper = (np.broadcast_to(side[stages], shape).copy() for side in (self.lower, self.upper))
+        which = self.servos.control
+        least, most = lower[..., which], upper[..., which]
+        low, high, by_low, by_high = self.servos.lines(xs)
+        shares = []
+        for bound, side, part in ((lower, low, by_low), (upper, high, by_high)):
+            bound[..., which] = np.minimum(np.maximum(side, least), most)
+            share = np.zeros((*shape, 2))
+            share[..., which, :] = np.where(((side > least) & (side < most))[..., None], part, 0.0)
+            shares.append(share)
+        return lower, upper, shares[0], shares[1]

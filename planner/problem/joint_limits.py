@@ -1,0 +1,86 @@
+"""Ranges of joints as a plan keeps them: those of the model less a margin, with starts and goals at their very ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import choice, number, shown
+from planner.base.errors import PlannerError
+from planner.model.coordinates import LENGTH, Coordinate
+from planner.model.mechanism import SCREW, Mechanism
+
+SHARE = 0.01  # of a range, the margin by default
+LEAST = {"rad": 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
+WIDEST = 0.1  # of a range: the fingers of a gripper move by few millimetres
+ROUNDING = 1e-6  # of a range: a start outside by less is at its end
+
+
+class Range(NamedTuple):
+    """Where a coordinate is to stay."""
+
+    low: float
+    high: float
+    least: float  # The ends of the model's own range, where low and high are nearer to each other by the margin
+    most: float
+    of_model: bool = False
+
+    @classmethod
+    def of(cls, low: float, high: float) -> Range:
+        """A range without a margin."""
+        return cls(low, high, low, high)
+
+    def met(self, value: float) -> Range | None:
+        """The range with room for a value in the margin; None where the value is outside of the model's range too."""
+        width = self.most - self.least
+        slack = ROUNDING * width if np.isfinite(width) else 0.0
+        if not self.least - slack <= value <= self.most + slack:
+            return None
+        inside = min(max(value, self.least), self.most)
+        return self._replace(low=min(self.low, inside), high=max(self.high, inside))
+
+    def refusal(self, coordinate: Coordinate, value: float) -> str:
+        """The end of a sentence about a value outside."""
+        name, unit = coordinate
+        nearest = self.least if value < self.least else self.most
+        said = f", expected {self.least:g} ... {self.most:g} {unit}".rstrip() + f": write {nearest:.6g}"
+        return said + (f', or limits.position = {{ {name} = "off" }}.' if self.of_model else ".")
+
+
+def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
+    """The ranges of hinges and slides by degree of freedom, but for those whose stops the mechanism has itself."""
+    stopped = {stop.dof for stop in mechanism.stops}
+    found = {}
+    for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True):
+        i = links.start
+        low, high = map(float, mechanism.joint_range[i])
+        single = links.stop - i == 1 and mechanism.kind[i] == SCREW
+        if single and i not in stopped and np.isfinite([low, high]).any():
+            keep = min(_margin(mechanism, name, i, margin), 0.5 * (high - low))
+            found[i] = Range(low + keep, high - keep, low, high, of_model=True)
+    return found
+
+
+def check_margin(mechanism: Mechanism, margin: Any) -> None:
+    """Raise a PlannerError where a margin is neither a number nor a table of numbers by joint."""
+    if isinstance(margin, Mapping):
+        for joint, value in margin.items():
+            choice("the joint in the limits' margin", joint, [name for name in mechanism.joint_names if name])
+            number(f"the margin of joint {joint!r}", value, least=0.0)
+    elif margin is not None:
+        if isinstance(margin, str):
+            raise PlannerError(f"the limits' margin is {shown(margin)}, expected a number or a table by joint.")
+        number("the limits' margin", margin, least=0.0)
+
+
+def _margin(mechanism: Mechanism, name: str, i: int, margin: Any) -> float:
+    given = margin.get(name) if isinstance(margin, Mapping) else margin
+    if given is not None:
+        return float(given)
+    width = float(np.ptp(mechanism.joint_range[i]))
+    if not np.isfinite(width):
+        width = 0.0
+    least = LEAST["rad" if np.any(mechanism.S[i, :3]) else LENGTH]
+    return max(SHARE * width, min(least, WIDEST * width) if width else least)

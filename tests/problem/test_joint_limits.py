@@ -1,0 +1,159 @@
+"""Ranges of the model as limits of a plan: margins, starts and goals at the ends, defaults of a problem file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from carts import CART, refuse
+
+import planner
+from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
+from planner.cases.problem_file import load
+from planner.model.contact.laws import Law, Stop
+
+REACH = """
+<mujoco>
+  <option gravity="0 0 -9.81"/>
+  <worldbody>
+    <body>
+      <joint name="slide" type="slide" axis="1 0 0" range="-0.5 0.5" limited="true" damping="1"/>
+      <geom size="0.05" mass="2"/>
+      <body>
+        <joint name="turn" axis="0 1 0" range="-114.59155902616465 57.29577951308232" limited="true" damping="0.2"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="slide"/><motor name="twist" joint="turn" ctrlrange="-4 4"/></actuator>
+</mujoco>
+"""
+
+
+def reach(start=(0.0, 0.0), goal=(0.2, 0.5), text=REACH, N=50, **limits):
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text, contacts="off"), 0.02)
+    cost = TrackingCost.joints(dynamics, [*goal, 0.0, 0.0], N, effort=0.01, final_position=1e3, final_velocity=1e3)
+    limits = Limits(**({"control": "model", "position": "model"} | limits))
+    return Problem(dynamics, cost, [*start, 0.0, 0.0], limits=limits)
+
+
+def kept(problem):
+    """Lower and upper bounds of slide and turn at the knots."""
+    ranges = problem.ranges
+    low, high = (side + ranges.reference[:, :2] for side in (ranges.lower[:, :2], ranges.upper[:, :2]))
+    return low[1], high[1]
+
+
+def test_ranges_are_kept_with_a_margin():
+    low, high = kept(reach())
+    np.testing.assert_allclose(low, [-0.49, -1.97])  # 1 % of 1 m and of 3 rad
+    np.testing.assert_allclose(high, [0.49, 0.97])
+    low, high = kept(reach(margin=0.05))
+    np.testing.assert_allclose(low, [-0.45, -1.95])
+    low, high = kept(reach(margin={"turn": 0.2}))
+    np.testing.assert_allclose(high, [0.49, 0.8])
+    low, high = kept(reach(goal=(0.0, -0.5), margin=100.0))  # never beyond the middle, but for the goal
+    np.testing.assert_allclose(low, [0.0, -0.5])
+    np.testing.assert_allclose(high, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(("range_", "margin"), [("-0.5 0.5", 0.01), ("0 0.02", 2e-4 * 5), ("0 0.004", 4e-4)])
+def test_a_finger_keeps_a_margin_of_a_tenth_at_most(range_, margin):
+    """A range of 20 mm keeps 1 mm, one of 4 mm a tenth."""
+    problem = reach(goal=(0.001, 0.5), start=(0.001, 0.0), text=REACH.replace("-0.5 0.5", range_))
+    _, high = kept(problem)
+    assert high[0] == pytest.approx(float(range_.split()[1]) - margin)
+
+
+def test_starts_and_goals_at_the_very_ends_are_met():
+    problem = reach(start=(-0.5, 0.995), goal=(0.497, -2.0))
+    low, high = kept(problem)
+    np.testing.assert_allclose(low, [-0.5, -2.0])
+    np.testing.assert_allclose(high, [0.497, 0.995])
+    plan = planner.solve(problem)
+    assert plan.success
+    np.testing.assert_allclose(plan.xs[-1], [0.497, -2.0, 0.0, 0.0], atol=5e-3)
+    beyond = reach(start=(-0.5 - 4e-7, 0.0))  # by rounding: taken, and the bound is the file's
+    assert kept(beyond)[0][0] == pytest.approx(-0.5, abs=1e-15)
+
+
+def test_what_is_outside_says_what_to_write():
+    with pytest.raises(PlannerError, match=r"the start has slide at 0.7 m, expected -0.5 ... 0.5 m: write 0.5, or"):
+        reach(start=(0.7, 0.0))
+    with pytest.raises(PlannerError, match=r"the goal has turn at 1.2 rad, expected -2 ... 1 rad: write 1, or lim"):
+        reach(goal=(0.0, 1.2))
+    reach(goal=(0.0, 1.2), position={"turn": "off"})
+    reach(goal=(0.0, 1.2), position="off")
+    with pytest.raises(PlannerError, match="margin"):
+        reach(margin=-1.0)
+    with pytest.raises(PlannerError, match="margin"):
+        reach(margin={"wrist": 0.1})
+
+
+def test_a_plan_at_its_ranges_is_proven():
+    """The swing would pass the stop by far: within its limits no step fails by it."""
+    free = planner.solve(reach(goal=(0.2, 0.98), position="off", control="off"))
+    assert free.xs[:, 1].max() > 0.97
+    plan = planner.solve(reach(goal=(0.2, 0.98)))
+    assert plan.success
+    proof = planner.prove(plan)
+    assert proof.passed, str(proof)
+    assert {one.name: one.value for one in proof.your_file.measured}["unknown_stops"] == 0.0
+
+
+def test_stops_that_the_plan_models_are_no_limits():
+    stop = Stop(1, 1.0, 1, Law(1e4, 10.0))
+    problem = reach()
+    machine = replace(problem.dynamics.mechanism, stops=(stop,))
+    again = replace(problem, dynamics=RigidBodyDynamics(machine, 0.02))
+    assert problem.ranges.component.tolist() == [0, 1]
+    assert again.ranges.component.tolist() == [0]
+
+
+def test_limits_of_velocities_come_from_the_mechanism():
+    machine = replace(Mechanism.from_mjcf(REACH, contacts="off"), velocity_limit=np.array([np.inf, 1.5]))
+    dynamics = RigidBodyDynamics(machine, 0.02)
+    cost = TrackingCost.joints(dynamics, [0.2, 0.5, 0.0, 0.0], 20, effort=1.0, final_position=1.0)
+    ranges = Problem(dynamics, cost, np.zeros(4), limits=Limits(velocity="model")).ranges
+    assert ranges.component.tolist() == [3]
+    assert ranges.upper[1, 0] == 1.5
+    slower = Problem(dynamics, cost, np.zeros(4), limits=Limits(velocity={"slide": 1.0})).ranges
+    assert slower.component.tolist() == [2, 3]
+    assert Problem(dynamics, cost, np.zeros(4), limits=Limits(velocity={"turn": "off"})).ranges is None
+
+
+def problem_file(folder, limits="", goal="{ slide = 0.2, turn = 0.5 }", text=REACH):
+    (folder / "reach.xml").write_text(text, encoding="utf-8")
+    path = folder / "problem.toml"
+    lines = ['model = "reach.xml"', "start = [0.0, 0.0]", f"goal = {goal}", "duration = 1.0", "dt = 0.02", limits]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_the_model_s_limits_hold_in_a_problem_file(tmp_path):
+    problem = load(problem_file(tmp_path)).problem
+    assert problem.bounds.upper[0].tolist() == [np.inf, 4.0]
+    np.testing.assert_allclose(kept(problem)[1], [0.49, 0.97])
+    again = planner.load_plan(planner.solve(problem).save(tmp_path / "plan.npz"))
+    assert again.problem.limits.to_dict() == problem.limits.to_dict()
+    refuse(problem_file(tmp_path, goal="{ turn = 1.2 }"), "the goal has turn at 1.2 rad", "write 1")
+
+
+def test_limits_are_switched_off(tmp_path):
+    problem = load(problem_file(tmp_path, 'limits = "off"')).problem
+    assert problem.bounds is None
+    assert problem.ranges is None
+    again = planner.load_plan(planner.solve(problem).save(tmp_path / "plan.npz"))
+    assert again.problem.bounds is None
+    one = load(problem_file(tmp_path, '[limits]\ncontrol = "off"\nmargin = { turn = 0.1 }')).problem
+    assert one.bounds is None
+    np.testing.assert_allclose(kept(one)[1], [0.49, 0.9])
+    other = load(problem_file(tmp_path, "[limits]\nposition = { slide = [-0.3, 0.3] }")).problem
+    np.testing.assert_allclose(kept(other)[1], [0.3, 0.97])
+    refuse(problem_file(tmp_path, 'limits = "none"'), "'none'", "'off'")
+    refuse(problem_file(tmp_path, "[limits]\nmargin = -1"), "margin")
+
+
+def test_a_file_without_ranges_has_no_limits(tmp_path):
+    problem = load(problem_file(tmp_path, text=CART.replace("slider", "slide").replace("pole", "turn"))).problem
+    assert problem.bounds is None
+    assert problem.ranges is None
