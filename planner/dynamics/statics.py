@@ -82,6 +82,12 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
     )
 
 
+def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
+    """How far a pose (nx,) is above the ground, m: its lowest contact; infinite without contacts."""
+    depths = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).depths
+    return -float(np.max(depths, initial=-np.inf))
+
+
 def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Controls (nu,) that together with the ground give a generalized force.
 

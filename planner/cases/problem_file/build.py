@@ -6,7 +6,7 @@
     duration = 4.0                      # s
     dt = 0.02                           # s
 
-    contacts = "ground"               # optional: a law for feet (see model.contact.laws); settle = true puts them down
+    contacts = "ground"               # optional: chosen by itself (see planner.model.mjcf.contact_choice), as is settle
 
     [weights]                           # numbers, or tables by joint (effort: by actuator)
     effort = 0.01
@@ -40,11 +40,12 @@ from planner.base.arguments import array, choice, count, did_you_mean, number, s
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED
+from planner.cases.problem_file.on_ground import on_ground
 from planner.cases.problem_file.table import check_keys, checked_starts, checked_values, read_table, with_defaults
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.read import read
 from planner.model.mjcf.refuse import KINDS
@@ -137,12 +138,11 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
-        choice("contacts", contacts, ("on", "off", "ground"))
-    if contacts not in ("on", "off"):
-        # a stored model has the law already
-        contacts = (
-            "on" if assets is not None else _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
-        )
+        choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
+    if assets is not None and contacts not in ("avoid", "off"):  # a stored model has the law already
+        contacts = "auto"
+    elif isinstance(contacts, dict):
+        contacts = _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
     mechanism = read(model, ignore=tuple(ignore), contacts=contacts, assets=assets)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
@@ -150,9 +150,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     return mechanism
 
 
-def _contact_law(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
-    """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
-    law = {} if isinstance(law, str) else law
+def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
+    """The law of a table of GROUND for the machine's mass, or of a table of LAW."""
     if "stiffness" in law:
         check_keys(law, LAW, "a contacts table with stiffness")
         return ContactLaw(**law)
@@ -170,10 +169,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
     goal = state_of("goal", table["goal"], mechanism, at_rest)
-    if not isinstance(table["settle"], bool):
-        raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
-    if table["settle"]:
-        x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
+    if table["contacts"] == "auto" and mechanism.contacts_mode:
+        table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
+    x0, goal, notes = on_ground(mechanism, x0, goal, table["settle"], table["contacts"] == "ground")
     table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
@@ -205,13 +203,6 @@ def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
     return np.concatenate([holding_controls(free, x0), np.zeros(len(driven))])
-
-
-def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    try:
-        return settled(mechanism, x)
-    except PlannerError as error:
-        raise PlannerError(f"settle of {name}: {error}") from None
 
 
 def _states_of(mechanism: Mechanism) -> str:

@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from planner.model.mjcf.contact_points import shape_of
 from planner.model.mjcf.refuse import Refusal, unmodelled
 from planner.model.mjcf.survey import compile_model, contact_pairs, named
 
@@ -83,6 +84,8 @@ def names_of(model: Any, pair: tuple[int, int]) -> frozenset[GeomName]:
 
 def _name_of(model: Any, geom: int) -> GeomName:
     name = model.geom(geom).name
+    if (shape := shape_of(name)) != name:  # a point that stands for it in the plan's text
+        return _name_of(model, int(model.geom(shape).id))
     if name and name != f"geom number {geom}":  # which is the name that an edit gives to one without
         return name
     body = int(model.geom_bodyid[geom])
