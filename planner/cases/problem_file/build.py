@@ -69,6 +69,7 @@ class ProblemFile(NamedTuple):
     seed: int
     objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
+    notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -82,9 +83,11 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
-    problem = _problem(table, _mechanism(path.parent / table["model"], table, None), str(path))
+    mechanism = _mechanism(path.parent / table["model"], table, None)
+    problem, notes = _problem(table, mechanism, str(path))
+    notes = (*([f"{mechanism.contacts_choice}."] if mechanism.contacts_choice else []), *notes)
     given = problem.parameters
-    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"))
+    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes)
 
 
 def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
@@ -113,7 +116,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
         raise PlannerError("its model is missing.")
     table = with_defaults(table, "the plan")
     mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
-    return _problem(table, mechanism, "the plan")
+    return _problem(table, mechanism, "the plan")[0]
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -129,7 +132,7 @@ def load_problem(path: str | Path) -> Problem:
 
 
 def _again(mechanism: Mechanism, **table: Any) -> Problem:
-    return _problem(with_defaults(table, "the problem file"), mechanism, "the problem file")
+    return _problem(with_defaults(table, "the problem file"), mechanism, "the problem file")[0]
 
 
 def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
@@ -160,7 +163,8 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
     return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
 
 
-def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
+def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> tuple[Problem, tuple[str, ...]]:
+    """The problem of a table, and sentences about what was done to its start and goal."""
     for key in REQUIRED:
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
@@ -171,7 +175,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     goal = state_of("goal", table["goal"], mechanism, at_rest)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
-    x0, goal, notes = on_ground(mechanism, x0, goal, table["settle"], table["contacts"] == "ground")
+    x0, goal, notes = on_ground(mechanism, table, x0, goal)
     table, N = checked_values(table)
     prescribed = _prescribed(table, mechanism)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed)
@@ -185,7 +189,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         tolerance=table["tolerance"],
     )  # fmt: skip
     check_departure(problem)
-    return with_objective(problem, table["objective"]) if "objective" in table else problem
+    return with_objective(problem, table["objective"]) if "objective" in table else problem, notes
 
 
 def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:

@@ -23,7 +23,8 @@ from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.survey import Pair, Survey, disabled, named
 
 MODES = ("auto", "avoid", "ground", "model", "off")
-_LEVEL = 1e-6  # of gravity, along a slide that is level
+LEVEL = 0.8  # of gravity, across a plane that carries
+_STEEP = 1e-6  # of gravity, along a slide that is not level
 
 
 class Choice(NamedTuple):
@@ -65,7 +66,8 @@ def ground_pairs(survey: Survey) -> list[Pair]:
         if root not in falling:
             continue
         if survey.model.geom_type[flat] == int(load_mujoco().mjtGeom.mjGEOM_PLANE):
-            planes.append(pair)
+            if _is_ground(survey, flat):
+                planes.append(pair)
         elif _lies_above(survey, flat, other):
             boxes.append((root, pair))
     on_planes = {int(survey.model.body_rootid[survey.model.geom_bodyid[list(pair.geoms)].max()]) for pair in planes}
@@ -89,7 +91,7 @@ def _of_ground(survey: Survey, standing: Sequence[Pair]) -> str:
     law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
     others = len(survey.pairs) - len(standing)
     phrase = f"contacts of {_pairs(len(standing))} with the ground are planned with a law for {law}"
-    return phrase + (f"; {_pairs(others)} more must not touch" if others else "")
+    return phrase + (f"; {others} other pair{'s' * (others != 1)} must not touch" if others else "")
 
 
 def _pairs(number: int) -> str:
@@ -114,7 +116,7 @@ def _falling(survey: Survey) -> dict[int, bool]:
                 falls = not held[dof : dof + 6].any()
             elif model.jnt_type[joint] == int(joints.mjJNT_SLIDE):
                 slope = abs(float(home.xaxis[joint] @ gravity))
-                falls |= bool(slope > _LEVEL * np.linalg.norm(gravity) and not held[dof])
+                falls |= bool(slope > _STEEP * np.linalg.norm(gravity) and not held[dof])
         if falls:
             found[body] = bool(driven[model.body_rootid[model.dof_bodyid] == root].any())
     return found
@@ -132,6 +134,12 @@ def _driven(model: Any) -> np.ndarray:
             joints = model.wrap_type[wraps] == int(load_mujoco().mjtWrap.mjWRAP_JOINT)
             driven[np.isin(model.dof_jntid, model.wrap_objid[wraps][joints])] = True
     return driven
+
+
+def _is_ground(survey: Survey, flat: int) -> bool:
+    """Whether a plane is level enough to stand on; others are walls."""
+    plane, gravity = plane_of(survey, flat), np.array(survey.model.opt.gravity)
+    return plane is not None and bool(-plane.normal @ gravity > LEVEL * np.linalg.norm(gravity))
 
 
 def _lies_above(survey: Survey, flat: int, other: int) -> bool:
