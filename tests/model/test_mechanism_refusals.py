@@ -84,7 +84,7 @@ def as_values(m):
     values |= {"bodies": [vars(f) for f in m.bodies], "sites": {name: vars(f) for name, f in m.sites.items()}}
     return {
         name: values[name]
-        for name in values.keys() - {"ignored", "original", "actuators", "space", "quaternions", "home"}
+        for name in values.keys() - {"ignored", "original", "contacts_mode", "contacts_choice", "actuators", "space", "quaternions", "home"}
     }
 
 
@@ -92,7 +92,7 @@ def as_values(m):
     ("kind", "text", "names"), REFUSED, ids=[f"{kind}-{i}" for i, (kind, _, _) in enumerate(REFUSED)]
 )
 def test_refused_by_name_and_taken_out(kind, text, names):
-    contacts = "on" if "contact=" in text else "off"
+    contacts = "model" if "contact=" in text else "off"
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text, contacts=contacts)
     for name in names:
@@ -180,7 +180,7 @@ def test_contacts_are_taken_out_by_their_option_alone():
     assert Mechanism.from_mjcf(text, contacts="off").ignored == ("contacts",)
     assert Mechanism.from_mjcf(plain(), contacts="off").ignored == ()
     assert Mechanism.from_mjcf(text.replace("<option>", '<option><flag contact="disable"/>')).ignored == ()
-    with pytest.raises(PlannerError, match="contacts is 'of', expected one of: on, off"):
+    with pytest.raises(PlannerError, match="contacts is .of., expected one of: auto, avoid"):
         Mechanism.from_mjcf(text, contacts="of")
 
 

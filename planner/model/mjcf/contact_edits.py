@@ -129,8 +129,8 @@ def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[Eleme
     worlds = root.findall("worldbody")
     bodies = [body for world in worlds for body in _bodies(world)]
     geoms = [geom for parent in (*worlds, *bodies) for geom in _own(parent, "geom")]
-    _named("body", bodies, [model.body(i).name for i in range(1, model.nbody)])
-    _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)])
+    _named("body", bodies, [model.body(i).name for i in range(1, model.nbody)], 1)
+    _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)], 0)
     return ["world", *(body.attrib["name"] for body in bodies)], geoms
 
 
@@ -143,11 +143,12 @@ def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element
     return joints
 
 
-def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> None:
+def _named(kind: str, elements: list[ElementTree.Element], known: list[str], first: int) -> None:
+    """Name the elements that have no name by MuJoCo's number of them."""
     if [element.get("name", "") for element in elements] != known:
         missing = f"the file has not all {kind}s of the model (<attach>, <replicate>)"
         raise ModelError(f"{missing}, so no law is given to it.")
-    for i, element in enumerate(elements):
+    for i, element in enumerate(elements, first):
         if not element.get("name"):
             element.set("name", f"{kind} number {i}")
 

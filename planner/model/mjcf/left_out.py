@@ -6,6 +6,7 @@ same: both have both texts.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,8 @@ from planner.model.mjcf.survey import compile_model, contact_pairs, named
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
 _COUNTED = ("equality", "actuator", "mocap")  # the element is out, and not only something of it
 _PLURALS = {"equality": "equalities", "body": "bodies", "mocap": "mocap bodies"}
+
+_NUMBERED = re.compile(r"geom number \d+")
 
 GeomName = tuple[str, int] | str
 """A geom by its name, or by its body and its place there: edits of a text keep both."""
@@ -86,7 +89,7 @@ def _name_of(model: Any, geom: int) -> GeomName:
     name = model.geom(geom).name
     if (shape := shape_of(name)) != name:  # a point that stands for it in the plan's text
         return _name_of(model, int(model.geom(shape).id))
-    if name and name != f"geom number {geom}":  # which is the name that an edit gives to one without
+    if name and not _NUMBERED.fullmatch(name):  # the name that an edit gives to one without
         return name
     body = int(model.geom_bodyid[geom])
     return model.body(body).name or f"body number {body}", geom - int(model.body_geomadr[body])
