@@ -132,9 +132,9 @@ def test_everything_in_one_sentence():
         joint='frictionloss="1"', body='gravcomp="1"', tendon=TENDON % 'damping="1"', actuator=MUSCLE,
         equality='<joint name="lock" joint1="h"/>', world='<geom name="floor" type="plane" size="1 1 1"/>',
     )  # fmt: skip
-    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'lock'", "geom 'floor'", "contacts='off'"]
+    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'lock'", "geom 'floor'", "contacts='avoid'"]
     with pytest.raises(PlannerError) as error:
-        Mechanism.from_mjcf(text)
+        Mechanism.from_mjcf(text, contacts="model")
     for part in parts:
         assert part in str(error.value)
     assert "\n" not in str(error.value)
@@ -176,7 +176,9 @@ def test_elements_that_cannot_act_are_no_reason_to_refuse():
 def test_contacts_are_taken_out_by_their_option_alone():
     text = plain(world='<geom name="floor" type="plane" size="1 1 1"/>')
     with pytest.raises(PlannerError, match="contacts of geom 'floor' and geom number 1 and 1 more pairs"):
-        Mechanism.from_mjcf(text)
+        Mechanism.from_mjcf(text, contacts="model")
+    with pytest.raises(PlannerError, match=r"contacts is 'on', expected one of: .* Did you mean 'model'\?"):
+        Mechanism.from_mjcf(text, contacts="on")
     assert Mechanism.from_mjcf(text, contacts="off").ignored == ("contacts",)
     assert Mechanism.from_mjcf(plain(), contacts="off").ignored == ()
     assert Mechanism.from_mjcf(text.replace("<option>", '<option><flag contact="disable"/>')).ignored == ()

@@ -38,7 +38,7 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
     """The mode of contacts "auto", or of the mode that was asked for, with its sentence."""
     if not survey.pairs:
         return Choice("")
-    falling = _falling(survey)
+    falling = falling_trees(survey)
     standing = ground_pairs(survey)
     if asked == "auto":
         asked = "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
@@ -55,7 +55,7 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
 
 def ground_pairs(survey: Survey) -> list[Pair]:
     """The pairs of what can fall and a plane of the world, or the top of a box at rest that it lies above."""
-    falling = _falling(survey)
+    falling = falling_trees(survey)
     planes, boxes = [], []
     for pair in survey.pairs:
         match = meets_plane(survey, pair.geoms)
@@ -98,7 +98,7 @@ def _pairs(number: int) -> str:
     return f"{number} pair{'s' * (number != 1)}"
 
 
-def _falling(survey: Survey) -> dict[int, bool]:
+def falling_trees(survey: Survey) -> dict[int, bool]:
     """The root bodies of trees that can fall, and whether an actuator drives anything in them."""
     model, home, joints = survey.model, survey.home, load_mujoco().mjtJoint
     gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))

@@ -134,6 +134,11 @@ def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[Eleme
     return ["world", *(body.attrib["name"] for body in bodies)], geoms
 
 
+def elements_of_geoms(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
+    """The elements of all geoms in MuJoCo's order, with names given to those that have none."""
+    return _names(root, model)[1]
+
+
 def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
     """The elements of all joints, in MuJoCo's order."""
     bodies = [body for world in root.findall("worldbody") for body in _bodies(world)]
