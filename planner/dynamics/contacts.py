@@ -65,12 +65,16 @@ def _forces(places: Sequence[PlanePlace | BodyPlace], q: np.ndarray, single: boo
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
-def contact_jacobians(mechanism: Mechanism, q: Any) -> np.ndarray:
-    """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does."""
+def contact_jacobians(mechanism: Mechanism, q: Any, which: Sequence[int] | None = None) -> np.ndarray:
+    """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does.
+
+    Of all contacts, or of `which`.
+    """
     q = np.asarray(q, dtype=float)
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
-    J = np.zeros((len(q), len(mechanism.contacts), 3, mechanism.nv))
-    for k, contact in enumerate(mechanism.contacts):
+    contacts = mechanism.contacts if which is None else [mechanism.contacts[k] for k in which]
+    J = np.zeros((len(q), len(contacts), 3, mechanism.nv))
+    for k, contact in enumerate(contacts):
         J[:, k] = PlanePlace(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
     return J[0] if single else J
 

@@ -17,20 +17,20 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import bias, bias_derivatives
-from planner.dynamics.contacts import (
-    contact_forces,
-    contact_jacobians,
-    generalized_force_derivatives,
-    generalized_forces,
-)
+from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 
-LONGEST_STEP = 0.02  # m or rad, downhill: less than the millimetres in which contacts come and go, times ten
-STEPS = 500
+STEPS = 200
+FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, downhill: contacts come and go within millimetres
+SHORTEST_STEP = 1e-9  # m or rad: what cannot go downhill by as much does not rest
 TIPPED = 0.5  # m or rad, from the pose that was asked for: what moved as far has fallen over
 AT_REST = 1e-9  # of the weight: what is left of it
+DIFFERENCE = 1e-6  # m or rad, for slopes of forces, on which only the number of steps depends
+MANY = 20  # contacts that tell which way is up
+UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
 LAW_SHARE = 1e-3  # how much less it matters that a force is the law's than that it holds the pose
 
 
@@ -60,26 +60,60 @@ def settled(mechanism: Mechanism, x: Any) -> np.ndarray:
         raise PlannerError(
             "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."
         )
-    free = _undriven(mechanism)
+    free = undriven(mechanism)
     if not free.shape[1]:
         raise PlannerError("every joint is driven, expected some that are not: the ground carries nothing here.")
-    x = _touching(mechanism, x, free)
-    start, enough = x.copy(), AT_REST * _weight(mechanism)
-    for _ in range(STEPS):
-        q, still = x[:nq], np.zeros(nv)
-        uphill = free.T @ (bias(mechanism, q, still) - generalized_forces(mechanism, q, still))
-        if np.abs(uphill).max() < enough:
-            return x
-        by_q = bias_derivatives(mechanism, q, still)[0] - generalized_force_derivatives(mechanism, q, still)[0]
-        x = space.integrate(x, _extended(free @ _downhill(free.T @ by_q @ free, uphill), space.ndx))
-        if np.abs(space.difference(x, start)).max() > TIPPED:
-            break
-    places = contact_forces(mechanism, start[:nq], np.zeros(nv)).points
-    centre, lowest = center_of_mass(mechanism, start[:nq]), places[np.argsort(places[:, 2])[:2]]
+    start = lowered(mechanism, x)
+    x, rests = _downhill(mechanism, start, free)
+    if rests:
+        return x
+    ground = contact_forces(mechanism, start[:nq], np.zeros(nv))
+    centre, lowest = center_of_mass(mechanism, start[:nq]), ground.points[np.argsort(-ground.depths)[:2]]
     raise PlannerError(
         f"the pose does not stay on the ground: its centre of mass is at {_at(centre)} and its lowest contacts at "
         f"{_at(lowest[0])} and {_at(lowest[-1])} (x, y in m), expected driven joints that bring it over them."
     )
+
+
+def lowered(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """A pose (nx,) moved along the ground's normals until the lowest contact of each tree sinks in by its weight.
+
+    Raises:
+        PlannerError: No tree with contacts moves up and down as a whole.
+    """
+    q, free, roots = x[: mechanism.nq], undriven(mechanism), _roots(mechanism)
+    g = float(np.linalg.norm(mechanism.gravity))
+    normals = np.array([contact.plane.normal for contact in mechanism.contacts])
+    up = -mechanism.gravity / g if g > 0.0 else np.zeros(3)
+    links = np.array([contact.link for contact in mechanism.contacts])
+    grounds = normals @ up > UPWARDS if np.any(normals @ up > UPWARDS) else np.ones(len(normals), dtype=bool)
+    depths, moves = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths, 0
+    for root in np.unique(roots[links[grounds]]):
+        own, ways = np.flatnonzero(grounds & (roots[links] == root)), free[:, np.any(free[roots == root], axis=0)]
+        some = own[np.argsort(-depths[own])[:MANY]]
+        rise = np.einsum("ka,kaj->kj", normals[some], contact_jacobians(mechanism, q, some)) @ ways
+        along = np.linalg.lstsq(rise, np.ones(len(rise)), rcond=None)[0] if ways.shape[1] else np.zeros(0)
+        if not np.allclose(rise @ along, 1.0, atol=1e-6):
+            continue
+        lowest = int(own[np.argmax(depths[own])])
+        weight = g * float(mechanism.mass[roots == root].sum())
+        way = depths[lowest] - weight / mechanism.contacts[lowest].law.stiffness
+        x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
+    if not moves:
+        raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
+    return x
+
+
+def undriven(mechanism: Mechanism) -> np.ndarray:
+    """The directions (nv, n) that no actuator moves: degrees of freedom, and what follows them."""
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    return G[:, ~np.any(mechanism.actuators.moment @ G != 0.0, axis=0)]
+
+
+def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
+    """How far a pose (nx,) is above the ground, m: its lowest contact; infinite without contacts."""
+    depths = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).depths
+    return -float(np.max(depths, initial=-np.inf))
 
 
 def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -98,11 +132,12 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
 
     still, nu = np.zeros(mechanism.nv), reach.shape[1]
     law = contact_forces(mechanism, q, still)
-    J = contact_jacobians(mechanism, q)
     near = np.flatnonzero(law.depths > [-_weight(mechanism) / c.law.stiffness for c in mechanism.contacts])
-    tau = tau - generalized_forces(mechanism, q, still) + np.einsum("kaj,ka->j", J, law.forces)  # less stops
+    J, pushing = contact_jacobians(mechanism, q, near), np.flatnonzero(law.forces.any(axis=1))
+    pushed = np.einsum("kaj,ka->j", contact_jacobians(mechanism, q, pushing), law.forces[pushing])
+    tau = tau - generalized_forces(mechanism, q, still) + pushed  # less stops
     edges = [_edges(mechanism.contacts[k]) for k in near]
-    columns = [reach, *(J[k].T @ edge for k, edge in zip(near, edges, strict=True))]
+    columns = [reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))]
     rows, wanted = [np.hstack(columns)], [tau]
     if mechanism.reduction is not None:  # couplings give what they must
         rows, wanted = [mechanism.reduction.G.T @ rows[0]], [mechanism.reduction.G.T @ tau]
@@ -126,12 +161,6 @@ def _edges(contact: Any) -> np.ndarray:
     return np.array([n + side * contact.law.friction * t for t in across for side in (-1.0, 1.0)]).T
 
 
-def _undriven(mechanism: Mechanism) -> np.ndarray:
-    """The directions (nv, n) that no actuator moves: degrees of freedom, and what follows them."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
-    return G[:, ~np.any(mechanism.actuators.moment @ G != 0.0, axis=0)]
-
-
 def _weight(mechanism: Mechanism) -> float:
     return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
 
@@ -140,28 +169,74 @@ def _extended(part: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([part, np.zeros(size - len(part))])
 
 
-def _touching(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """The state moved along the planes' normals, as a whole, until its lowest contact sinks in by its weight."""
-    q = x[: mechanism.nq]
-    normals = np.array([contact.plane.normal for contact in mechanism.contacts])
-    rise = np.einsum("ka,kaj->kj", normals, contact_jacobians(mechanism, q)) @ free
-    up = np.linalg.lstsq(rise, np.ones(len(rise)), rcond=None)[0]
-    if not np.allclose(rise @ up, 1.0, atol=1e-6):
-        raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
-    depths = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
-    lowest = int(np.argmax(depths))
-    way = depths[lowest] - _weight(mechanism) / mechanism.contacts[lowest].law.stiffness
-    return mechanism.space.integrate(x, _extended(free @ (way * up), mechanism.space.ndx))
+def _roots(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) the first link of the tree that each link is part of."""
+    roots = np.arange(mechanism.nv)
+    for i, above in enumerate(mechanism.parent):
+        roots[i] = roots[above] if above >= 0 else i
+    return roots
 
 
-def _downhill(by_q: np.ndarray, uphill: np.ndarray) -> np.ndarray:
-    """Newton's step where energy curves upwards, a step downhill where it does not; none too long."""
+def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Move what is free to where no force is left; whether it got there.
+
+    Newton's method where energy curves upwards and a step downhill where it does not, none longer than what proved
+    right: a step is one if the energy falls, by the mean of the forces at both ends.
+    """
+    space = mechanism.space
+    steep, enough, longest = _Steepness(mechanism, free), AT_REST * _weight(mechanism), FIRST_STEP
+    start, uphill = x, steep.uphill(x[None])[0]
+    for _ in range(STEPS):
+        if np.abs(uphill).max() < enough:
+            return x, True
+        by_q = steep.slopes(x)
+        while longest > SHORTEST_STEP:
+            step = _newton(by_q, uphill, longest)
+            there = space.integrate(x, _extended(free @ step, space.ndx))
+            further = steep.uphill(there[None])[0]
+            expected, found = step @ uphill + 0.5 * step @ by_q @ step, 0.5 * step @ (uphill + further)
+            if found < 0.0 or np.abs(further).max() < np.abs(uphill).max():
+                break
+            longest = 0.25 * float(np.abs(step).max())
+        else:
+            return x, False
+        right = abs(found - expected) < 0.3 * abs(expected)
+        longest = min(LONGEST_STEP, 2.0 * longest) if right else max(0.5 * longest, 1e-3 * FIRST_STEP)
+        x, uphill = there, further
+        if np.abs(space.difference(x, start)).max() > TIPPED:
+            break
+    return x, False
+
+
+def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
     values, vectors = np.linalg.eigh(0.5 * (by_q + by_q.T))
     along = vectors.T @ uphill
-    floor = 1e-9 * np.abs(values).max()
+    floor = 1e-8 * np.abs(values).max()
     # along the ground no energy changes, and nothing asks to move there
     step = -vectors @ np.where(np.abs(values) > floor, along / np.maximum(np.abs(values), floor), 0.0)
-    return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+    return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300))
+
+
+class _Steepness:
+    """Forces at rest on the degrees of freedom that nothing drives, compiled: how energy rises along them."""
+
+    def __init__(self, mechanism: Mechanism, free: np.ndarray) -> None:
+        self._mechanism, self._free = mechanism, free
+        self._dynamics = RigidBodyDynamics(mechanism, dt=1e-3)
+
+    def uphill(self, xs: np.ndarray) -> np.ndarray:
+        """(K, free) at states (K, nx) at rest: M qdd is the sum of all forces, whatever actuators do elsewhere."""
+        m = self._mechanism
+        rates = self._dynamics.rates(xs, np.zeros((len(xs), self._dynamics.nu)))[:, m.nv : 2 * m.nv]
+        return -np.einsum("kij,kj->ki", mass_matrix(m, xs[:, : m.nq]), rates) @ self._free
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(free, free) by differences."""
+        n, space = self._free.shape[1], self._mechanism.space
+        change = np.zeros((2 * n, space.ndx))
+        change[:n, : len(self._free)], change[n:, : len(self._free)] = DIFFERENCE * self._free.T, -DIFFERENCE * self._free.T
+        uphill = self.uphill(space.integrate(np.tile(x, (2 * n, 1)), change))
+        return (uphill[:n] - uphill[n:]).T / (2.0 * DIFFERENCE)
 
 
 def _at(place: np.ndarray) -> str:

@@ -130,6 +130,8 @@ class Mechanism:
         assets: Files that the text names, by the name it uses.
         ignored: Elements taken out of the file, one phrase each.
         original: The XML text as the file gave it, includes resolved, where `mjcf` was edited; else "".
+        contacts_mode: "model", "ground", "avoid", "off" or "law"; "" where no shapes can touch.
+        contacts_choice: A sentence about it, without a full stop; "" where there is nothing to say.
     """
 
     nq: int
@@ -176,6 +178,8 @@ class Mechanism:
     curves: tuple[ExponentialTorque, ...] = ()
     tendons: tuple[FixedTendon, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    contacts_mode: str = ""
+    contacts_choice: str = ""
 
     def __post_init__(self) -> None:
         for name in ("armature", "damping", "stiffness", "friction_loss", "friction_rate"):
@@ -227,18 +231,20 @@ class Mechanism:
 
     @classmethod
     def from_mjcf(
-        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on"
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto"
     ) -> Mechanism:
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: "on" models contacts of spheres, capsules and corners of boxes with planes, and of spheres and
-                capsules with each other, if MuJoCo's force is a law of planner.model.contact.laws (see
-                planner.model.mjcf.contacts); "off" takes all contacts out of the file; a ContactLaw is given to those
-                of the file instead of their own force, in the replayed model too, and what is left of them is taken
-                out and said in `ignored`.
+            contacts: How contacts are planned. "model" with the file's own law, where that is a law of
+                planner.model.contact.laws (see planner.model.mjcf.contacts): of spheres, capsules and corners of boxes
+                with planes, and of spheres and capsules with each other. "ground" gives ContactLaw.resting for the
+                machine's mass to what can fall on a plane; all other contacts are left out. "avoid" leaves all of
+                them out, and so does "off". "auto" chooses the first of "model", "ground" and "avoid" that fits: see `contacts_choice`. A ContactLaw is
+                given to all contacts whose shapes are modelled. What is planned is replayed in the plan's own model;
+                what is left out is said in `ignored`, and judged in the user's file.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

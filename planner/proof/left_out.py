@@ -46,5 +46,6 @@ def lacking(problem: Problem, compiled: CompiledTwin | None = None) -> LeftOut:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
         touches = bool(mechanism.contacts or mechanism.body_contacts)
         # The text as it was before joints were driven: what those edits leave out moves nothing.
-        _found[problem] = compare(twin.original, twin.planned, twin.assets, touches, model)
+        start = twin.sim_of(problem.x0)[: mechanism.nq]
+        _found[problem] = compare(twin.original, twin.planned, twin.assets, touches, model, start)
     return _found[problem]

@@ -8,7 +8,8 @@ The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the 
 acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails.
 
 What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
-actuator, no runaway, and every goal is met.
+actuator, no runaway, and every goal is met. Pairs that overlap where the plan starts are left out of the file: MuJoCo
+would press them apart. The verdict names them.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven, in_order
 from planner.model.mjcf.left_out import names_of
+from planner.model.mjcf.overlaps import GRAZE, overlapping, without_pairs
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import compile_model, named
 from planner.model.twin import Twin
@@ -44,7 +46,6 @@ from planner.proof.tracking import misses
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_goals_missed"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
-GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
 FELT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
@@ -80,7 +81,7 @@ def your_file(
     if twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
-        compiled = as_given(problem, twin, mjcf)
+        compiled = _without_overlaps(problem, as_given(problem, twin, mjcf))
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
     known = open_loop if open_loop is not None and _same_model(open_loop.twin, compiled.twin) else None
@@ -129,6 +130,24 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
             raise Undriven(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
         given = replace(given, mjcf=text)
     return CompiledTwin(_with_idle_states(given, model, unused), unused)
+
+
+def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
+    """The file without contacts of pairs that overlap at the start and that the plan does not know."""
+    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+        return compiled
+    model, known = compiled.model, lacking(problem, compiled).known
+    start = compiled.twin.sim_of(problem.x0)
+    if len(start) != model.nq + model.nv + model.na:
+        return compiled  # of another machine: the check before a replay says so
+    pairs = [pair for pair in overlapping(model, start[: model.nq]) if names_of(model, tuple(pair)) not in known]
+    if not pairs:
+        return compiled
+    try:
+        text = without_pairs(compiled.twin.mjcf, model, pairs)
+    except ModelError:  # shapes that the file makes by other means cannot be edited: they are judged as they are
+        return compiled
+    return CompiledTwin(replace(compiled.twin, mjcf=text), compiled.unused)
 
 
 def _with_idle_states(twin: Twin, model: Any, unused: Sequence[int]) -> Twin:

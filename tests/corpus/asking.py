@@ -40,7 +40,7 @@ def reach(
     text: str | Mechanism, goal: Any, *, start: Any = None, duration: float = 1.0, N: int = 100,
     integrator: str = "rk4", effort: float = 1.0, final: float = 1e4, prescribed: tuple[str, ...] = (),
     guess: Any = None, running: float = 0.0, limits: Limits | None = None, tolerance: Any = None,
-    plain: bool = False, contacts: Any = "on", more: Callable | None = None,
+    plain: bool = False, contacts: Any = "model", more: Callable | None = None,
 ) -> Problem:  # fmt: skip
     """From rest to rest: goal (nv,) or state (nx,). Efforts and speeds are weighed in the machine's own scale."""
     m = text if isinstance(text, Mechanism) else Mechanism.from_mjcf(text, contacts=contacts)

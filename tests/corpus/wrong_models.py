@@ -197,7 +197,7 @@ def joint_more(rng: Rng) -> Attempt:
 def wall_on(rng: Rng) -> Attempt:
     """A table that both shapes of the arm meet; the plan's own model has none."""
     text = arm(rng, 2, shapes=CAPSULE)
-    plan = planner.solve(reach(text, [-0.8, 0.4], contacts="on"))
+    plan = planner.solve(reach(text, [-0.8, 0.4], contacts="model"))
     head, end, tail = plan.twin.mjcf.rpartition("</worldbody>")
     return plan, {"mjcf": f'{head}<geom name="table" type="box" size="2 2 0.05" pos="0 0 -0.35"/>{end}{tail}'}
 

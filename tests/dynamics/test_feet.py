@@ -154,11 +154,11 @@ def test_problem_files_give_a_law(tmp_path, contacts, law):
 @pytest.mark.parametrize(
     ("contacts", "more", "words"),
     [
-        ('"soft"', "", "contacts is 'soft', expected one of: on, off, ground"),
+        ('"soft"', "", "contacts is 'soft', expected one of: auto, avoid, ground, model, off"),
         ("{ stifness = 1e4 }", "", "has the key 'stifness', expected some of: sink, friction"),
         ("{ stiffness = 1e4, sink = 0.01 }", "", "has the key 'sink', expected some of: stiffness, damping"),
         ("{ sink = -1 }", "", "sink is -1"),
-        ('"ground"', "settle = 1", "settle is 1, expected true or false"),
+        ('"ground"', "settle = 1", "settle is 1, expected true, false or"),
         ('"off"', "settle = true", "settle of start: the mechanism has no contacts"),
     ],
 )

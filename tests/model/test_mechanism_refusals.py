@@ -84,7 +84,7 @@ def as_values(m):
     values |= {"bodies": [vars(f) for f in m.bodies], "sites": {name: vars(f) for name, f in m.sites.items()}}
     return {
         name: values[name]
-        for name in values.keys() - {"ignored", "original", "actuators", "space", "quaternions", "home"}
+        for name in values.keys() - {"ignored", "original", "contacts_mode", "contacts_choice", "actuators", "space", "quaternions", "home"}
     }
 
 
@@ -92,7 +92,7 @@ def as_values(m):
     ("kind", "text", "names"), REFUSED, ids=[f"{kind}-{i}" for i, (kind, _, _) in enumerate(REFUSED)]
 )
 def test_refused_by_name_and_taken_out(kind, text, names):
-    contacts = "on" if "contact=" in text else "off"
+    contacts = "model" if "contact=" in text else "off"
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text, contacts=contacts)
     for name in names:
@@ -133,9 +133,9 @@ def test_everything_in_one_sentence():
         equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>',
         world='<geom name="floor" type="plane" size="1 1 1"/>',
     )  # fmt: skip
-    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'cam'", "geom 'floor'", "contacts='off'"]
+    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'lock'", "geom 'floor'", "contacts='avoid'"]
     with pytest.raises(PlannerError) as error:
-        Mechanism.from_mjcf(text)
+        Mechanism.from_mjcf(text, contacts="model")
     for part in parts:
         assert part in str(error.value)
     assert "\n" not in str(error.value)
@@ -177,11 +177,13 @@ def test_elements_that_cannot_act_are_no_reason_to_refuse():
 def test_contacts_are_taken_out_by_their_option_alone():
     text = plain(world='<geom name="floor" type="plane" size="1 1 1"/>')
     with pytest.raises(PlannerError, match="contacts of geom 'floor' and geom number 1 and 1 more pairs"):
-        Mechanism.from_mjcf(text)
+        Mechanism.from_mjcf(text, contacts="model")
+    with pytest.raises(PlannerError, match=r"contacts is 'on', expected one of: .* Did you mean 'model'\?"):
+        Mechanism.from_mjcf(text, contacts="on")
     assert Mechanism.from_mjcf(text, contacts="off").ignored == ("contacts",)
     assert Mechanism.from_mjcf(plain(), contacts="off").ignored == ()
     assert Mechanism.from_mjcf(text.replace("<option>", '<option><flag contact="disable"/>')).ignored == ()
-    with pytest.raises(PlannerError, match="contacts is 'of', expected one of: on, off"):
+    with pytest.raises(PlannerError, match="contacts is .of., expected one of: auto, avoid"):
         Mechanism.from_mjcf(text, contacts="of")
 
 

@@ -178,7 +178,7 @@ def test_a_belt_and_what_stands_on_it_move_as_in_mujoco():
 
 def test_a_box_that_moves_otherwise_is_refused():
     with pytest.raises(ModelError, match="box and sphere that both move, expected a plane or box at rest"):
-        Mechanism.from_mjcf(on_a_belt(axis="0 0 1"))
+        Mechanism.from_mjcf(on_a_belt(axis="0 0 1"), contacts="model")
 
 
 @pytest.mark.parametrize(
@@ -194,11 +194,11 @@ def test_a_box_that_moves_otherwise_is_refused():
 )
 def test_other_contacts_are_refused_by_name(change, phrase):
     with pytest.raises(ModelError) as error:
-        Mechanism.from_mjcf(leg(**change))
+        Mechanism.from_mjcf(leg(**change), contacts="model")
     sentence = str(error.value)
     assert phrase in sentence
     assert "contacts of geom 'floor' and geom 'foot'" in sentence
-    assert sentence.startswith("contacts='off' loads the model")
+    assert sentence.startswith("contacts='ground' loads the model")
     assert Mechanism.from_mjcf(leg(**change), contacts="off").contacts == ()
 
 
@@ -208,12 +208,12 @@ def test_other_options_are_refused_by_name():
         ('type="plane"', 'type="cylinder"', "cylinder and sphere, expected a plane or box"),
     ):
         with pytest.raises(ModelError, match=phrase):
-            Mechanism.from_mjcf(leg().replace(old, new).replace('size="0 0 1"', 'size="1 1 1"'))
+            Mechanism.from_mjcf(leg().replace(old, new).replace('size="0 0 1"', 'size="1 1 1"'), contacts="model")
     with pytest.raises(ModelError, match="impratio 10, expected at least 100 for smoothed friction"):
-        Mechanism.from_mjcf(leg(impratio=10.0, ramp=1e-3))
+        Mechanism.from_mjcf(leg(impratio=10.0, ramp=1e-3), contacts="model")
     for ramp in ("-1", "1e-3 -1", "1e-3 1 1.5", "1e-3 1 0.5 0"):
         with pytest.raises(ModelError, match=r"numeric 'contact_ramp' is .* and a bend within 0 to 1\."):
-            Mechanism.from_mjcf(leg(impratio=1000.0, ramp=ramp))
+            Mechanism.from_mjcf(leg(impratio=1000.0, ramp=ramp), contacts="model")
 
 
 def test_limits_in_other_formats_stop_nothing():

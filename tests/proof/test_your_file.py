@@ -7,6 +7,7 @@ import planner
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.cases.plan_file import load_plan
 from planner.contact import ContactLaw
+from planner.model.mjcf.survey import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import Goal
 from planner.proof.left_out import left_out, pairs_left_out
@@ -149,12 +150,35 @@ def test_a_stop_that_the_plan_does_not_know_is_named():
     assert "joint 'hinge' is outside its range from t = " in judged(plan, -1.6)[1]["unknown_stops"]
 
 
-def test_shapes_that_overlap_where_the_file_puts_them_fail_where_they_are_felt():
-    """A base that the arm is drawn into, as in many models of others: it rubs, and the gains must overcome it."""
-    base = '<geom name="base" type="cylinder" size="0.25 0.1"/>'
-    plan = planner.solve(problem(WALLED.replace("<body>", f"{base}<body>"), -0.5, contacts="off"))
-    found = judged(plan, -0.5)[1]["unknown_contacts"]
-    assert "geom 'base' and geom 'arm' overlap by " in found
+BASE = '<geom name="base" type="cylinder" size="0.25 0.1"/>'
+
+
+def test_shapes_that_overlap_at_the_start_are_left_out_and_named():
+    """A base that the arm is drawn into, as in many models of others: MuJoCo would press the two apart."""
+    text = WALLED.replace("<body>", f"{BASE}<body>")
+    plan = planner.solve(problem(text, -0.5, contacts="off"))
+    section, failed, run = judged(plan, -0.5)
+    assert section.passed, failed
+    assert left_out(plan.problem)[1] == "contact of base and arm, which overlap at the start"
+    model = run.compiled.model
+    names = {frozenset(model.geom(i).name for i in pair) for pair in contact_pairs(model)}
+    assert names == {frozenset(("wall", "arm"))}  # the arm goes on to meet all others, with the law that it had
+    np.testing.assert_array_equal(model.pair_solref, [[0.02, 1.0]])
+    np.testing.assert_allclose(model.pair_friction[0], [1.0, 1.0, 0.005, 0.0001, 0.0001])
+
+
+def test_an_overlap_hides_no_other_touch():
+    plan = planner.solve(problem(WALLED.replace("<body>", f"{BASE}<body>"), 1.6, contacts="off"))
+    assert "geom 'wall' and geom 'arm' touch from t = 0." in judged(plan, 1.6)[1]["unknown_contacts"]
+
+
+def test_what_lies_on_something_is_no_overlap():
+    """A cube that the plan lets fall: the table that carries it in the file stays, and is named."""
+    cube = """<geom name="table" type="box" size=".1 .1 .1" pos="0 -5 0"/>
+      <body pos="0 -5 .1499"><joint type="slide" axis="0 0 1"/><geom name="cube" type="box" size=".05 .05 .05"/></body>"""
+    plan = planner.solve(problem(WALLED.replace("</worldbody>", f"{cube}</worldbody>"), -0.5, contacts="off"))
+    assert all("overlap" not in phrase for phrase in left_out(plan.problem))
+    assert "geom 'table' and geom 'cube'" in judged(plan, -0.5)[1]["unknown_contacts"]
 
 
 def test_actuators_that_were_taken_out_stay_idle():

@@ -6,7 +6,7 @@
     duration = 4.0                      # s
     dt = 0.02                           # s
 
-    contacts = "ground"               # optional: a law for feet (see model.contact.laws); settle = true puts them down
+    contacts = "ground"               # optional: chosen by itself (see planner.model.mjcf.contact_choice), as is settle
 
     [weights]                           # numbers, or tables by joint (effort: by actuator)
     effort = 0.01
@@ -41,6 +41,7 @@ from planner.base.arguments import array, choice, count, did_you_mean, number, s
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
+from planner.cases.problem_file.on_ground import on_ground
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
     check_keys,
@@ -51,11 +52,11 @@ from planner.cases.problem_file.table import (
     with_model_limits,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.read import read
 from planner.model.mjcf.refuse import KINDS
@@ -70,6 +71,7 @@ from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
+TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 1e-3  # rad or m: what a simulator with soft equalities may leave of them in a keyframe
 
@@ -82,6 +84,7 @@ class ProblemFile(NamedTuple):
     seed: int
     objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
+    notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -95,9 +98,12 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
-    problem = _problem(table, _mechanism(path.parent / table["model"], table, None), str(path))
+    mechanism = _mechanism(path.parent / table["model"], table, None)
+    problem = _problem(table, mechanism, str(path))
     given = problem.parameters
-    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"))
+    reasons = given[RESOLVED]["reasons"]
+    notes = tuple(reasons[key] for key in TOLD if key in reasons)
+    return ProblemFile(problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes)
 
 
 def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
@@ -151,12 +157,11 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
-        choice("contacts", contacts, ("on", "off", "ground"))
-    if contacts not in ("on", "off"):
-        # a stored model has the law already
-        contacts = (
-            "on" if assets is not None else _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
-        )
+        choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
+    if assets is not None and contacts not in ("avoid", "off"):  # a stored model has the law already
+        contacts = "auto"
+    elif isinstance(contacts, dict):
+        contacts = _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
     mechanism = read(model, ignore=tuple(ignore), contacts=contacts, assets=assets)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
@@ -164,9 +169,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     return mechanism
 
 
-def _contact_law(law: str | dict[str, Any], mechanism: Mechanism) -> ContactLaw:
-    """The law of contacts = "ground", of a table of GROUND for the machine's mass, or of a table of LAW."""
-    law = {} if isinstance(law, str) else law
+def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
+    """The law of a table of GROUND for the machine's mass, or of a table of LAW."""
     if "stiffness" in law:
         check_keys(law, LAW, "a contacts table with stiffness")
         return ContactLaw(**law)
@@ -184,14 +188,17 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
     goal = state_of("goal", table["goal"], mechanism, at_rest)
-    if not isinstance(table["settle"], bool):
-        raise PlannerError(f"settle is {shown(table['settle'])}, expected true or false.")
-    if table["settle"]:
-        x0, goal = (_on_ground(name, x, mechanism) for name, x in (("start", x0), ("goal", goal)))
+    if table["contacts"] == "auto" and mechanism.contacts_mode:
+        table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
+    x0, goal, notes = on_ground(mechanism, table, x0, goal)
     prescribed = _prescribed(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
+    if mechanism.contacts_choice:
+        reasons["contacts"] = f"{mechanism.contacts_choice}."
+    if notes:
+        reasons["settle"] = " ".join(notes)
     table = _resolved(table, dynamics, x0, goal, reasons)
     cost = TrackingCost.joints(dynamics, goal, N, **table[RESOLVED]["weights"])
     appearance = default_appearance(mechanism, prescribed)
@@ -236,13 +243,6 @@ def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
     moment[:, driven] = 0.0  # actuators do nothing there
     free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
     return np.concatenate([holding_controls(free, x0), np.zeros(len(driven))])
-
-
-def _on_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    try:
-        return settled(mechanism, x)
-    except PlannerError as error:
-        raise PlannerError(f"settle of {name}: {error}") from None
 
 
 def _states_of(mechanism: Mechanism) -> str:

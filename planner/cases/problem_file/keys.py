@@ -16,8 +16,10 @@ KEYS = {
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
-    "contacts": "on, off to take them out of a model whose shapes may collide, ground, or a table of their law, below",
-    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them",
+    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of their "
+    "law, below; auto chooses",
+    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto does "
+    "so with contacts = 'ground', unless they are in the air",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
@@ -68,6 +70,6 @@ MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "on",
-    "settle": False, "ignore": [], "starts": 1, "seed": 0, "title": "",
+    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "auto",
+    "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

@@ -1,7 +1,7 @@
 """Convert geoms of an MJCF to the shapes of contacts: planes, spheres that meet them, and capsules.
 
 A capsule meets a plane with the spheres at its ends, a box with its corners, which are points; MuJoCo does the same (of
-a box's corners it takes the lowest four at most).
+a box's corners it takes the lowest four at most). Other shapes get points of their own: see model.mjcf.contact_points.
 """
 
 from __future__ import annotations
@@ -79,6 +79,22 @@ def plane_and_spheres(survey: Survey, geoms: tuple[int, int]) -> tuple[Plane, li
         if plane is not None and spheres:
             return plane, spheres
     return None
+
+
+def meets_plane(survey: Survey, geoms: tuple[int, int]) -> tuple[int, int] | None:
+    """A pair's geom that is a plane at rest, or the top of such a box, and the one that moves; None for others."""
+    model = survey.model
+    for flat, other in (geoms, geoms[::-1]):
+        if model.body_weldid[model.geom_bodyid[other]] and plane_of(survey, flat) is not None:
+            if spheres_of(model, other) or has_points(model, other):
+                return flat, other
+    return None
+
+
+def has_points(model: Any, geom: int) -> bool:
+    """Whether a shape is replaced by points where it meets a plane."""
+    kinds = load_mujoco().mjtGeom
+    return model.geom_type[geom] in [int(kinds.mjGEOM_CYLINDER), int(kinds.mjGEOM_MESH), int(kinds.mjGEOM_ELLIPSOID)]
 
 
 def capsule_of(survey: Survey, geom: int) -> Capsule:

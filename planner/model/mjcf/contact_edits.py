@@ -9,7 +9,8 @@ law: `keep_law` writes them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,42 +18,64 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, phrase_of, shapes_fit
-from planner.model.mjcf.survey import Survey
+from planner.model.contact.shapes import meets_plane
+from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
+from planner.model.mjcf.contact_points import add_points
+from planner.model.mjcf.survey import Pair, Survey
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
-def give_law(root: ElementTree.Element, survey: Survey, law: ContactLaw) -> list[str]:
-    """Edit the XML so that its contacts have a law; returns the contacts that are left out, in one phrase or none.
+def give_law(
+    root: ElementTree.Element, survey: Survey, law_of: Callable[[Pair], ContactLaw | None], smoothing: str
+) -> list[Pair]:
+    """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
-    The survey is of what the root compiles to. Of an infinite impratio becomes IMPRATIO.
+    The survey is of what the root compiles to. Pairs without a law, and of shapes that are not modelled, are excluded.
+    Of an infinite impratio becomes IMPRATIO; all laws have the same, and the same `smoothing`: see contacts.CONTACT_RAMP.
     """
     if not survey.pairs:
         return []
     model = survey.model
-    impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
-    body_names, geom_names = _names(root, model)
-    section, left_out = _in_place_of_pairs(root), []
+    body_names, geoms = _names(root, model)
+    section, left_out, points = _in_place_of_pairs(root), [], {}
+    impratio = IMPRATIO
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
-        if not shapes_fit(survey, pair):
+        law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
+        match = None if law is None or shapes_fit(survey, pair) else meets_plane(survey, pair.geoms)
+        if law is None or not (shapes_fit(survey, pair) or match):
             left_out.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue
+        if match is not None:  # its points meet the plane in place of the shape
+            flat, other = match
+            if other not in points:
+                points[other] = add_points(geoms[other], _body_of(root, geoms[other]), model, other)
+            names = [[geoms[flat].attrib["name"]], points[other]]
+            _exclude(root, section, *(body_names[body] for body in bodies))
+        impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
         attributes = contact_attributes(law.stiffness, law.damping, law.slip_damping, law.friction, weight, impratio)
-        geoms = {f"geom{i + 1}": geom_names[geom] for i, geom in enumerate(pair.geoms)}
-        ElementTree.SubElement(section, "pair", {**geoms, **attributes, "margin": "0", "gap": "0"})
+        for one, other in itertools.product(*names):
+            both = {"geom1": one, "geom2": other}
+            ElementTree.SubElement(section, "pair", {**both, **attributes, "margin": "0", "gap": "0"})
     option = ElementTree.SubElement(root, "option", {"cone": "elliptic", "impratio": repr(impratio)})
     ElementTree.SubElement(option, "flag", {"refsafe": "disable"})
     for custom in root.findall("custom"):
         for element in custom.findall(f"numeric[@name='{CONTACT_RAMP}']"):
             custom.remove(element)
-    data = f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
-    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", {"name": CONTACT_RAMP, "data": data})
-    return [phrase_of(model, left_out)] if left_out else []
+    attributes = {"name": CONTACT_RAMP, "data": smoothing}
+    ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", attributes)
+    return left_out
+
+
+def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> ElementTree.Element:
+    """The body that an element is part of, if within frames."""
+    while element.tag not in ("body", "worldbody"):
+        element = next(parent for parent in root.iter() if any(child is element for child in parent))
+    return element
 
 
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:
@@ -62,7 +85,8 @@ def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, sti
     bodies that no force moves, `still` (nbody,), is excluded.
     """
     model = survey.model
-    body_names, geom_names = _names(root, model)
+    body_names, elements = _names(root, model)
+    geom_names = [element.attrib["name"] for element in elements]
     section = _in_place_of_pairs(root)
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
@@ -100,15 +124,19 @@ def _exclude(root: ElementTree.Element, section: ElementTree.Element, first: str
         ElementTree.SubElement(section, "exclude", {"body1": first, "body2": second})
 
 
-def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[str]]:
-    """Names of all bodies and geoms, given to those that have none."""
+def _names(root: ElementTree.Element, model: Any) -> tuple[list[str], list[ElementTree.Element]]:
+    """Names of all bodies and the elements of all geoms, with names given to those that have none."""
     worlds = root.findall("worldbody")
     bodies = [body for world in worlds for body in _bodies(world)]
     geoms = [geom for parent in (*worlds, *bodies) for geom in _own(parent, "geom")]
-    return (
-        ["world", *_named("body", bodies, [model.body(i).name for i in range(1, model.nbody)])],
-        _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)]),
-    )
+    _named("body", bodies, [model.body(i).name for i in range(1, model.nbody)], 1)
+    _named("geom", geoms, [model.geom(i).name for i in range(model.ngeom)], 0)
+    return ["world", *(body.attrib["name"] for body in bodies)], geoms
+
+
+def elements_of_geoms(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
+    """The elements of all geoms in MuJoCo's order, with names given to those that have none."""
+    return _names(root, model)[1]
 
 
 def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element]:
@@ -120,14 +148,14 @@ def joints_of(root: ElementTree.Element, model: Any) -> list[ElementTree.Element
     return joints
 
 
-def _named(kind: str, elements: list[ElementTree.Element], known: list[str]) -> list[str]:
+def _named(kind: str, elements: list[ElementTree.Element], known: list[str], first: int) -> None:
+    """Name the elements that have no name by MuJoCo's number of them."""
     if [element.get("name", "") for element in elements] != known:
         missing = f"the file has not all {kind}s of the model (<attach>, <replicate>)"
         raise ModelError(f"{missing}, so no law is given to it.")
-    for i, element in enumerate(elements):
+    for i, element in enumerate(elements, first):
         if not element.get("name"):
             element.set("name", f"{kind} number {i}")
-    return [element.attrib["name"] for element in elements]
 
 
 def _bodies(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:

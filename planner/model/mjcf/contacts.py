@@ -95,6 +95,11 @@ def shapes_fit(survey: Survey, pair: Pair) -> bool:
     return bool(plane_and_spheres(survey, pair.geoms)) or are_capsules(survey.model, pair.geoms)
 
 
+def is_modelled(survey: Survey, pair: Pair) -> bool:
+    """Whether the plan computes a pair's contact with the law that the file gives it."""
+    return not _reason(survey, pair)
+
+
 def _reason(survey: Survey, pair: Pair) -> str:
     """The reason why a pair is not modelled; "" where it is."""
     model = survey.model

@@ -6,16 +6,24 @@ same: both have both texts.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from planner.model.mjcf.contact_points import shape_of
+from planner.model.mjcf.overlaps import overlapping
 from planner.model.mjcf.refuse import Refusal, modelled, unmodelled
 from planner.model.mjcf.survey import compile_model, contact_pairs, named
 
 _OF = {"frictionloss": "friction loss", "gravcomp": "gravity compensation"}  # in words
 _COUNTED = ("equality", "actuator", "mocap")  # the element is out, and not only something of it
 _PLURALS = {"equality": "equalities", "body": "bodies", "mocap": "mocap bodies"}
+
+MOST_NAMED = 3  # pairs in a phrase
+_NUMBERED = re.compile(r"geom number \d+")
 
 GeomName = tuple[str, int] | str
 """A geom by its name, or by its body and its place there: edits of a text keep both."""
@@ -29,11 +37,13 @@ class LeftOut:
         elements: What is not modelled and was taken out, but for contacts.
         pairs: Pairs of geoms that may touch in the file alone, e.g. "geom 'arm' and geom 'wall'".
         known: The pairs that the plan's model has.
+        overlaps: Pairs of the file alone that overlap at the start, e.g. "base and link1": see model.mjcf.overlaps.
     """
 
     elements: tuple[Refusal, ...] = ()
     pairs: tuple[str, ...] = ()
     known: frozenset[frozenset[GeomName]] = frozenset()
+    overlaps: tuple[str, ...] = ()
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -47,16 +57,21 @@ class LeftOut:
         found = [f"contacts of {_counted(len(self.pairs), 'pair')}"] if self.pairs else []
         for (head, noun), number in Counter(map(_words, self.elements)).items():
             found.append(" of ".join(filter(None, (head, _counted(number, noun)))) if noun else head)
+        if self.overlaps:
+            more = f" and {len(self.overlaps) - MOST_NAMED} more pairs" if len(self.overlaps) > MOST_NAMED else ""
+            pairs = ", ".join(self.overlaps[:MOST_NAMED]) + more
+            found.append(f"contact of {pairs}, which overlap at the start")
         return tuple(found)
 
 
 def left_out(
-    original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None
-) -> LeftOut:
+    original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None,
+    start: np.ndarray | None = None,
+) -> LeftOut:  # fmt: skip
     """Compare the text of a file as the user gave it with the text that a plan's mechanism was read from.
 
     `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
-    model of a text that was not edited, where there is one already.
+    model of a text that was not edited, where there is one already; `start` is MuJoCo's qpos where the plan starts.
     """
     own = compiled if compiled is not None and not original else compile_model(planned, assets)
     known = pairs_by_name(own) if contacts else {}
@@ -69,7 +84,17 @@ def left_out(
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
-    return LeftOut(elements, names, frozenset(known))
+    overlaps: list[str] = []
+    if start is not None and unknown and len(start) == given.nq:
+        found = [tuple(sorted(pair)) for pair in overlapping(given, start)]
+        overlaps = [" and ".join(_shape(given, geom) for geom in pair) for pair in found
+                    if names_of(given, pair) not in known]  # fmt: skip
+    return LeftOut(elements, names, frozenset(known), tuple(dict.fromkeys(overlaps)))
+
+
+def _shape(model: Any, geom: int) -> str:
+    """A geom by its own name or its body's."""
+    return model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name or f"geom {geom}"
 
 
 def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
@@ -84,7 +109,9 @@ def names_of(model: Any, pair: tuple[int, int]) -> frozenset[GeomName]:
 
 def _name_of(model: Any, geom: int) -> GeomName:
     name = model.geom(geom).name
-    if name and name != f"geom number {geom}":  # which is the name that an edit gives to one without
+    if (shape := shape_of(name)) != name:  # a point that stands for it in the plan's text
+        return _name_of(model, int(model.geom(shape).id))
+    if name and not _NUMBERED.fullmatch(name):  # the name that an edit gives to one without
         return name
     body = int(model.geom_bodyid[geom])
     return model.body(body).name or f"body number {body}", geom - int(model.body_geomadr[body])

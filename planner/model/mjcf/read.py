@@ -22,8 +22,9 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
+from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs, law_of_ground
 from planner.model.mjcf.contact_edits import give_law
-from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
+from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
@@ -37,7 +38,7 @@ from planner.model.mjcf.refuse import (  # fmt: skip
     no_compensation,
     unmodelled,
 )
-from planner.model.mjcf.survey import Survey, compile_model, disabled, field, pose
+from planner.model.mjcf.survey import Pair, Survey, compile_model, disabled, field, pose
 from planner.model.mjcf.tendons import read_tendons, row_of
 from planner.model.space import unit
 
@@ -54,7 +55,7 @@ _NUMBERS = (
 
 
 def read(
-    model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+    model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
@@ -62,7 +63,7 @@ def read(
 
 
 def read_opened(
-    file: Callable[[], Opened], *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on"
+    file: Callable[[], Opened], *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto"
 ) -> Mechanism:
     """A mechanism of a file that is opened once the other arguments are checked, or that was opened before."""
     if not isinstance(ignore, Collection | None):
@@ -70,36 +71,59 @@ def read_opened(
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
     for kind in ignored:
         choice("ignore", kind, KINDS)
-    off = not isinstance(contacts, ContactLaw) and choice("contacts", contacts, ("on", "off")) == "off"
-    out = {*ignored, *(["contacts"] if off else [])}
+    law = contacts if isinstance(contacts, ContactLaw) else None
+    asked = "law" if law is not None else choice("contacts", _renamed(contacts), MODES)
     given, files, survey, name = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
-    law = contacts if isinstance(contacts, ContactLaw) else None
-    left_out = [] if law is None else give_law(root, survey, law)
-    found = [*unmodelled(survey.model), *(contact_refusals(survey, all_of_them=off) if law is None else ())]
-    found += [one for one in modelled(survey.model) if one.kind in out]
-    _refuse([refusal for refusal in found if refusal.kind not in out], name)
+    mode, phrase = chosen(survey, asked) if asked in ("auto", "ground", "avoid", "model") else Choice(asked)
+    if asked == "ground" and mode != "ground":
+        raise ModelError(f"contacts is 'ground', but nothing in {name} falls on a plane or box: contacts='avoid'.")
+    found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
+    if mode in ("law", "ground"):
+        found = [one for one in found if one.kind != "contacts"]
+        left_out = give_law(root, survey, *_laws(survey, law))
+    taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
+    _refuse([one for one in found if one.kind not in taken_out], name, survey)
+    found += [one for one in modelled(survey.model) if one.kind in taken_out]
     if found:
         take_out(root, found, survey.model)
-    if found or (law and survey.pairs):  # the edits have made another text, which may not do what they meant
+    phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
+    if mode in ("law", "ground") and left_out:
+        phrases.append(phrase_of(survey.model, left_out))
+    if ElementTree.tostring(root, encoding="unicode") != original:  # the edits may not do what they meant
         survey = Survey(compile_model(root, files, name))
-        _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name)
+        _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
-    phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
-    mechanism = _mechanism(survey, text, files, (*phrases, *left_out), name)
+    mechanism = _mechanism(survey, text, files, tuple(phrases), name)
+    mechanism = replace(mechanism, contacts_mode=mode, contacts_choice=phrase)
     return mechanism if text == original else replace(mechanism, original=original)
 
 
-def _refuse(found: list[Refusal], name: str) -> None:
+def _renamed(contacts: object) -> object:
+    if contacts == "on":
+        raise PlannerError("contacts is 'on', expected one of: " + ", ".join(MODES) + ". Did you mean 'model'?")
+    return contacts
+
+
+def _laws(survey: Survey, law: ContactLaw | None) -> tuple[Callable[[Pair], ContactLaw | None], str]:
+    """The law of each pair, that of the ground by default, and their smoothing, for give_law."""
+    if law is not None:
+        return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
+    laws = {pair.geoms: law_of_ground(survey, pair) for pair in ground_pairs(survey)}
+    return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp)
+
+
+def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
+    """Raise ModelError for what is not modelled, with the keys that load the model."""
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
     more = f" and {len(found) - MOST_PHRASES} more" if len(found) > MOST_PHRASES else ""
     options = [repr(kind) for kind in kinds if kind in KINDS]
     ways = [f"ignore=({', '.join(options)}{',' if len(options) == 1 else ''})"] if options else []
-    ways += ["contacts='off'"] if "contacts" in kinds else []
+    ways += [f"contacts={chosen(survey).mode!r}"] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
     what = ", ".join(refusal.phrase for refusal in found[:MOST_PHRASES]) + more
     if firm:

@@ -1,0 +1,153 @@
+"""Choose how a plan treats the contacts of a file: with their own law, with a law of the ground, or avoided.
+
+    "model"   every pair of shapes has a law that the plan computes (see model.mjcf.contacts)
+    "ground"  something falls unless the ground carries it: its contacts with planes get ContactLaw.resting for its
+              mass, all others are avoided
+    "avoid"   planned without contacts; a proof fails where shapes touch in the user's file
+
+A tree of bodies can fall if it begins with a free joint, or with slides of which one is not level, and neither an
+actuator nor a spring holds them. It is a machine if actuators drive some of its joints, else an object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.contact.laws import ContactLaw
+from planner.model.contact.shapes import meets_plane, plane_of
+from planner.model.mjcf.contacts import is_modelled
+from planner.model.mjcf.survey import Pair, Survey, disabled, named
+
+MODES = ("auto", "avoid", "ground", "model", "off")
+LEVEL = 0.8  # of gravity, across a plane that carries
+_STEEP = 1e-6  # of gravity, along a slide that is not level
+
+
+class Choice(NamedTuple):
+    """A mode, and the sentence that says why."""
+
+    mode: str  # "model", "ground" or "avoid"; "" where no shapes can touch
+    phrase: str = ""
+
+
+def chosen(survey: Survey, asked: str = "auto") -> Choice:
+    """The mode of contacts "auto", or of the mode that was asked for, with its sentence."""
+    if not survey.pairs:
+        return Choice("")
+    falling = falling_trees(survey)
+    standing = ground_pairs(survey)
+    if asked == "auto":
+        asked = "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
+    if asked == "model":
+        return Choice(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
+    if asked == "ground" and standing:
+        return Choice(asked, _of_ground(survey, standing))
+    phrase = "planned without contacts: shapes that touch in your file fail the proof"
+    unheld = [named(survey.model, "body", int(body)) for body in falling]
+    if unheld:
+        phrase += f"; {unheld[0]} falls in the plan, since no plane or box below it carries a shape of it"
+    return Choice("avoid", phrase)
+
+
+def ground_pairs(survey: Survey) -> list[Pair]:
+    """The pairs of what can fall and a plane of the world, or the top of a box at rest that it lies above."""
+    falling = falling_trees(survey)
+    planes, boxes = [], []
+    for pair in survey.pairs:
+        match = meets_plane(survey, pair.geoms)
+        if match is None:
+            continue
+        flat, other = match
+        root = int(survey.model.body_rootid[survey.model.geom_bodyid[other]])
+        if root not in falling:
+            continue
+        if survey.model.geom_type[flat] == int(load_mujoco().mjtGeom.mjGEOM_PLANE):
+            if _is_ground(survey, flat):
+                planes.append(pair)
+        elif _lies_above(survey, flat, other):
+            boxes.append((root, pair))
+    on_planes = {int(survey.model.body_rootid[survey.model.geom_bodyid[list(pair.geoms)].max()]) for pair in planes}
+    return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
+
+
+def law_of_ground(survey: Survey, pair: Pair) -> ContactLaw:
+    """The law for the mass of what stands on the ground in a pair."""
+    return ContactLaw.resting(_mass(survey, pair), gravity=float(np.linalg.norm(survey.model.opt.gravity)))
+
+
+def _mass(survey: Survey, pair: Pair) -> float:
+    """Of all that hangs together with the body that is not at rest, kg."""
+    model = survey.model
+    bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+    return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
+
+
+def _of_ground(survey: Survey, standing: Sequence[Pair]) -> str:
+    masses = sorted({round(_mass(survey, pair), 3) for pair in standing}, reverse=True)
+    law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
+    others = len(survey.pairs) - len(standing)
+    phrase = f"contacts of {_pairs(len(standing))} with the ground are planned with a law for {law}"
+    return phrase + (f"; {others} other pair{'s' * (others != 1)} must not touch" if others else "")
+
+
+def _pairs(number: int) -> str:
+    return f"{number} pair{'s' * (number != 1)}"
+
+
+def falling_trees(survey: Survey) -> dict[int, bool]:
+    """The root bodies of trees that can fall, and whether an actuator drives anything in them."""
+    model, home, joints = survey.model, survey.home, load_mujoco().mjtJoint
+    gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
+    if not np.any(gravity):
+        return {}
+    driven = _driven(model)
+    held = driven | (model.jnt_stiffness[model.dof_jntid] > 0.0)
+    found = {}
+    for root in np.unique(model.body_rootid[model.dof_bodyid]):
+        body = int(root)
+        falls = False
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            dof = int(model.jnt_dofadr[joint])
+            if model.jnt_type[joint] == int(joints.mjJNT_FREE):
+                falls = not held[dof : dof + 6].any()
+            elif model.jnt_type[joint] == int(joints.mjJNT_SLIDE):
+                slope = abs(float(home.xaxis[joint] @ gravity))
+                falls |= bool(slope > _STEEP * np.linalg.norm(gravity) and not held[dof])
+        if falls:
+            found[body] = bool(driven[model.body_rootid[model.dof_bodyid] == root].any())
+    return found
+
+
+def _driven(model: Any) -> np.ndarray:
+    """(nv,) whether an actuator acts at a degree of freedom, directly or by a fixed tendon."""
+    kinds, driven = load_mujoco().mjtTrn, np.zeros(model.nv, dtype=bool)
+    for i in range(len(model.actuator_trntype)):
+        target = int(model.actuator_trnid[i, 0])
+        if model.actuator_trntype[i] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+            driven[model.dof_jntid == target] = True
+        elif model.actuator_trntype[i] == int(kinds.mjTRN_TENDON):
+            wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+            joints = model.wrap_type[wraps] == int(load_mujoco().mjtWrap.mjWRAP_JOINT)
+            driven[np.isin(model.dof_jntid, model.wrap_objid[wraps][joints])] = True
+    return driven
+
+
+def _is_ground(survey: Survey, flat: int) -> bool:
+    """Whether a plane is level enough to stand on; others are walls."""
+    plane, gravity = plane_of(survey, flat), np.array(survey.model.opt.gravity)
+    return plane is not None and bool(-plane.normal @ gravity > LEVEL * np.linalg.norm(gravity))
+
+
+def _lies_above(survey: Survey, flat: int, other: int) -> bool:
+    """Whether a geom is above the top of a box where the file puts it: beside a box its plane is no ground."""
+    model, home, plane = survey.model, survey.home, plane_of(survey, flat)
+    if plane is None:
+        return False
+    away = home.geom_xpos[other] - home.geom_xpos[flat]
+    inside = np.abs(home.geom_xmat[flat].reshape(3, 3).T @ away) <= model.geom_size[flat]
+    along = np.abs(home.geom_xmat[flat].reshape(3, 3).T @ plane.normal) < 0.5
+    return bool(np.all(inside[along]) and home.geom_xpos[other] @ plane.normal > plane.offset)
