@@ -23,6 +23,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, read_contacts, read_stops
+from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.meshes import coarsen_visual_meshes
 from planner.model.mjcf.refuse import KINDS, Refusal, actuator_disabled, adheres_to_nothing, unmodelled
@@ -43,9 +44,12 @@ _NUMBERS = (
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
-    assets: dict[str, bytes] | None = None,
+    assets: dict[str, bytes] | None = None, name: str = "",
 ) -> Mechanism:  # fmt: skip
-    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
+    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
+
+    With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
+    """
     if not isinstance(ignore, Collection | None):
         raise PlannerError(f"ignore is {shown(ignore)}, expected some of: {', '.join(KINDS)}.")
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore or ())
@@ -53,7 +57,7 @@ def read(
         choice("ignore", kind, KINDS)
     off = not isinstance(contacts, ContactLaw) and choice("contacts", contacts, ("on", "off")) == "off"
     out = {*ignored, *(["contacts"] if off else [])}
-    name = "the model" if isinstance(model, str) and "<" in model else f"the model {model}"
+    name = name or ("the model" if isinstance(model, str) and "<" in model else f"the model {model}")
 
     root, files = model_tree(model, assets, stored=assets is not None)
     survey = Survey(compile_model(root, files, name))
@@ -71,7 +75,8 @@ def read(
         _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name)
     phrases = ("contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found)
     text = ElementTree.tostring(root, encoding="unicode")
-    mechanism = _mechanism(survey, text, files, (*phrases, *left_out), name)
+    phrases = (*phrases_left_out(survey.model), *phrases, *left_out)
+    mechanism = _mechanism(survey, text, files, phrases, name)
     return mechanism if text == original else replace(mechanism, original=original)
 
 
@@ -136,7 +141,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
-        velocity_limit=np.full(model.nv, np.inf),
+        velocity_limit=velocity_limits(model),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), sites=sites, keyframes=keyframes,
