@@ -231,7 +231,7 @@ class Mechanism:
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-        ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+        inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: a body for every link, a motor within its effort for every joint with one coordinate.
 
@@ -245,6 +245,8 @@ class Mechanism:
             floor: Add the plane z = 0.
             package_path: Folder of a package, or of packages, or a list of such: package:// is sought there first,
                 then beside the file and in the folders above it.
+            inertia: "nearest" replaces an inertia that no body has by the nearest that one can have, and says so in
+                `ignored`; "given" refuses it.
             ignore: As from_mjcf has it.
             contacts: As from_mjcf has it.
 
@@ -255,7 +257,7 @@ class Mechanism:
         from planner.model.urdf.read import read_urdf  # as above
 
         return read_urdf(
-            model, base=base, floor=floor, package_path=package_path, ignore=ignore, contacts=contacts
+            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore, contacts=contacts
         )
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:

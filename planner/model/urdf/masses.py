@@ -1,7 +1,9 @@
-"""Check that a robot's masses can move, and say what to write where they cannot.
+"""The inertials of a robot's moving bodies, as MuJoCo takes them, and what to write where a machine cannot have them.
 
 MuJoCo refuses a moving body without mass or inertia. A link may have none where others that it carries have some:
-then it gets LEAST of both, far below the rounding of what it carries. A tensor that no body has is not altered.
+then it gets LEAST of both, far below the rounding of what it carries. MuJoCo also refuses a tensor that no body has. On
+a link that is fixed to others, it is added to theirs: only the sum moves. Else it is refused, or on request replaced by
+the nearest that a body can have.
 """
 
 from __future__ import annotations
@@ -17,49 +19,127 @@ LEAST = 1e-12
 """kg and kg m^2."""
 _WATER = 1000.0  # kg/m^3, for a suggestion
 _ROUNDING = 1e-9  # of a tensor whose principal moments fulfil the triangle inequality as an equation
+_NAMED = 3  # links in a sentence
 
 
-def possible(inertial: Inertial, where: str) -> Inertial:
-    """The same inertial, with LEAST where it has no mass or inertia about an axis.
+def inertials(
+    robot: Robot, joints: tuple[Joint, ...], anchored: set[str], name: str, *, nearest: bool
+) -> tuple[dict[str, Inertial], list[str]]:
+    """The inertial of every link that moves and has one, and phrases about those that are replaced.
 
     Raises:
-        ModelError: No body has this inertia.
+        ModelError: A tensor that no body has, unless `nearest`, or a joint that moves no inertia.
     """
-    values, axes = np.linalg.eigh(inertial.inertia)
-    nearest = _nearest(values)
-    if np.max(np.abs(nearest - values)) > _ROUNDING * np.max(np.abs(values)):
-        tensor = axes @ np.diag(nearest * (1.0 + 1e-6)) @ axes.T
-        raise ModelError(
-            f"{where} has the principal moments of inertia {' '.join(f'{v:.4g}' for v in values)} kg m^2, expected "
-            f"positive ones of which none exceeds the sum of the others: the nearest is {_written(tensor)}."
-        )
-    if values[0] < LEAST or inertial.mass < LEAST or not np.array_equal(nearest, values):
-        inertia = axes @ np.diag(_nearest(np.maximum(values, 0.0)) + LEAST) @ axes.T
-        return replace(inertial, mass=max(inertial.mass, LEAST), inertia=inertia)
-    return inertial
+    _check_moved(robot, joints, name)
+    poses, groups = {link: np.eye(4) for link in robot.links}, {}
+    first: dict[str, str] = {}
+    for joint in joints:  # parents first
+        rigid = joint.kind == "fixed" and joint.parent
+        first[joint.child] = first.get(joint.parent, joint.parent) if rigid else joint.child
+        if rigid:
+            poses[joint.child] = poses[joint.parent] @ _pose(joint)
+        if joint.child not in anchored:
+            groups.setdefault(first[joint.child], []).append(joint.child)
+    found: dict[str, Inertial] = {}
+    wrong: list[str] = []
+    for head, links in groups.items():
+        own = {link: body for link in links if (body := robot.links[link].inertial) is not None and _weighs(body)}
+        bad = [link for link, body in own.items() if not _possible(body)]
+        if bad and len(own) > 1:
+            total = _sum([(body, poses[link]) for link, body in own.items()])
+            if _possible(total):
+                own, bad = {head: total}, []
+        wrong += bad
+        nothing = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+        found |= {link: _accepted(body) for link, body in ({head: nothing} | own).items()}
+    if not wrong:
+        return found, []
+    if not nearest:
+        raise ModelError(_refusal(robot, wrong, name))
+    change = max(_change(body) for link in wrong if (body := robot.links[link].inertial) is not None)
+    return found, [f"the inertia of {_listed(wrong)} (no body has it; by {100 * change:.2g} % another is the nearest)"]
 
 
-def _nearest(values: np.ndarray) -> np.ndarray:
-    """The nearest principal moments, ascending, that a body can have."""
+def _weighs(body: Inertial) -> bool:
+    return bool(body.mass or np.any(body.inertia))
+
+
+def _pose(joint: Joint) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = joint.pose.rotation, joint.pose.xyz
+    return T
+
+
+def _sum(bodies: list[tuple[Inertial, np.ndarray]]) -> Inertial:
+    """Several bodies as one, each with the pose of its link in the common frame."""
+    mass = sum(body.mass for body, _ in bodies)
+    centres = [T[:3, :3] @ body.centre + T[:3, 3] for body, T in bodies]
+    moments = [body.mass * c for (body, _), c in zip(bodies, centres, strict=True)]
+    centre = np.sum(moments, axis=0) / mass if mass else np.zeros(3)
+    inertia = np.zeros((3, 3))
+    for (body, T), c in zip(bodies, centres, strict=True):
+        d = c - centre
+        inertia += T[:3, :3] @ body.inertia @ T[:3, :3].T + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return Inertial(mass, centre, inertia)
+
+
+def _nearest(tensor: np.ndarray) -> np.ndarray:
+    """The nearest tensor that a body can have: positive moments, none larger than the sum of the others."""
+    values, axes = np.linalg.eigh(tensor)
     a, b, c = np.maximum(values, 0.0)
     excess = max(0.0, c - a - b) / 3.0
-    return np.array([a + excess, b + excess, c - excess])
+    return axes @ np.diag([a + excess, b + excess, c - excess]) @ axes.T
+
+
+def _change(body: Inertial) -> float:
+    """How far the nearest tensor is, as a share."""
+    return float(np.linalg.norm(_nearest(body.inertia) - body.inertia) / np.linalg.norm(body.inertia))
+
+
+def _possible(body: Inertial) -> bool:
+    size = np.linalg.norm(body.inertia)
+    return size == 0.0 or _change(body) * size <= max(_ROUNDING * size, LEAST)
+
+
+def _accepted(body: Inertial) -> Inertial:
+    """The body as MuJoCo takes it: unchanged, but for rounding, LEAST, and a tensor that no body has."""
+    values = np.linalg.eigvalsh(body.inertia)
+    if values[0] >= LEAST and values[2] <= values[0] + values[1] and body.mass >= LEAST:
+        return body
+    inertia = _nearest(body.inertia)
+    inertia = inertia + (LEAST + 4.0 * np.finfo(float).eps * np.linalg.norm(inertia)) * np.eye(3)
+    return replace(body, mass=max(body.mass, LEAST), inertia=inertia)
+
+
+def _listed(links: list[str]) -> str:
+    more = f" and {len(links) - _NAMED} more" if len(links) > _NAMED else ""
+    return f"link{'s' * (len(links) > 1)} {', '.join(map(repr, links[:_NAMED]))}{more}"
+
+
+def _refusal(robot: Robot, links: list[str], name: str) -> str:
+    body = robot.links[links[0]].inertial
+    assert body is not None
+    values, tensor = np.linalg.eigvalsh(body.inertia), _nearest(body.inertia)
+    return (
+        f"no body has the inertia of {_listed(links)} of {name}, e.g. {links[0]!r} the principal moments "
+        f"{' '.join(f'{v:.4g}' for v in values)} kg m^2, where none may be negative or exceed the sum of the others: "
+        f'correct the file (the nearest is {_written(tensor)}) or write inertia = "nearest" to plan with the nearest.'
+    )
 
 
 def _written(tensor: np.ndarray) -> str:
     keys = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
     size = np.max(np.abs(tensor))
+    tensor = tensor + 1e-6 * size * np.eye(3)  # so that seven digits fulfil the inequality
     entries = {key: tensor[at] if abs(tensor[at]) > 1e-9 * size else 0.0 for key, at in keys.items()}
     return "<inertia " + " ".join(f'{key}="{value:.7g}"' for key, value in entries.items()) + "/>"
 
 
-def check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
+def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
     """Raise ModelError for a joint that moves no mass, or turns no inertia, with all that hangs on it."""
     poses = {robot.root: np.eye(4), "": np.eye(4)}  # "" is the world
     for joint in joints:
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = joint.pose.rotation, joint.pose.xyz
-        poses[joint.child] = poses[joint.parent] @ T
+        poses[joint.child] = poses[joint.parent] @ _pose(joint)
     mass, moment, inertia = {}, {}, {}  # of each link and what hangs on it, about the origin of the root
     for link, T in poses.items():
         given = robot.links[link].inertial if link else None

@@ -18,6 +18,7 @@ from planner.model.urdf.robot import robot_of
 from planner.model.urdf.write import mjcf_of
 
 BASES = ("fixed", "free")
+INERTIAS = ("given", "nearest")
 
 
 def is_urdf(model: object) -> bool:
@@ -29,18 +30,21 @@ def is_urdf(model: object) -> bool:
 
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on", assets: dict[str, bytes] | None = None,
+    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on", assets: dict[str, bytes] | None = None,
 ) -> Mechanism:  # fmt: skip
-    """A mechanism of a URDF or MJCF file or text; `base`, `floor` and `package_path` are for URDFs alone.
+    """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
 
     Raises:
         PlannerError: One of them is given for MJCF, or is wrong.
         ModelError: As of Mechanism.from_urdf and from_mjcf.
     """
     if assets is None and is_urdf(model):
-        return read_urdf(model, base=base, floor=floor, package_path=package_path, ignore=ignore, contacts=contacts)
+        return read_urdf(
+            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore, contacts=contacts
+        )
     if assets is None:
-        for key, value in (("base", base), ("floor", floor), ("package_path", package_path)):
+        given = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia != "given"}
+        for key, value in given.items():
             if value:
                 raise PlannerError(
                     f"{key} is given for an MJCF model, expected it for a URDF alone: MJCF says it itself."
@@ -50,11 +54,12 @@ def read_model(
 
 def read_urdf(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF file or text; see Mechanism.from_urdf."""
     if base is not None:
         choice("base", base, BASES)
+    nearest = choice("inertia", inertia, INERTIAS) == "nearest"
     if not isinstance(floor, bool):
         raise PlannerError(f"floor is {shown(floor)}, expected true or false.")
     paths = (package_path,) if isinstance(package_path, (str, os.PathLike)) else tuple(package_path)
@@ -66,5 +71,7 @@ def read_urdf(
         path, name = Path(model), f"the model {printable(model)}"
         text = read_text(path, "the model", raises=ModelError)
     robot = robot_of(text, name)
-    mjcf, assets = mjcf_of(robot, packages_of(path, paths, robot.meshdir), name, base=base, floor=floor)
+    mjcf, assets = mjcf_of(
+        robot, packages_of(path, paths, robot.meshdir), name, base=base, floor=floor, nearest=nearest
+    )
     return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)

@@ -143,14 +143,15 @@ def _with_prefixes(text: str) -> str:
 
 
 def _refuse_xacro(root: ElementTree.Element, name: str) -> None:
-    for element in root.iter():
-        if "xacro}" in element.tag or any("${" in value or "$(" in value for value in element.attrib.values()):
-            file = name.removeprefix("the model ") if " " in name and name != "the model" else "arm.urdf.xacro"
-            made = file.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
-            raise ModelError(
-                f"{name} is xacro, from which URDFs are made, expected a URDF: run `xacro {file} > "
-                f"{made if made != file else 'made.urdf'}` first (`pip install xacro`)."
-            )
+    parts = [part for tag in ("link", "joint") for element in root.iterfind(tag) for part in element.iter()]
+    unresolved = any("${" in value or "$(" in value for part in parts for value in part.attrib.values())
+    if unresolved or any("xacro" in element.tag for element in root.iter()):
+        file = name.removeprefix("the model ") if name != "the model" else "arm.urdf.xacro"
+        made = file.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
+        raise ModelError(
+            f"{name} is xacro, from which URDFs are made, expected a URDF: run `xacro {file} > "
+            f"{made if made != file else 'made.urdf'}` first (`pip install xacro`)."
+        )
 
 
 def _check_references(joints: list[Joint], links: dict[str, Link], name: str) -> None:

@@ -5,17 +5,22 @@ Shapes are of two groups: MuJoCo draws groups 0 to 2, so those that touch are dr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from planner.base.errors import ModelError
+from planner.model.mjcf.meshes import COARSE
 from planner.model.mjcf.text import written
-from planner.model.urdf.meshes import mesh_file
+from planner.model.urdf.meshes import hull, mesh_triangles, on_grid, stl
 from planner.model.urdf.packages import Packages
 from planner.model.urdf.robot import Link, Numbers, Pose, Shape
 
 SEEN, TOUCHING = "2", "3"
+Form = Callable[[np.ndarray], np.ndarray]
 _GREY = (0.6, 0.6, 0.62, 1.0)
 
 
@@ -26,7 +31,8 @@ class Shapes:
     root: Element
     packages: Packages
     files: dict[str, bytes] = field(default_factory=dict)
-    meshes: dict[tuple[Path, Numbers], str] = field(default_factory=dict)  # MJCF's names, by file and scale
+    meshes: dict[tuple[str, Numbers, Form | None], str] = field(default_factory=dict)  # MJCF's names
+    triangles: dict[Path, np.ndarray] = field(default_factory=dict)
     unread: dict[str, str] = field(default_factory=dict)  # why a mesh is left out, by its name in the URDF
     unseen: list[str] = field(default_factory=list)  # meshes that are left out of pictures
     untouched: list[str] = field(default_factory=list)  # phrases of those that are left out of contacts
@@ -39,15 +45,15 @@ class Shapes:
         for attributes in seen:
             SubElement(body, "geom", {**attributes, "contype": "0", "conaffinity": "0", "group": SEEN})
         for shape in link.collisions:
-            attributes = self._geom(shape)
+            attributes = self._geom(shape, hull if seen else None)
             if attributes is None:
-                self.untouched.append(f"the collision mesh {shape.file!r} of link {link.name!r} ({self._why(shape)})")
+                what = f"mesh {shape.file!r}" if shape.file else shape.kind
+                self.untouched.append(f"the collision {what} of link {link.name!r} ({self._why(shape)})")
                 continue
             if not seen:
                 attributes["rgba"] = written(*(shape.rgba or _GREY))
-            SubElement(
-                body, "geom", {"name": self._named(link.name), **attributes, "group": TOUCHING if seen else SEEN}
-            )
+            group = TOUCHING if seen else SEEN
+            SubElement(body, "geom", {"name": self._named(link.name), **attributes, "group": group})
             self.touching.add(link.name)
 
     def left_out(self) -> list[str]:
@@ -59,43 +65,47 @@ class Shapes:
         return phrases
 
     def _visual(self, shape: Shape) -> dict[str, str] | None:
-        attributes = self._geom(shape)
+        attributes = self._geom(shape, on_grid)
         if attributes is None:
-            self.unseen.append(shape.file)
+            if shape.file:
+                self.unseen.append(shape.file)
             return None
         return {**attributes, "rgba": written(*(shape.rgba or _GREY))}
 
     def _why(self, shape: Shape) -> str:
-        return self.unread[shape.file]
+        return self.unread[shape.file] if shape.kind == "mesh" else "its size is 0"
 
-    def _geom(self, shape: Shape) -> dict[str, str] | None:
-        """Attributes of a shape, None where its mesh cannot be read."""
+    def _geom(self, shape: Shape, form: Form | None) -> dict[str, str] | None:
+        """Attributes of a shape, None where it has no size or its mesh cannot be read."""
         if shape.kind != "mesh":
-            return {"type": shape.kind, "size": written(*shape.size), **placed(shape.pose)}
-        mesh = self._mesh(shape)
+            return {"type": shape.kind, "size": written(*shape.size), **placed(shape.pose)} if all(shape.size) else None
+        mesh = self._mesh(shape, form)
         return None if mesh is None else {"type": "mesh", "mesh": mesh, **placed(shape.pose)}
 
-    def _mesh(self, shape: Shape) -> str | None:
-        if shape.file in self.unread:
-            return None
-        path = self.packages.find(shape.file)
-        if path is None:
-            self.unread[shape.file] = "there is no such file"
-            return None
-        key = (path, shape.scale)
-        if key in self.meshes:
-            return self.meshes[key]
+    def _mesh(self, shape: Shape, form: Form | None) -> str | None:
+        """MJCF's name of a mesh in some form."""
+        key = (shape.file, shape.scale, form)
+        if shape.file in self.unread or key in self.meshes:
+            return self.meshes.get(key)
         try:
-            content, ending = mesh_file(path)
+            path = self.packages.find(shape.file)
+            if path is None:
+                raise ModelError("there is no such file")
+            if path not in self.triangles:
+                self.triangles[path] = mesh_triangles(path)
+            triangles = self.triangles[path]
+            content = stl(triangles if form is None else form(triangles))
         except ModelError as error:
             self.unread[shape.file] = str(error).rstrip(".")
             return None
         taken = {name.lower() for name in self.meshes.values()}  # MuJoCo finds files by names in lower case
-        stem, number = path.stem, 1
-        while (name := stem if number == 1 else f"{stem}-{number}").lower() in taken:
+        number, stem = 1, path.stem + ("" if form is not hull else " hull")
+        while (name := stem if number == 1 else f"{stem} {number}").lower() in taken:
             number += 1
-        file = next((known for known, other in self.files.items() if other == content), f"{name}{ending}")
-        self.files[file] = content
+        file = next((known for known, other in self.files.items() if other == content), None)
+        if file is None:  # the ending says that reading need not make it smaller
+            file = f"{name}{COARSE if form is on_grid else '.'}stl"
+            self.files[file] = content
         self.meshes[key] = name
         asset = self.root.find("asset")
         if asset is None:
@@ -103,9 +113,9 @@ class Shapes:
             self.root.insert(1, asset)
         # As a shell a mesh needs no volume; no mass depends on it.
         attributes = {"name": name, "file": file, "inertia": "shell"}
-        SubElement(
-            asset, "mesh", attributes | ({} if shape.scale == (1.0, 1.0, 1.0) else {"scale": written(*shape.scale)})
-        )
+        if shape.scale != (1.0, 1.0, 1.0):
+            attributes["scale"] = written(*shape.scale)
+        SubElement(asset, "mesh", attributes)
         return name
 
     def _named(self, link: str) -> str:

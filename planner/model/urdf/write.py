@@ -14,11 +14,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from planner.base.errors import ModelError
 from planner.model.mjcf.custom import add_left_out, add_velocity_limits
 from planner.model.mjcf.text import written
-from planner.model.urdf.masses import LEAST, check_moved, possible
+from planner.model.urdf.masses import inertials
 from planner.model.urdf.packages import Packages
-from planner.model.urdf.robot import SCALAR, Joint, Link, Pose, Robot
+from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
 from planner.model.urdf.shapes import Shapes, placed
 
 _FAR = 1e10
@@ -26,16 +27,19 @@ _FAR = 1e10
 
 
 def mjcf_of(
-    robot: Robot, packages: Packages, name: str, *, base: str | None = None, floor: bool = False
+    robot: Robot, packages: Packages, name: str, *, base: str | None = None, floor: bool = False, nearest: bool = False
 ) -> tuple[str, dict[str, bytes]]:
     """MJCF text and files of a robot; see Mechanism.from_urdf.
 
     Raises:
-        ModelError: A link cannot have its inertia, or a joint moves none.
+        ModelError: Nothing moves, a joint moves no inertia, or no body has one.
     """
     joints = based(robot, base)
-    check_moved(robot, joints, name)
+    if all(joint.kind == "fixed" for joint in joints):
+        floats = ': base = "free" lets it float' if base is None else ""
+        raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
     anchored = set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
+    bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
     root = Element("mujoco", {"model": robot.root})
     SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "false"})
     world, shapes = SubElement(root, "worldbody"), Shapes(root, packages)
@@ -44,16 +48,15 @@ def mjcf_of(
         SubElement(world, "geom", attributes)
         shapes.names.add("floor")
     for link, body in _bodies(robot, world, joints, anchored).items():
-        if link and link not in anchored:
-            moves = any(joint.child == link and joint.kind != "fixed" for joint in joints)
-            _add_inertial(body, robot.links[link], f"link {link!r} of {name}", moves=moves)
+        if link in bodies_of:
+            _add_inertial(body, bodies_of[link])
         if link:
             shapes.add(body, robot.links[link])
     _exclude_neighbours(root, joints, anchored, shapes.touching)
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
     add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    add_left_out(root, [*shapes.left_out(), *unlimited])
+    add_left_out(root, [*replaced, *shapes.left_out(), *unlimited])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
@@ -134,16 +137,10 @@ def _add_joint(body: Element, joint: Joint) -> None:
         SubElement(body, "joint", attributes)
 
 
-def _add_inertial(body: Element, link: Link, where: str, *, moves: bool) -> None:
-    given = link.inertial
-    if given is not None and (given.mass or np.any(given.inertia)):
-        own = possible(given, where)
-        rows = own.inertia
-        six = written(rows[0, 0], rows[1, 1], rows[2, 2], rows[0, 1], rows[0, 2], rows[1, 2])
-        SubElement(body, "inertial", {"pos": written(*own.centre), "mass": written(own.mass), "fullinertia": six})
-    elif moves:
-        least = {"pos": "0 0 0", "mass": written(LEAST), "diaginertia": written(LEAST, LEAST, LEAST)}
-        SubElement(body, "inertial", least)
+def _add_inertial(body: Element, own: Inertial) -> None:
+    rows = own.inertia
+    six = written(rows[0, 0], rows[1, 1], rows[2, 2], rows[0, 1], rows[0, 2], rows[1, 2])
+    SubElement(body, "inertial", {"pos": written(*own.centre), "mass": written(own.mass), "fullinertia": six})
 
 
 def _exclude_neighbours(root: Element, joints: tuple[Joint, ...], anchored: set[str], touching: set[str]) -> None:
