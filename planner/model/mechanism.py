@@ -233,7 +233,7 @@ class Mechanism:
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
         inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
     ) -> Mechanism:  # fmt: skip
-        """Read a URDF file or text: a body for every link, a motor within its effort for every joint with one coordinate.
+        """Read a URDF file or text: each link is a body, each joint with one coordinate has a motor within its effort.
 
         A mimic joint has no motor and an equality instead, a fixed joint keeps its link's frame. The mechanism keeps
         MJCF, with the velocity limits. Meshes that are missing, or of another kind than STL, OBJ, DAE and GLB, are left

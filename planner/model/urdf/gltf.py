@@ -74,6 +74,6 @@ def _array(scene: dict[str, Any], accessor: int, data: bytes) -> np.ndarray:
     kind = np.dtype(_TYPES[form["componentType"]])
     at, stride = view.get("byteOffset", 0) + form.get("byteOffset", 0), view.get("byteStride", size * kind.itemsize)
     count = form["count"]
-    if not (0 <= at and 0 < stride and 0 < count and at + (count - 1) * stride + size * kind.itemsize <= len(data)):
+    if not (at >= 0 and stride > 0 and count > 0 and at + (count - 1) * stride + size * kind.itemsize <= len(data)):
         raise ValueError
     return np.ndarray((count, size), kind, data, at, (stride, kind.itemsize))

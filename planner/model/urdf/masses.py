@@ -60,6 +60,24 @@ def inertials(
     return found, [f"the inertia of {_listed(wrong)} (no body has it; by {100 * change:.2g} % another is the nearest)"]
 
 
+def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, ...], list[str]]:
+    """The joints with those fixed that move no mass, which nothing else feels, and phrases about them."""
+    heavy: set[str] = set()
+    for joint in reversed(joints):
+        body = robot.links[joint.child].inertial
+        if joint.child in heavy or (body is not None and _weighs(body)):
+            heavy |= {joint.child, joint.parent}
+    idle = [joint for joint in joints if joint.kind != "fixed" and joint.child not in heavy]
+    if not idle:
+        return joints, []
+    names = {joint.name for joint in idle}
+    needed = [joint.mimic[0] for joint in joints if joint.mimic is not None and joint.name not in names]
+    fixed = names - set(needed)  # a joint that others follow is refused where it moves nothing
+    phrase = f"the motion of {_listed([joint.name for joint in idle], 'joint')} (no mass hangs on what it moves)"
+    kept = tuple(replace(j, kind="fixed", mimic=None) if j.name in fixed else j for j in joints)
+    return kept, [phrase] if fixed else []
+
+
 def _weighs(body: Inertial) -> bool:
     return bool(body.mass or np.any(body.inertia))
 
@@ -98,7 +116,7 @@ def _change(body: Inertial) -> float:
 
 def _possible(body: Inertial) -> bool:
     size = np.linalg.norm(body.inertia)
-    return size == 0.0 or _change(body) * size <= max(_ROUNDING * size, LEAST)
+    return bool(size == 0.0 or _change(body) * size <= max(_ROUNDING * size, LEAST))
 
 
 def _accepted(body: Inertial) -> Inertial:
@@ -111,9 +129,9 @@ def _accepted(body: Inertial) -> Inertial:
     return replace(body, mass=max(body.mass, LEAST), inertia=inertia)
 
 
-def _listed(links: list[str]) -> str:
+def _listed(links: list[str], kind: str = "link") -> str:
     more = f" and {len(links) - _NAMED} more" if len(links) > _NAMED else ""
-    return f"link{'s' * (len(links) > 1)} {', '.join(map(repr, links[:_NAMED]))}{more}"
+    return f"{kind}{'s' * (len(links) > 1)} {', '.join(map(repr, links[:_NAMED]))}{more}"
 
 
 def _refusal(robot: Robot, links: list[str], name: str) -> str:

@@ -1,9 +1,12 @@
-"""Meshes of a URDF as binary STL files, which MuJoCo reads fast: what is only seen on the grid of a picture, what only
-touches as its convex hull, which is all that MuJoCo collides with.
+"""Meshes of a URDF as binary STL files, which MuJoCo reads fast.
+
+What is only seen is stored on the grid of a picture, what only touches as its convex hull, which is what MuJoCo
+collides with.
 """
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +94,7 @@ def obj_triangles(content: bytes) -> np.ndarray:
             elif words[:1] == [b"f"]:
                 face = [int(word.split(b"/", 1)[0]) for word in words[1:]]
                 face = [index - 1 if index > 0 else len(vertices) + index for index in face]
-                for b, c in zip(face[1:-1], face[2:], strict=True):
-                    corners += [face[0], b, c]
+                corners += [index for b, c in itertools.pairwise(face[1:]) for index in (face[0], b, c)]
         points = np.array(vertices, dtype=float).reshape(-1, 3)
         return points[np.array(corners, dtype=np.int64)].reshape(-1, 3, 3)
     except (ValueError, IndexError):

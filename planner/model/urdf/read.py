@@ -14,7 +14,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.read import read
 from planner.model.mjcf.text import is_text
 from planner.model.urdf.packages import packages_of
-from planner.model.urdf.robot import robot_of
+from planner.model.urdf.parse import robot_of
 from planner.model.urdf.write import mjcf_of
 
 BASES = ("fixed", "free")
@@ -30,7 +30,8 @@ def is_urdf(model: object) -> bool:
 
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on", assets: dict[str, bytes] | None = None,
+    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+    assets: dict[str, bytes] | None = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
 

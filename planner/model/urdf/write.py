@@ -17,7 +17,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.model.mjcf.custom import add_left_out, add_velocity_limits
 from planner.model.mjcf.text import written
-from planner.model.urdf.masses import inertials
+from planner.model.urdf.masses import inertials, without_idle
 from planner.model.urdf.packages import Packages
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
 from planner.model.urdf.shapes import Shapes, placed
@@ -34,7 +34,7 @@ def mjcf_of(
     Raises:
         ModelError: Nothing moves, a joint moves no inertia, or no body has one.
     """
-    joints = based(robot, base)
+    joints, idle = without_idle(robot, based(robot, base))
     if all(joint.kind == "fixed" for joint in joints):
         floats = ': base = "free" lets it float' if base is None else ""
         raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
@@ -56,7 +56,7 @@ def mjcf_of(
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
     add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
-    add_left_out(root, [*replaced, *shapes.left_out(), *unlimited])
+    add_left_out(root, [*idle, *replaced, *shapes.left_out(), *unlimited])
     return ElementTree.tostring(root, encoding="unicode"), shapes.files
 
 
