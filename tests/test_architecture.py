@@ -30,11 +30,11 @@ MODULES = {module_of(path): path for path in FILES}
 
 
 def imports(path):
-    """Modules that a file imports, wherever in it the import stands; Mechanism.from_mjcf is the one exception."""
+    """Modules that a file imports, wherever in it the import stands; Mechanism.from_mjcf and from_urdf are the exceptions."""
     skipped = set()
     for node in ast.walk(TREES[path]):
         if isinstance(node, ast.ClassDef) and node.name == "Mechanism":
-            reading = [child for child in node.body if getattr(child, "name", "") == "from_mjcf"]
+            reading = [child for child in node.body if getattr(child, "name", "") in ("from_mjcf", "from_urdf")]
             skipped |= {id(child) for function in reading for child in ast.walk(function)}
     for node in ast.walk(TREES[path]):
         if id(node) in skipped:

@@ -151,6 +151,9 @@ _SOLVER: Flags = {
                                   "Default: effort."),
     "--durations": _takes("A,B", "Shortest and longest duration, s, for an objective with time."),
 }  # fmt: skip
+_URDF: Flags = {
+    "--package-path": _takes("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
+}
 _PROOF: Flags = {
     "--rollouts": _takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, _whole),
     "--hold": _takes("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, _number),
@@ -199,6 +202,7 @@ def build() -> argparse.ArgumentParser:
         )
         own.set_defaults(parser=own, control_limit=None, exact_goal=False)
         own.add_argument("problem", metavar="FILE", help="A problem.toml.")
+        _add(own, _URDF)
         _add(own, _SOLVER, *groups, _OUTPUT)
 
     plan = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
@@ -277,7 +281,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
         ending = argv[1].lower()
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]
-        elif ending.endswith((".xml", ".mjcf")):
+        elif ending.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
             raise PlannerError(
                 f"{argv[1]} is a model, expected a case ({', '.join(CASES)}) or a {PROBLEM_FILE} that names the model "
                 "(see docs/own-machine.md)."

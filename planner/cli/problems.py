@@ -45,7 +45,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
     durations = None if arguments.durations is None else durations_of(arguments.durations)
     named = case_in(arguments.problem) if arguments.case == PROBLEM_FILE else None
     if arguments.case == PROBLEM_FILE and named is None:
-        given = {"starts": arguments.starts, "seed": arguments.seed}
+        given = {"starts": arguments.starts, "seed": arguments.seed, "package_path": _absolute(arguments.package_path)}
         file = load(arguments.problem, **given, objective=objective, durations=durations)
         return ProblemOf(*file)
     flags = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
@@ -65,6 +65,11 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
         problem = with_objective(problem, objective)
     checked_durations(durations, objective or {})
     return ProblemOf(problem, starts, seed, objective, durations)
+
+
+def _absolute(folder: str | None) -> str | None:
+    """A folder of the command line, which is not relative to the problem file."""
+    return None if folder is None else str(Path(folder).absolute())
 
 
 def objective_of(text: str) -> dict[str, float]:

@@ -26,7 +26,7 @@ generalized forces, where u is the control or, with a state of its own, the acti
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -115,7 +115,8 @@ class Mechanism:
         friction_rate: (nv,) 1/s, of the damper beside that inertia.
         lifted_mass: (nv,) kg of a link whose weight gravity compensation carries.
         lifted_moment: (nv, 3) its first moment in the link's frame, kg m.
-        velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, MJCF does not.
+        velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, in MJCF see
+            planner.model.mjcf.custom.
         body_names: MuJoCo's bodies in order, the world first.
         bodies: Their frames.
         contacts: Spheres and points that touch planes of the world.
@@ -253,6 +254,38 @@ class Mechanism:
         from planner.model.mjcf.read import read  # read imports Mechanism: the one exception to the order of folders
 
         return read(model, ignore=ignore, contacts=contacts)
+
+    @classmethod
+    def from_urdf(
+        cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
+        inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+    ) -> Mechanism:  # fmt: skip
+        """Read a URDF file or text: each link is a body, each joint with one coordinate has a motor within its effort.
+
+        A mimic joint has no motor and an equality instead, a fixed joint keeps its link's frame. The mechanism keeps
+        MJCF, with the velocity limits. Meshes that are missing, or of another kind than STL, OBJ, DAE and GLB, are left
+        out and said in `ignored`; so are effort limits that the file does not give, or gives as 0.
+
+        Args:
+            model: A path, or the XML text itself.
+            base: "fixed" or "free", what the root link is; by default fixed, but for a floating joint of the file.
+            floor: Add the plane z = 0.
+            package_path: Folder of a package, or of packages, or a list of such: package:// is sought there first,
+                then beside the file and in the folders above it.
+            inertia: "nearest" replaces an inertia that no body has by the nearest that one can have, and says so in
+                `ignored`; "given" refuses it.
+            ignore: As from_mjcf has it.
+            contacts: As from_mjcf has it.
+
+        Raises:
+            ModelError: A file that cannot be read or is no tree of links, xacro, an inertia that no body has, a joint
+                that moves no inertia, or what from_mjcf raises.
+        """
+        from planner.model.urdf.read import read_urdf  # as above
+
+        return read_urdf(
+            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore, contacts=contacts
+        )
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with torques that are exponentials of its coordinates, in place of those it has.

@@ -1,6 +1,6 @@
-"""problem.toml: a machine of one's own (an MJCF file), a start, a goal and weights, as a Problem.
+"""problem.toml: a machine of one's own (an MJCF or URDF file), a start, a goal and weights, as a Problem.
 
-    model = "crane.xml"                 # relative to this file
+    model = "crane.xml"                 # or a URDF, relative to this file
     start = "start"                     # a keyframe, numbers, or a table of joints
     goal = { trolley = 2.0 }            # joints that a table does not name end where they started
     duration = 4.0                      # s
@@ -40,7 +40,7 @@ from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
-from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED
+from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
@@ -58,9 +58,9 @@ from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.driven import driven_dofs
-from planner.model.mjcf.read import read
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
+from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
@@ -97,9 +97,9 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     table = with_defaults(with_model_limits(read_table(path)), str(path))
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
-        raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF file.")
-    mechanism = _mechanism(path.parent / table["model"], table, None)
-    problem = _problem(table, mechanism, str(path))
+        raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
+    folders = {"package_path": _folders(path.parent, table["package_path"])} if "package_path" in table else {}
+    problem = _problem(table, _mechanism(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
@@ -151,18 +151,28 @@ def _again(mechanism: Mechanism, **table: Any) -> Problem:
     return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
+def _folders(beside: Path, given: Any) -> list[str]:
+    """Folders of packages, relative to the problem file."""
+    folders = [given] if isinstance(given, str) else given
+    if not isinstance(folders, list) or not all(isinstance(folder, str) for folder in folders):
+        raise PlannerError(f"package_path is {shown(given)}, expected a folder of packages, or a list of some.")
+    return [str(beside / folder) for folder in folders]
+
+
 def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
     ignore = table["ignore"]
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
+    of_urdf = {key: table[key] for key in URDF if key in table}
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
         choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
     if assets is not None and contacts not in ("avoid", "off"):  # a stored model has the law already
         contacts = "auto"
     elif isinstance(contacts, dict):
-        contacts = _contact_law(contacts, read(model, ignore=tuple(ignore), contacts="off"))
-    mechanism = read(model, ignore=tuple(ignore), contacts=contacts, assets=assets)
+        contacts = _contact_law(contacts, opened(contacts="off"))
+    mechanism = opened(contacts=contacts)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
         raise ModelError(f"{name} has no actuators, expected at least one, or prescribed joints: nothing is planned.")

@@ -8,7 +8,12 @@ from planner.dynamics import INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 
 KEYS = {
-    "model": "MJCF file, relative to this file",
+    "model": "MJCF or URDF file, relative to this file",
+    "base": "of a URDF: fixed or free, what its root link is; by default fixed, but for a floating joint of the file",
+    "floor": "of a URDF: true to add the plane z = 0",
+    "package_path": "of a URDF: folder of packages, or a list of some, where package:// is sought before the folders "
+    "above the file; relative to this file",
+    "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
     "goal": "the same; joints that a table does not name end where they started",
     "duration": "s",
@@ -68,6 +73,7 @@ GROUND = {
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
+URDF = ("base", "floor", "package_path", "inertia")
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "auto",

@@ -56,7 +56,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
             raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
         check_keys(part, keys, f"[{name}] of {where}")
     if "model" not in table:
-        raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF file.")
+        raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF or URDF file.")
     return {**DEFAULTS, **table, "weights": dict(table.get("weights", {}))}
 
 

@@ -41,17 +41,20 @@ class Budget:
             raise ModelError(f"the model has more than {MOST_ELEMENTS} elements, expected fewer.")
 
 
-def parsed(text: str, name: str, budget: Budget | None = None) -> ElementTree.Element:
-    """The root of an MJCF text, within the budget."""
-    if "<!ENTITY" in text:  # entities can grow without bound; MJCF has no use for them
-        raise ModelError(f"{name} declares XML entities, expected plain MJCF.")
+def parsed(
+    text: str, name: str, budget: Budget | None = None, roots: tuple[str, ...] = ("mujoco", "mujocoinclude")
+) -> ElementTree.Element:
+    """The root of an MJCF text, or of one with another root element, within the budget."""
+    if "<!ENTITY" in text:  # entities can grow without bound; models have no use for them
+        raise ModelError(f"{name} declares XML entities, expected plain {'URDF' if 'robot' in roots else 'MJCF'}.")
     (budget or Budget()).spend(text)
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:  # ValueError: characters that no file can hold
         raise ModelError(f"{name} is not well-formed XML: {error}.") from None
-    if root.tag not in ("mujoco", "mujocoinclude"):
-        raise ModelError(f"{name} has the root element <{root.tag}>, expected <mujoco>.")
+    if root.tag not in roots:
+        hint = ": it is a URDF, read by Mechanism.from_urdf" if root.tag == "robot" else ""
+        raise ModelError(f"{name} has the root element <{root.tag}>, expected <{roots[0]}>{hint}.")
     check_levels(root, name)
     return root
 

@@ -20,6 +20,8 @@ GRID = 200
 """Cells along the longest side of a mesh: where a link fills a film of 720 lines, one is some three pixels wide."""
 LARGE = 100_000
 """Bytes; smaller files stay as they are."""
+COARSE = ".coarse."
+"""In the names of files that are at this resolution already."""
 
 
 def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], model: Any) -> bool:
@@ -27,7 +29,10 @@ def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], mo
 
     Such a mesh becomes an OBJ without scale or reference pose.
     """
-    elements = [mesh for mesh in root.iterfind("asset/mesh") if len(files.get(mesh.get("file", ""), b"")) >= LARGE]
+    elements = [
+        mesh for mesh in root.iterfind("asset/mesh")
+        if len(files.get(file := mesh.get("file", ""), b"")) >= LARGE and COARSE not in file
+    ]  # fmt: skip
     if not elements:
         return False
     mujoco, seen, done = load_mujoco(), _only_seen(root, model), False
@@ -35,7 +40,7 @@ def coarsen_visual_meshes(root: ElementTree.Element, files: dict[str, bytes], mo
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, mesh.get("name", ""))
         if index not in seen:
             continue
-        old, name = mesh.get("file", ""), f"{mesh.get('name')}.coarse.obj"
+        old, name = mesh.get("file", ""), f"{mesh.get('name')}{COARSE}obj"
         content = _coarse_obj(model, index)
         if 0 < len(content) < len(files[old]):
             files[name] = content
@@ -82,22 +87,31 @@ def _coarse_obj(model: Any, index: int) -> bytes:
     T = pose(model.mesh_pos[index], model.mesh_quat[index])  # the compiler moved the mesh to its principal axes
     vertices = model.mesh_vert[at : at + count] @ T[:3, :3].T + T[:3, 3]
     size = float(np.ptp(vertices, axis=0).max())
-    cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
-    numbers = cells @ [(GRID + 1) ** 2, GRID + 1, 1]
-    _, place, members = np.unique(numbers, return_inverse=True, return_counts=True)
-    place = place.reshape(-1)
-    means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
-    corners = place[model.mesh_face[face : face + faces]]
-    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
-    corners = corners[whole]
-    first = np.argmin(corners, axis=1)[:, None]  # the least corner goes first, so that equal faces are
-    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
-    _, once = np.unique(corners @ [len(means) ** 2, len(means), 1], return_index=True)
-    corners = corners[once]
-    a, b, c = (means[corners[:, k]] for k in range(3))
-    if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
+    means, corners = coarse(vertices, model.mesh_face[face : face + faces])
+    if not len(corners):
         return b""
     digits = max(0, 4 - math.floor(math.log10(size)))  # a ten-thousandth of the mesh
     line = f"v %.{digits}f %.{digits}f %.{digits}f\n"
     points = (line * len(means)) % tuple(means.ravel().tolist())
     return (points + ("f %d %d %d\n" * len(corners)) % tuple((corners + 1).ravel().tolist())).encode()
+
+
+def coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and faces (m, 3) of a mesh on the grid; no faces if it is a wire, thinner than a cell."""
+    size = float(np.ptp(vertices, axis=0).max())
+    cells = np.floor((vertices - vertices.min(axis=0)) * (GRID / size)).astype(np.int64)
+    cells = cells @ [(GRID + 1) ** 2, GRID + 1, 1]  # one number a cell, in the same order
+    _, place, members = np.unique(cells, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(place, weights=column) for column in vertices.T], axis=1) / members[:, None]
+    corners = place[faces]
+    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    corners = corners[whole]
+    first = np.argmin(corners, axis=1)[:, None]  # the least corner goes first, so that equal faces are
+    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
+    n = len(means)  # at most one a cell, so that n^3 fits
+    corners = np.unique(corners.astype(np.int64) @ [n * n, n, 1])
+    corners = np.stack([corners // (n * n), corners // n % n, corners % n], axis=1)
+    a, b, c = (means[corners[:, k]] for k in range(3))
+    if np.linalg.norm(np.cross(b - a, c - a)) < 1e-6 * size**2:  # a wire, thinner than a cell
+        corners = corners[:0]
+    return means, corners

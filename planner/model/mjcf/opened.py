@@ -20,13 +20,13 @@ class Opened(NamedTuple):
     name: str  # For a sentence
 
 
-def opened(model: str | Path, assets: dict[str, bytes] | None = None) -> Opened:
-    """Read and compile a file or text.
+def opened(model: str | Path, assets: dict[str, bytes] | None = None, name: str = "") -> Opened:
+    """Read and compile a file or text; messages call it `name`, by default after its file.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
     """
-    name = "the model" if is_text(model) else f"the model {model}"
+    name = name or ("the model" if is_text(model) else f"the model {model}")
     root, files = model_tree(model, assets, stored=assets is not None)
     survey = Survey(compile_model(root, files, name))
     if coarsen_visual_meshes(root, files, survey.model):

@@ -26,6 +26,7 @@ from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pair
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
+from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.opened import Opened, opened
@@ -56,10 +57,13 @@ _NUMBERS = (
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None,
+    assets: dict[str, bytes] | None = None, name: str = "",
 ) -> Mechanism:  # fmt: skip
-    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf."""
-    return read_opened(lambda: opened(model, assets), ignore=ignore, contacts=contacts)
+    """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
+
+    With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
+    """
+    return read_opened(lambda: opened(model, assets, name), ignore=ignore, contacts=contacts)
 
 
 def read_opened(
@@ -96,7 +100,7 @@ def read_opened(
         _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
     text = ElementTree.tostring(root, encoding="unicode")
-    mechanism = _mechanism(survey, text, files, tuple(phrases), name)
+    mechanism = _mechanism(survey, text, files, (*phrases_left_out(survey.model), *phrases), name)
     mechanism = replace(mechanism, contacts_mode=mode, contacts_choice=phrase)
     return mechanism if text == original else replace(mechanism, original=original)
 
@@ -177,7 +181,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
-        velocity_limit=np.full(model.nv, np.inf), **joint_friction(model), **_lifted(model, links, poses),
+        velocity_limit=velocity_limits(model), **joint_friction(model), **_lifted(model, links, poses),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),

@@ -1,0 +1,133 @@
+"""Write a link's shapes as MJCF geoms, and collect the files of their meshes.
+
+Shapes are of two groups: MuJoCo draws groups 0 to 2, so those that touch are drawn where a link has no others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.model.mjcf.meshes import COARSE
+from planner.model.mjcf.text import written
+from planner.model.urdf.meshes import hull, mesh_triangles, on_grid, stl
+from planner.model.urdf.packages import Packages
+from planner.model.urdf.robot import Link, Numbers, Pose, Shape
+
+SEEN, TOUCHING = "2", "3"
+Form = Callable[[np.ndarray], np.ndarray]
+_GREY = (0.6, 0.6, 0.62, 1.0)
+
+
+@dataclass
+class Shapes:
+    """The geoms of a model that is being written."""
+
+    root: Element
+    packages: Packages
+    files: dict[str, bytes] = field(default_factory=dict)
+    meshes: dict[tuple[str, Numbers, Form | None], str] = field(default_factory=dict)  # MJCF's names
+    triangles: dict[Path, np.ndarray] = field(default_factory=dict)
+    unread: dict[str, str] = field(default_factory=dict)  # why a mesh is left out, by its name in the URDF
+    unseen: list[str] = field(default_factory=list)  # meshes that are left out of pictures
+    untouched: list[str] = field(default_factory=list)  # phrases of those that are left out of contacts
+    touching: set[str] = field(default_factory=set)  # links with shapes that may touch
+    names: set[str] = field(default_factory=set)
+
+    def add(self, body: Element, link: Link) -> None:
+        """Add the geoms of a link to its body."""
+        seen = [attributes for shape in link.visuals if (attributes := self._visual(shape)) is not None]
+        for attributes in seen:
+            SubElement(body, "geom", {**attributes, "contype": "0", "conaffinity": "0", "group": SEEN})
+        for shape in link.collisions:
+            attributes = self._geom(shape, hull if seen else None)
+            if attributes is None:
+                what = f"mesh {shape.file!r}" if shape.file else shape.kind
+                self.untouched.append(f"the collision {what} of link {link.name!r} ({self._why(shape)})")
+                continue
+            if not seen:
+                attributes["rgba"] = written(*(shape.rgba or _GREY))
+            group = TOUCHING if seen else SEEN
+            SubElement(body, "geom", {"name": self._named(link.name), **attributes, "group": group})
+            self.touching.add(link.name)
+
+    def left_out(self) -> list[str]:
+        """Phrases of what is missing; meshes that are only seen are counted in one."""
+        phrases = list(dict.fromkeys(self.untouched))
+        if count := len(set(self.unseen)):
+            first = self.unseen[0]
+            phrases.append(f"{count} visual mesh{'es' * (count > 1)} (e.g. {first!r}: {self.unread[first]})")
+        return phrases
+
+    def _visual(self, shape: Shape) -> dict[str, str] | None:
+        attributes = self._geom(shape, on_grid)
+        if attributes is None:
+            if shape.file:
+                self.unseen.append(shape.file)
+            return None
+        return {**attributes, "rgba": written(*(shape.rgba or _GREY))}
+
+    def _why(self, shape: Shape) -> str:
+        return self.unread[shape.file] if shape.kind == "mesh" else "its size is 0"
+
+    def _geom(self, shape: Shape, form: Form | None) -> dict[str, str] | None:
+        """Attributes of a shape, None where it has no size or its mesh cannot be read."""
+        if shape.kind != "mesh":
+            return {"type": shape.kind, "size": written(*shape.size), **placed(shape.pose)} if all(shape.size) else None
+        mesh = self._mesh(shape, form)
+        return None if mesh is None else {"type": "mesh", "mesh": mesh, **placed(shape.pose)}
+
+    def _mesh(self, shape: Shape, form: Form | None) -> str | None:
+        """MJCF's name of a mesh in some form."""
+        key = (shape.file, shape.scale, form)
+        if shape.file in self.unread or key in self.meshes:
+            return self.meshes.get(key)
+        try:
+            path = self.packages.find(shape.file)
+            if path is None:
+                raise ModelError("there is no such file")
+            if path not in self.triangles:
+                self.triangles[path] = mesh_triangles(path)
+            triangles = self.triangles[path]
+            content = stl(triangles if form is None else form(triangles))
+        except ModelError as error:
+            self.unread[shape.file] = str(error).rstrip(".")
+            return None
+        taken = {name.lower() for name in self.meshes.values()}  # MuJoCo finds files by names in lower case
+        number, stem = 1, path.stem + ("" if form is not hull else " hull")
+        while (name := stem if number == 1 else f"{stem} {number}").lower() in taken:
+            number += 1
+        file = next((known for known, other in self.files.items() if other == content), None)
+        if file is None:  # the ending says that reading need not make it smaller
+            file = f"{name}{COARSE if form is on_grid else '.'}stl"
+            self.files[file] = content
+        self.meshes[key] = name
+        asset = self.root.find("asset")
+        if asset is None:
+            asset = Element("asset")
+            self.root.insert(1, asset)
+        # As a shell a mesh needs no volume; no mass depends on it.
+        attributes = {"name": name, "file": file, "inertia": "shell"}
+        if shape.scale != (1.0, 1.0, 1.0):
+            attributes["scale"] = written(*shape.scale)
+        SubElement(asset, "mesh", attributes)
+        return name
+
+    def _named(self, link: str) -> str:
+        name, number = link, 1
+        while name in self.names:
+            number += 1
+            name = f"{link} {number}"
+        self.names.add(name)
+        return name
+
+
+def placed(pose: Pose) -> dict[str, str]:
+    """Attributes of a pose, none where it is the identity."""
+    found = {"pos": written(*pose.xyz)} if any(pose.xyz) else {}
+    return found | ({"euler": written(*pose.rpy)} if any(pose.rpy) else {})

@@ -1,0 +1,182 @@
+"""Write a robot as MJCF: the numbers of its file unchanged, a body for every link, a motor for every driven joint.
+
+MuJoCo's own reader of URDF drops the root's inertia, has no motors and writes six digits; so the text is made here and
+MuJoCo reads MJCF alone. Links that do not move keep no inertia: nothing depends on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from planner.base.errors import ModelError
+from planner.model.mjcf.custom import add_left_out, add_velocity_limits
+from planner.model.mjcf.text import written
+from planner.model.urdf.masses import inertials, without_idle
+from planner.model.urdf.packages import Packages
+from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
+from planner.model.urdf.shapes import Shapes, placed
+
+_FAR = 1e10
+"""rad or m, the end of a range that has only the other one."""
+
+
+def mjcf_of(
+    robot: Robot, packages: Packages, name: str, *, base: str | None = None, floor: bool = False, nearest: bool = False
+) -> tuple[str, dict[str, bytes]]:
+    """MJCF text and files of a robot; see Mechanism.from_urdf.
+
+    Raises:
+        ModelError: Nothing moves, a joint moves no inertia, or no body has one.
+    """
+    joints, idle = without_idle(robot, based(robot, base))
+    if all(joint.kind == "fixed" for joint in joints):
+        floats = ': base = "free" lets it float' if base is None else ""
+        raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
+    anchored = set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
+    bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
+    root = Element("mujoco", {"model": robot.root})
+    SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "false"})
+    world, shapes = SubElement(root, "worldbody"), Shapes(root, packages)
+    if floor:
+        attributes = {"name": "floor", "type": "plane", "size": "0 0 0.05", "rgba": "0.8 0.8 0.8 1"}
+        SubElement(world, "geom", attributes)
+        shapes.names.add("floor")
+    for link, body in _bodies(robot, world, joints, anchored).items():
+        if link in bodies_of:
+            _add_inertial(body, bodies_of[link])
+        if link:
+            shapes.add(body, robot.links[link])
+    _exclude_neighbours(root, joints, anchored, shapes.touching)
+    unlimited = _add_motors(root, joints)
+    _add_followers(root, joints)
+    add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
+    add_left_out(root, [*idle, *replaced, *shapes.left_out(), *unlimited])
+    return ElementTree.tostring(root, encoding="unicode"), shapes.files
+
+
+def based(robot: Robot, base: str | None) -> tuple[Joint, ...]:
+    """The robot's joints with the root link free or fixed, parents first; a free one hangs on a joint from ""."""
+    joints = robot.joints
+    held = _held(robot, joints)
+    floats = [joint for joint in joints if joint.kind == "floating" and joint.parent in held]
+    if base == "fixed":
+        return tuple(replace(joint, kind="fixed") if joint in floats else joint for joint in joints)
+    if base != "free" or floats:
+        return joints
+    below = [joint for joint in joints if joint.parent == robot.root]
+    if robot.links[robot.root].inertial is None and len(below) == 1 and below[0].kind == "fixed":  # "world" or the like
+        return tuple(replace(joint, kind="floating") if joint is below[0] else joint for joint in joints)
+    name = "floating_base"
+    while name in {joint.name for joint in joints}:
+        name += "_"
+    far = (-math.inf, math.inf)
+    free = Joint(name, "floating", "", robot.root, Pose(), (1.0, 0.0, 0.0), far, math.inf, math.inf, 0.0, 0.0, None)
+    return (free, *joints)
+
+
+def _held(robot: Robot, joints: Iterable[Joint]) -> set[str]:
+    """Links that the root holds by fixed joints."""
+    held = {robot.root}
+    for joint in joints:  # parents first
+        if joint.kind == "fixed" and joint.parent in held:
+            held.add(joint.child)
+    return held
+
+
+def _bodies(robot: Robot, world: Element, joints: tuple[Joint, ...], anchored: set[str]) -> dict[str, Element]:
+    """The body of every link with its joints, and the world as that of ""."""
+    bodies = {"": world}
+    if robot.root in anchored:
+        bodies[robot.root] = world if robot.root == "world" else SubElement(world, "body", {"name": robot.root})
+    above = {joint.child: joint for joint in joints}
+    for joint in joints:
+        place, top = bodies[joint.parent], joint.parent in anchored or not joint.parent
+        if joint.kind == "floating" and top:  # MuJoCo's free joints are of the world's own bodies
+            chain, link, place = [], joint.parent, world
+            while link in above:
+                chain.append(above[link].pose)
+                link = above[link].parent
+            for pose in reversed(chain):
+                place = SubElement(place, "frame", placed(pose))
+        name = joint.child if joint.child != "world" else "world link"  # MuJoCo's own body has that name
+        body = bodies[joint.child] = SubElement(place, "body", {"name": name, **placed(joint.pose)})
+        if joint.kind == "floating" and top:
+            SubElement(body, "freejoint", {"name": joint.name})
+        else:
+            _add_joint(body, joint)
+    return bodies
+
+
+def _add_joint(body: Element, joint: Joint) -> None:
+    axis, parts = np.array(joint.axis), []
+    if joint.kind == "floating":
+        parts = [(f"{joint.name} {letter}", "slide", row) for letter, row in zip("xyz", np.eye(3), strict=True)]
+    elif joint.kind == "planar":
+        first = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        first = first - (first @ axis) / (axis @ axis) * axis
+        parts = [(f"{joint.name} x", "slide", first), (f"{joint.name} y", "slide", np.cross(axis, first))]
+    if joint.kind in ("floating", "spherical"):
+        parts.append((joint.name, "ball", axis))
+    elif joint.kind != "fixed":
+        parts.append((joint.name, "slide" if joint.kind == "prismatic" else "hinge", axis))
+    for name, kind, direction in parts:
+        attributes = {"name": name, "type": kind}
+        if kind != "ball":
+            attributes["axis"] = written(*direction)
+        if np.any(np.isfinite(joint.range)):
+            attributes["range"] = written(*np.clip(joint.range, -_FAR, _FAR))
+        for key, value in (("damping", joint.damping), ("frictionloss", joint.friction)):
+            if value:
+                attributes[key] = written(value)
+        SubElement(body, "joint", attributes)
+
+
+def _add_inertial(body: Element, own: Inertial) -> None:
+    rows = own.inertia
+    six = written(rows[0, 0], rows[1, 1], rows[2, 2], rows[0, 1], rows[0, 2], rows[1, 2])
+    SubElement(body, "inertial", {"pos": written(*own.centre), "mass": written(own.mass), "fullinertia": six})
+
+
+def _exclude_neighbours(root: Element, joints: tuple[Joint, ...], anchored: set[str], touching: set[str]) -> None:
+    """Take out contacts across the joints of the fixed base: MuJoCo does that for all joints but these."""
+    rigid: dict[str, str] = {}  # the first link of those that a link is fixed to
+    for joint in joints:
+        rigid[joint.child] = rigid.get(joint.parent, joint.parent) if joint.kind == "fixed" else joint.child
+    first = {joint.child for joint in joints if joint.parent in anchored and joint.kind not in ("fixed", "floating")}
+    pairs = [(a, b) for a in sorted(anchored & touching) for b in rigid if rigid[b] in first and b in touching]
+    if pairs:
+        contact = SubElement(root, "contact")
+        for a, b in pairs:
+            SubElement(contact, "exclude", {"body1": a, "body2": b if b != "world" else "world link"})
+
+
+def _add_motors(root: Element, joints: tuple[Joint, ...]) -> list[str]:
+    """Add a motor for each joint that follows no other; returns phrases about those without an effort limit."""
+    driven = [joint for joint in joints if joint.kind in SCALAR and joint.mimic is None]
+    section = SubElement(root, "actuator") if driven else root
+    for joint in driven:
+        attributes = {"name": joint.name, "joint": joint.name}
+        if math.isfinite(joint.effort):
+            attributes["ctrlrange"] = written(-joint.effort, joint.effort)
+        SubElement(section, "motor", attributes)
+    names = [joint.name for joint in driven if not math.isfinite(joint.effort)]
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    what = f"joint{'s' * (len(names) > 1)} {', '.join(map(repr, names[:3]))}{more}"
+    return [f"the effort limit of {what} (the file has none)"] if names else []
+
+
+def _add_followers(root: Element, joints: tuple[Joint, ...]) -> None:
+    following = [joint for joint in joints if joint.mimic is not None]
+    section = SubElement(root, "equality") if following else root
+    for joint in following:
+        assert joint.mimic is not None
+        leader, multiplier, offset = joint.mimic
+        polynomial = written(offset, multiplier, 0.0, 0.0, 0.0)
+        attributes = {"name": joint.name, "joint1": joint.name, "joint2": leader, "polycoef": polynomial}
+        SubElement(section, "joint", attributes)
