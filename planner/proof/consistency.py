@@ -16,7 +16,7 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.more_steps import STEPS, more_steps
-from planner.proof.scales import COST_BOUND, judged_cost, limit_violations, touches
+from planner.proof.scales import COST_BOUND, has_kinks, judged_cost, limit_violations
 from planner.solvers import lq
 from planner.solvers.slq import DECREASE
 
@@ -105,7 +105,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         note = "of the cost: what one more step of SLQ promises"
         if left <= DECREASE * max(1.0, abs(plan.cost)) and plan.success:  # of a light machine the cost may be 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
-        if 100.0 * left > COST_BOUND * scale and touches(problem):
+        if 100.0 * left > COST_BOUND * scale and has_kinks(problem):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
             left = more_steps(plan, problem)
         left *= 100.0 / scale

@@ -51,6 +51,12 @@ def touches(problem: Problem | None) -> bool:
     return mechanism is not None and bool(mechanism.contacts or mechanism.body_contacts or mechanism.stops)
 
 
+def has_kinks(problem: Problem | None) -> bool:
+    """Whether a plan's mechanism has forces so steep that the LQ model holds for no step: of contacts, or friction."""
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    return touches(problem) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
+
+
 def by_unit(problem: Problem) -> Iterator[tuple[str, str, np.ndarray, list[str]]]:
     """Units of a problem's coordinates: the quantity in a word, the unit, the components (k,) and their names."""
     coordinates = coordinates_of(problem.dynamics)

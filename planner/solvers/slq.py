@@ -46,6 +46,7 @@ LINE_SEARCHES = ("armijo", "exact", "wolfe", "goldstein")  # in the order of ker
 
 DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem sets one
 
+KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
 
 
@@ -80,8 +81,8 @@ def solve(
             or 1e-10 if it has none.
         gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J). At kinks of
             contact the LQ model keeps promising a decrease that no step achieves; this ends the solve there. Beside
-            any decrease_tolerance; iterations with regularisation do not count. By default the problem's, or 0 (never)
-            if it has none.
+            any decrease_tolerance; iterations with regularisation do not count. By default the problem's; if it has
+            none, 1e-5 for machines with friction loss, which has such kinks too, else 0 (never).
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
@@ -104,7 +105,7 @@ def solve(
     if decrease_tolerance is None:
         decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
     if gain_tolerance is None:
-        gain_tolerance = problem.gain_tolerance
+        gain_tolerance = problem.gain_tolerance or (KINKED if _rubs(problem) else 0.0)
     descent = _Descent(
         choice("update", update, UPDATES) == "feedback",
         LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES)),
@@ -160,6 +161,12 @@ def as_user_plan(problem: Problem, plan: Plan) -> Plan:
     more = own.cost - plan.cost  # of terms that no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
+
+
+def _rubs(problem: Problem) -> bool:
+    """Whether joints of the machine have friction loss."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    return mechanism is not None and bool(np.any(mechanism.friction_loss))
 
 
 class _Descent(NamedTuple):
