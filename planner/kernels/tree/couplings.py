@@ -119,6 +119,14 @@ def expand(m, M, ld):
                 store(M, j * ld + d, load(M, j * ld + d) + x * load(M, j * ld + i))
 
 
+@inline
+def invert_coupled(m, M, ld):
+    """M (nv, ld) becomes W, the inverse where nothing is coupled."""
+    condense(m, M, ld)
+    invert(M, m[TREE.nv], ld)
+    expand(m, M, ld)
+
+
 @part
 def accelerate_coupled(m, tau, a, ws, M, ld):
     """Accelerations a (nv) under tau, which is overwritten, of links that move_links has seen; M is scratch."""
@@ -131,9 +139,7 @@ def accelerate_coupled(m, tau, a, ws, M, ld):
                 store(M, i * ld + p, zero)
                 store(M, p * ld + i, zero)
             store(M, p * ld + p, zero + 1.0)
-    condense(m, M, ld)
-    invert(M, n, ld)
-    expand(m, M, ld)
+    invert_coupled(m, M, ld)
     for i in range(n):
         if load(prescribed, i) < 0:
             total = zero

@@ -33,8 +33,8 @@ class TreeMemory:
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
             "rates": na, "theta": nv,
             "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": stages * nv,
-            "trial_a": N * stages * nv, "M": (nv if model.coupled else n) * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
-            "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
+            "trial_a": N * stages * nv, "M": (nv if model.coupled else n) * ld, "Dq": n * ld, "Dv": n * ld,
+            "held": n * nu, "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
         self._arrays["accelerations"] = np.zeros(N * stages * nv + 1)

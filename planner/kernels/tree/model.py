@@ -28,8 +28,7 @@ PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
-    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves "
-    "dependents",
+    "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves dependents",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -50,8 +49,10 @@ class Model:
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves or couplings act, else None. Kernels take it beside the table: Numba compiles
-            them once for each type and leaves out, for None, what stands under `if external is not None`.
+        external: True where contacts, stops, curves or couplings act, else None. Kernels take it beside the table:
+            Numba compiles them once for each type and leaves out, for None, what stands under
+            `if external is not None`.
+        coupled: Whether couplings act.
     """
 
     def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:

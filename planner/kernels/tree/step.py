@@ -83,7 +83,6 @@ def accelerations(m, r, q, v, u, act, a, external):
         add_contact_wrenches(m, q, links)
         if m[TREE.pairs] > 0:
             add_pair_wrenches(m, q, links)
-    if external is not None:
         if m[TREE.dependents] > 0:
             accelerate_coupled(m, tau, a, links, lanes(r, MEMORY.M), r[MEMORY.ld])
             return
