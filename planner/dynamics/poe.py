@@ -256,6 +256,7 @@ def forward_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: n
 
 def coupled_dynamics(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Accelerations qdd (nv,) = G (G' M G)^-1 G' (tau - h) under tau (nv,) of a mechanism with couplings."""
+    assert mechanism.reduction is not None  # it has couplings
     G = mechanism.reduction.G
     M = G.T @ mass_matrix(mechanism, q) @ G
     return G @ np.linalg.solve(M, G.T @ (tau - bias(mechanism, q, qd)))

@@ -88,8 +88,8 @@ class RigidBodyDynamics:
             if np.any(driven[list(coupling.dofs)]):
                 names = " and ".join(sorted({self.mechanism.joint_of(dof) for dof in coupling.dofs}))
                 raise PlannerError(
-                    f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints without "
-                    "equalities."
+                    f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints that "
+                    "no equality couples."
                 )
         self._model, self._steps = Model(self.mechanism, driven), local()
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -65,7 +66,7 @@ class Reduction:
         return T @ dx[places]
 
     def closed(self, q: np.ndarray, qd: np.ndarray, q_address: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """q (..., nq) and qd (..., nv) with the dependent coordinates where the independent ones put them."""
+        """Copies of q (..., nq) and qd (..., nv) with the dependent coordinates where the independent ones put them."""
         q, qd, rows = q.copy(), qd.copy(), self.G[self.dependent].T
         q[..., q_address[self.dependent]] = self.offset + q[..., q_address[self.independent]] @ rows
         qd[..., self.dependent] = qd[..., self.independent] @ rows
@@ -102,15 +103,14 @@ def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reductio
                 )
             continue
         strong = np.flatnonzero(size >= _WEAK * size.max())
-        order = {dof: place for place, dof in reversed(list(enumerate(coupling.dofs)))}
-        pivot = min(strong, key=lambda dof: (bool(keep[dof]), order.get(int(dof), nv), -size[dof]))
+        pivot = min(map(int, strong), key=partial(_preference, coupling, keep))
         row /= row[pivot]
         row[pivot] = 1.0
         for other in rows:
             other -= other[pivot] * row
             other[:nv][np.abs(other[:nv]) <= _ROUNDING] = 0.0
         rows.append(row)
-        pivots.append(int(pivot))
+        pivots.append(pivot)
     if len(pivots) == nv:
         raise ModelError("the equalities lock every joint, expected at least one that moves.")
     order = np.argsort(pivots)
@@ -121,3 +121,8 @@ def reduce(couplings: Sequence[Coupling], nv: int, keep: np.ndarray) -> Reductio
     G[independent, np.arange(len(independent))] = 1.0
     G[dependent] = 0.0 - solved[:, independent]  # and not -0.0
     return Reduction(independent, dependent, G, solved[:, nv].copy())
+
+
+def _preference(coupling: Coupling, keep: np.ndarray, dof: int) -> tuple[bool, int]:
+    """The least is solved for: what may follow, then what the coupling names first, and last what it does not name."""
+    return bool(keep[dof]), coupling.dofs.index(dof) if dof in coupling.dofs else len(keep)

@@ -12,9 +12,9 @@ from planner.base.arguments import LONGEST_HORIZON, array, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
+from planner.model.coupled_states import check_closed
 from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
-from planner.model.coupled_states import check_closed
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.control_bounds import ControlBounds

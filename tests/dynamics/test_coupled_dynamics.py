@@ -52,7 +52,7 @@ def test_accelerations_are_those_of_multipliers(text, seed):
     rng = np.random.default_rng(seed)
     m, _ = coupled(text, rng)
     x = random_state(m.space, rng, unnormalised=False)
-    q, qd, act = np.split(x, [m.nq, m.nq + m.nv])
+    q, qd, _ = np.split(x, [m.nq, m.nq + m.nv])
     tau = rng.normal(size=m.nv)
     M, force = rb.mass_matrix(m, q), tau - rb.bias(m, q, qd)
     expected = kkt(m, M, force)

@@ -151,8 +151,10 @@ def test_the_replayed_text_is_hard_and_the_users_own_is_not():
     assert (again.mjcf, again.original) == (m.mjcf, "")  # a stored plan reads it as it was
 
 
-TABLES = read('<joint joint1="b" joint2="a" polycoef="0 .5"/><joint joint1="d" polycoef="0"/>',
-              more='<keyframe><key name="near" qpos="1 .5002 0 0"/><key name="far" qpos="1 .6 0 0"/></keyframe>')  # fmt: skip
+TABLES = read(
+    '<joint joint1="b" joint2="a" polycoef="0 .5"/><joint joint1="d" polycoef="0"/>',
+    more='<keyframe><key name="near" qpos="1 .5002 0 0"/><key name="far" qpos="1 .6 0 0"/></keyframe>',
+)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +185,7 @@ def test_a_problem_begins_on_its_couplings():
     dynamics = RigidBodyDynamics(TABLES, 0.01)
     x0 = np.array([1.0, 0.5 + 2e-6, *np.zeros(6)])
     cost = TrackingCost.joints(dynamics, TABLES.home, 5, effort=1.0)
-    with pytest.raises(PlannerError, match="x0 has the position .* of joint 'b'"):
+    with pytest.raises(PlannerError, match=r"x0 has the position .* of joint 'b'"):
         Problem(dynamics, cost, x0)
     x0[1] = 0.5
     assert Problem(dynamics, cost, x0).N == 5

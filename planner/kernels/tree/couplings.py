@@ -120,6 +120,14 @@ def expand(m, M, ld):
                 store(M, j * ld + d, load(M, j * ld + d) + x * load(M, j * ld + i))
 
 
+@inline
+def invert_coupled(m, M, ld):
+    """M (nv, ld) becomes W, the inverse where nothing is coupled."""
+    condense(m, M, ld)
+    invert(M, m[TREE.nv], ld)
+    expand(m, M, ld)
+
+
 @part
 def accelerate_coupled(m, r, forces, a, ws, armature):
     """Accelerations a (nv) under forces (nv), of links that move_links has seen; armature (nv) is floats or lanes."""
@@ -135,9 +143,7 @@ def accelerate_coupled(m, r, forces, a, ws, armature):
                 store(M, i * ld + p, zero)
                 store(M, p * ld + i, zero)
             store(M, p * ld + p, zero + 1.0)
-    condense(m, M, ld)
-    invert(M, n, ld)
-    expand(m, M, ld)
+    invert_coupled(m, M, ld)
     for i in range(n):
         if load(prescribed, i) < 0:
             total = zero

@@ -9,7 +9,7 @@ from __future__ import annotations
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
-from planner.kernels.tree.couplings import condense, expand
+from planner.kernels.tree.couplings import invert_coupled
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
@@ -89,12 +89,9 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
                 store(Dv, p * ld + i, zero)
             store(M, p * ld + p, zero + 1.0)
     if external is not None:
-        if m[TREE.dependents] > 0:
-            condense(m, M, ld)
-    invert(M, nv, ld)
-    if external is not None:
-        if m[TREE.dependents] > 0:
-            expand(m, M, ld)
+        invert_coupled(m, M, ld)
+    else:
+        invert(M, nv, ld)
     starts, rows = integers(m, TREE.related_start), integers(m, TREE.related_rows)
     for half in range(2):
         D = Dq if half == 0 else Dv

@@ -44,7 +44,8 @@ def is_linear(model: Any, i: int) -> bool:
 def kind_of(model: Any, i: int) -> str:
     """An equality's kind for a sentence, and why it is not linear where its kind may be."""
     kind = load_mujoco().mjtEq(int(model.eq_type[i])).name.split("_")[-1].lower()
-    return {"joint": "of joints, by a polynomial", "tendon": "of tendons, spatial or by a polynomial"}.get(kind, kind)
+    why = {"joint": "of joints, by a polynomial", "tendon": "of tendons, spatial or by a polynomial"}
+    return why[kind] if kind in why else str(kind)
 
 
 def read_couplings(model: Any) -> tuple[Coupling, ...]:
@@ -60,10 +61,12 @@ def _coupling(model: Any, i: int) -> Coupling:
     total: dict[int, float] = {}
     for dof, coefficient in (term for side in sides for term in side):
         total[dof] = total.get(dof, 0.0) + coefficient
-    home = {int(dof): float(model.qpos0[address]) for dof, address in zip(model.jnt_dofadr, model.jnt_qposadr)}
+    home = {
+        int(dof): float(model.qpos0[address]) for dof, address in zip(model.jnt_dofadr, model.jnt_qposadr, strict=True)
+    }
     constant = float(model.eq_data[i, 0]) + sum(coefficient * home[dof] for dof, coefficient in total.items())
-    terms = [(dof, coefficient) for dof, coefficient in total.items() if coefficient != 0.0]
-    return Coupling(named(model, "equality", i), *(tuple(part) for part in zip(*terms)), constant)
+    terms = {dof: coefficient for dof, coefficient in total.items() if coefficient != 0.0}
+    return Coupling(named(model, "equality", i), tuple(terms), tuple(terms.values()), constant)
 
 
 def _side(model: Any, i: int, thing: int) -> list[tuple[int, float]]:

@@ -138,7 +138,9 @@ def _reason(dynamics: Any, model: Any) -> str:
             f"the accelerations of {', '.join(dynamics.prescribed)} are prescribed, the other engines are given forces"
         )
     if mechanism.couplings:
-        return f"the joints are coupled by {mechanism.couplings[0].name}, and the other engines are given the tree alone"
+        return (
+            f"the joints are coupled by {mechanism.couplings[0].name}, and the other engines are given the tree alone"
+        )
     contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     if contacts or may_touch(model):
         n = f"{contacts} contacts" if contacts > 1 else "contacts"

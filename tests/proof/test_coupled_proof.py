@@ -1,0 +1,104 @@
+"""Plans of coupled machines pass where they are right, and fail in a model whose coupling is another."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.model.coupled_states import closed_state
+from planner.proof.engines.section import _reason
+from planner.proof.hold import hold_gain, hold_section, replay_hold
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay_in
+
+TENDON = """<tendon><fixed name="grip"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed>
+<fixed name="roll"><joint joint="shoulder" coef="1"/><joint joint="wrist" coef="2"/></fixed></tendon>"""
+GRIPPER = """
+<mujoco><option gravity="0 0 -9.81" timestep="0.002"><flag contact="disable"/></option>
+<worldbody><body><joint name="shoulder" axis="0 1 0" damping=".5"/>
+  <inertial pos=".3 0 0" mass="2" diaginertia=".02 .1 .1"/><body pos=".5 0 0"><joint name="wrist" axis="0 1 0"/>
+    <inertial pos=".1 0 0" mass=".5" diaginertia=".01 .02 .02"/>
+    <body pos=".2 .03 0"><joint name="left" type="slide" axis="0 1 0" damping="2"/>
+      <inertial pos=".05 0 0" mass=".1" diaginertia="1e-4 1e-4 1e-4"/></body>
+    <body pos=".2 -.03 0"><joint name="right" type="slide" axis="0 -1 0" damping="2"/>
+      <inertial pos=".05 0 0" mass=".1" diaginertia="1e-4 1e-4 1e-4"/></body></body></body></worldbody>
+{tendon}<equality>{equality}</equality>
+<actuator><motor joint="shoulder"/>{wrist}<motor joint="left"/></actuator></mujoco>
+"""
+MIMIC = '<joint name="mimic" joint1="right" joint2="left" solref=".02 1"/>'
+MACHINES = {
+    "a gripper": (MIMIC, '<motor joint="wrist"/>', [0.5, -1.0, 0.02, 0.02]),
+    "a gripper on a wrist that a belt turns": (
+        f'{MIMIC}<tendon name="belt" tendon1="roll" polycoef=".2"/>', "", [0.6, -0.2, 0.02, 0.02],
+    ),
+}  # fmt: skip
+
+
+def text(name, equality=""):
+    own, wrist, _ = MACHINES[name]
+    return GRIPPER.format(tendon=TENDON, equality=equality or own, wrist=wrist)
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def proven(request):
+    mechanism = planner.Mechanism.from_mjcf(text(request.param))
+    dynamics = planner.RigidBodyDynamics(mechanism, 0.02)
+    start = closed_state(mechanism, mechanism.home)
+    goal = np.concatenate([MACHINES[request.param][2], np.zeros(4)])
+    cost = planner.TrackingCost.joints(
+        dynamics, goal, 50, effort=0.01, final_position=1000.0, final_velocity=100.0, velocity=0.1
+    )
+    plan = planner.solve(planner.Problem(dynamics, cost, start))
+    assert plan.success
+    return request.param, plan, planner.prove(plan, rollouts=16)
+
+
+def measured(section, name):
+    return next(one for one in section.measured if one.name == name)
+
+
+def test_a_right_plan_passes(proven):
+    _, plan, proof = proven
+    assert proof.passed, proof.reason
+    assert measured(proof.parity, "acceleration_error").value < 1e-12
+    assert 0.0 < measured(proof.parity, "soft_acceleration_difference").value < 1e-2  # solimp 0.9999: some 1e-4
+    assert measured(proof.same_step, "stage_error").value < 1e-13
+    m = plan.problem.dynamics.mechanism
+    on = np.array([closed_state(m, x) for x in plan.xs])
+    np.testing.assert_allclose(on, plan.xs, rtol=0.0, atol=1e-13)
+    # the coupling of the replay is a spring of two steps: what it gives is far below the bounds of a path
+    run = proof.replays["feedback"]
+    assert np.abs(run.error[:, 3]).max() < 1e-6
+    assert proof.perturbed.passed
+
+
+def test_the_users_own_softness_is_judged_in_their_file(proven):
+    """Its time constant is 0.02 s, and its deviations are larger than those of the hard replay."""
+    _, plan, proof = proven
+    assert 'solref=".02 1"' in plan.twin.original
+    assert proof.your_file.passed
+    own = measured(proof.your_file, "largest_velocity_error").value
+    assert own > 10.0 * np.abs(proof.replays["feedback"].error[:, 6:]).max()
+
+
+@pytest.mark.parametrize("other", ['<joint joint1="right" joint2="left" polycoef="0 1.01"/>', " "])
+def test_another_coupling_is_another_machine(proven, other):
+    name, plan, _ = proven
+    section = planner.parity(plan.problem, text(name, other))
+    assert not section.passed
+    assert "equalities of joints are others" in section.failures[0].note
+
+
+def test_the_goal_is_held(proven):
+    """By gains of the free coordinates alone: the others' are no motion that gains could make stable."""
+    _, plan, _ = proven
+    hold = hold_gain(plan.problem)
+    reduction = plan.problem.dynamics.mechanism.reduction
+    assert not np.any(hold.K[:, reduction.dependent])
+    run = replay_in(CompiledTwin(plan.twin), plan, feedback=True)
+    assert hold_section(replay_hold(run, hold, 2.0)).passed
+
+
+def test_other_engines_are_not_asked(proven):
+    _, plan, _ = proven
+    reason = _reason(plan.problem.dynamics, CompiledTwin(plan.twin).model)
+    assert "coupled by equality 'mimic'" in reason
