@@ -32,7 +32,8 @@ TRACEBACK = "PLANNER_TRACEBACK"
 """Variable of the environment: set to anything, where an error of the planner itself was raised is printed."""
 
 _COMMANDS = {
-    "list": listing.list_cases, "model": describing.describe_model, "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+    "list": listing.list_cases, "model": describing.describe_model,
+    "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip

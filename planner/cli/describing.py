@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 from planner.base.errors import PlannerError, RenderingUnavailable
@@ -92,13 +93,12 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts += [("keyframes", ", ".join(known.poses))] if list(known.poses) != [HOME] else []
     facts += [("planned with", _listed(known.planned))] if known.planned else []
     facts += [("left out", _listed(known.left_out))] if known.left_out else []
-    facts += [("needs", ", ".join(f"{key} = {_toml(value)}" for key, value in known.loaded.keys.items()))] * bool(
-        known.loaded.keys
-    )
+    if known.loaded.keys:
+        facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
     facts += [("refused", known.loaded.refusal)] if known.loaded.mechanism is None else []
     facts += [("problem", f"{one.problem}; write {one.mend}") for one in known.troubles]
     console.say()
-    console.table(("", ""), facts, COLUMNS)
+    console.table(("fact", ""), facts, COLUMNS)
 
 
 def _table(console: Console, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
@@ -117,17 +117,6 @@ def _range(ends: list[float] | None, unit: str) -> str:
 def _spring(joint: dict[str, object]) -> str:
     stiffness, rest = joint["stiffness"], joint["spring_rest"]
     return "" if stiffness is None else f"{stiffness:.4g}" + ("" if rest is None else f" about {rest:.4g}")
-
-
-def _toml(value: object) -> str:
-    words = {True: "true", False: "false"}
-    return (
-        words[value]
-        if isinstance(value, bool)
-        else str(value).replace("'", '"')
-        if not isinstance(value, str)
-        else f'"{value}"'
-    )
 
 
 def _listed(phrases: list[str]) -> str:

@@ -154,14 +154,17 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
     if mechanism is None:
         return []
     counts = [
-        (mechanism.nv, "degree", " of freedom"), (sum(joint["range"] is not None for joint in joints), "joint range", ""),
-        (mechanism.nu, "actuator", ""), (len(mechanism.stops), "spring", " at ends of joint ranges"),
+        (mechanism.nv, "degree", " of freedom"), (mechanism.nu, "actuator", ""),
+        (sum(joint["range"] is not None for joint in joints), "joint range", ""),
+        (len(mechanism.stops), "spring", " at ends of joint ranges"),
         (len(mechanism.contacts), "contact", " with the ground"),
         (len(mechanism.body_contacts), "contact", " between bodies"),
     ]  # fmt: skip
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
-    return phrases + [f"{name} of {_joints(np.count_nonzero(values))}" for name, values in arrays if np.any(values)]
+    return phrases + [
+        f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)
+    ]
 
 
 def _joints(number: int) -> str:

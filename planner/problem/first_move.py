@@ -9,13 +9,14 @@ import numpy as np
 
 from planner.dynamics.algorithms import mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.facts import Record, coupled_joints, overlaps
+from planner.model.mjcf.facts import Record, coupled_joints, free_bases, overlaps
 from planner.problem.troubles import holding
 
 _WAY = 0.15  # of a joint's range
 _WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
 _TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
 _INSIDE = 0.05  # of a range: how far a start is kept from its ends
+_TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # parts of the way there that are tried for a start
 _SMALLER = (1.0, 0.5, 0.25, 0.1)  # parts of the way that are tried, until one touches nothing
 _ON_THE_WAY = 4  # poses that are looked at
 _PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # of the quintic, in way / T and way / T^2
@@ -56,19 +57,29 @@ def driven_joints(mechanism: Mechanism) -> list[int]:
 
 
 def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
-    """The first keyframe within all ranges, else the nearest pose to the file's own that is well within them."""
+    """The first keyframe within all ranges, else a pose within them: the file's own, or on the way to their middle.
+
+    The first of these in which no shapes of moving bodies are within each other; else the file's own.
+    """
     for name, x in mechanism.keyframes.items():
         if all(low <= x[one["position"]] <= high for one in joints for low, high in [one["range"] or (-np.inf, np.inf)]
                if one["unit"]):  # fmt: skip
             return name, x[: mechanism.nq].copy()
-    start = np.array(model.qpos0)
+    own, middle = np.array(model.qpos0), np.array(model.qpos0)
     for one in joints:
         if one["range"] is not None and one["unit"]:
-            low, high = one["range"]
-            room, q = _INSIDE * (high - low), start[one["position"]]
-            if not low <= q <= high:
-                start[one["position"]] = _short(float(np.clip(q, low + room, high - room)))
-    return "", start
+            (low, high), place = one["range"], one["position"]
+            room = _INSIDE * (high - low)
+            if not low <= own[place] <= high:
+                own[place] = _short(float(np.clip(own[place], low + room, high - room)))
+            middle[place] = 0.5 * (low + high)
+    if free_bases(model):  # its height above the ground is part of the pose
+        return "", own
+    for part in _TO_THE_MIDDLE:
+        start = own if part == 0.0 else np.array([_short(x) for x in own + part * (middle - own)])
+        if not any("world" not in one.bodies for one in overlaps(model, start)):
+            return "", start
+    return "", own
 
 
 def _room(model: Any, joint: Record) -> float:

@@ -92,7 +92,8 @@ def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> l
         if not low - 1e-9 <= q <= high + 1e-9:
             within = min(max(q, low), high)
             found.append(Trouble(
-                f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to {high:.4g}",
+                f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to "
+                f"{high:.4g}",
                 mend(joint, within),
             ))  # fmt: skip
     return [*found[:_MOST], *_more(found[_MOST:])]

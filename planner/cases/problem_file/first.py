@@ -49,7 +49,6 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
     if mechanism is None:
         raise PlannerError(f"there is nothing to write: {known.loaded.refusal}")
     move = first_move(file.survey.model, mechanism, known.joints)
-    joints = [known.joints[j]["name"] for j in move.goal]
     if not move.goal:
         raise PlannerError("no hinge or slide is driven, expected one: no goal can be proposed.")
     named = all(joint["name"] for joint in known.joints if joint["unit"])
@@ -59,7 +58,7 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
         everything = [known.joints[j]["name"] for j in driven_joints(mechanism)]
         lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
-    lines += _line("duration", f"{move.duration:g}", KEYS["duration"])
+    lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
     lines += _line("dt", "0.01", KEYS["dt"])
     if known.name:
         lines += _line("title", json.dumps(known.name), KEYS["title"])
@@ -67,7 +66,6 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
         "", "# [weights]  numbers, or tables by joint (effort: by actuator); `planner list` names them all",
         "# [limits]   bounds of controls, positions and velocities, exact goals", "",
     ]  # fmt: skip
-    assert joints
     return "\n".join(lines)
 
 

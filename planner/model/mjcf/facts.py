@@ -14,7 +14,7 @@ Record = dict[str, Any]
 
 
 def joint_records(model: Any) -> list[Record]:
-    """Name, kind, unit and numbers of every joint; None where it has none. A ball's or free joint's numbers are sums."""
+    """Name, kind, unit and numbers of every joint, the largest of its axes; None where it has none."""
     limits = not disabled(model, "constraint", "limit")
     records: list[Record] = []
     for j in range(model.njnt):
@@ -122,7 +122,7 @@ class Overlap(NamedTuple):
 
 
 def overlaps(model: Any, qpos: np.ndarray) -> list[Overlap]:
-    """The deepest overlap of each two bodies whose shapes may touch, where they are within each other at a pose (nq,)."""
+    """The deepest overlap of each two bodies whose shapes are within each other at a pose (nq,)."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

@@ -28,8 +28,8 @@ from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.view.render import overlay
 from planner.view.render.encode import Encoder
 from planner.view.render.film import Film
-from planner.view.render.setting import visible_model
 from planner.view.render.scene import Scene, best_rows
+from planner.view.render.setting import visible_model
 
 Progress = Callable[[int, int], object]
 
