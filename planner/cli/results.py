@@ -83,7 +83,9 @@ def draw_results(
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures
         note = INTERRUPTED
     if wanted or REPORT not in keep:
-        write_report(plan, proof, folder, video_note=note, path=path, options=options)
+        write_report(
+            plan, proof, folder, video_note=note, path=path, options=options, cures=cures(plan, proof)
+        )  # fmt: skip
     return note
 
 

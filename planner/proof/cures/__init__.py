@@ -32,7 +32,9 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
         proof: Of the plan; None for a plan that was not replayed.
     """
     done = plan.status in (Status.CONVERGED, Status.GIVEN, Status.INTERRUPTED)
-    if plan.problem is None or plan.problem.periodic is not None or (done if proof is None else proof.passed):
+    if done if proof is None else proof.verdict == "PASS":
+        return ()
+    if plan.problem is None or plan.problem.periodic is not None:
         return ()
     found: dict[str, Cure] = {}
     for cause in _CAUSES:

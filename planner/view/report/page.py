@@ -18,7 +18,6 @@ from planner.cases.problem_file.chosen import chosen
 from planner.cases.problem_file.keys import RESOLVED
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
-from planner.proof.cures import cures
 from planner.view.plots import case_pictures
 from planner.view.report.assessment import assessment
 from planner.view.report.reproduce import command, problem_text, typed
@@ -27,6 +26,7 @@ from planner.view.report.tables import number, table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
+    from planner.proof.cures import Cure
     from planner.proof.refinement import Refinement
 
 NAME = "report.html"
@@ -46,12 +46,13 @@ def write_report(
     *,
     path: Sequence[Refinement] = (),
     options: Mapping[str, Any] | None = None,
+    cures: Sequence[Cure] = (),
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
     The page embeds strip.png, plots.png, proof.png and video.mp4 as far as they lie in `folder`, which must exist.
     `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
-    given: {"starts": 8, "no_refine": True}.
+    given: {"starts": 8, "no_refine": True}. `cures` say what to write so that a plan that failed passes.
 
     Raises:
         FileError: The page cannot be written, or a picture cannot be read.
@@ -60,7 +61,7 @@ def write_report(
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     parts = [
         f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof),
+        _verdict(plan, proof, cures),
         _film(plan, folder, video_note),  # people look before they read
         _pictures(plan, proof, folder),
         _refinement(path),
@@ -88,7 +89,7 @@ def _word(proof: Proof | None) -> str:
     return "FAIL" if proof is None else proof.verdict
 
 
-def _verdict(plan: Plan, proof: Proof | None) -> str:
+def _verdict(plan: Plan, proof: Proof | None, cures: Sequence[Cure]) -> str:
     kind = "pass" if _word(proof) == "PASS" else "fail"
     if proof is None:
         words = ""
@@ -101,14 +102,13 @@ def _verdict(plan: Plan, proof: Proof | None) -> str:
     doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     return (
         f'<div class="verdict {kind}" role="status"><strong>{escape(_word(proof))}</strong>{words}'
-        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_cures(plan, proof)}</div>"
+        f"<p>{escape(reason)}</p>{doubt}{_unchecked(proof)}{_to_pass(cures)}</div>"
     )
 
 
-def _cures(plan: Plan, proof: Proof | None) -> str:
+def _to_pass(cures: Sequence[Cure]) -> str:
     """What to write so that the plan passes."""
-    found = cures(plan, proof)
-    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in found)}</p>" if found else ""
+    return f"<p>To pass: {' Or: '.join(escape(str(one)) for one in cures)}</p>" if cures else ""
 
 
 def _unchecked(proof: Proof | None) -> str:
