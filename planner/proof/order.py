@@ -30,6 +30,7 @@ NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
 LEVELS = 5  # steps h ... h/16, h being a stage or, of a stage of several substeps, one of these
 MOST_LEVELS = 7  # while errors are so large that no order shows
+MOST_STEPS = 256  # of a stage, beyond which none are added: a stage of several substeps begins near to its order
 _SEEN = 1e-9  # changes below are rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
@@ -96,7 +97,10 @@ def order(problem: Problem, run: Replay) -> Order:
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
         most = len(levels) if refined_only else MOST_LEVELS
-        while len(levels) < most and observed is not None and observed < nominal - ORDER_BOUND:
+        while (
+            len(levels) < most and 2 * substeps[-1] <= MOST_STEPS
+            and observed is not None and observed < nominal - ORDER_BOUND
+        ):  # fmt: skip
             substeps.append(2 * substeps[-1])
             levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)
