@@ -7,6 +7,8 @@ from planner.solvers.engine import Engine, Outcome
 
 # Relative to the largest entry of R: raised and lowered tenfold, zero below its least value.
 LEAST, MOST, FACTOR = 1e-6, 1e10, 10.0
+# With bounds, what they undo of a direction can be all of its decrease, until mu outweighs B'PB and not only R.
+MOST_BOUNDED = 1e16
 # With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
 AGAIN = 1e8
 
@@ -20,12 +22,14 @@ class Regularisation:
     Args:
         engine: Of the solve, after its start.
         exact: Whether its Hessians are exact.
+        bounded: Whether its controls have bounds.
 
     Attributes:
         mu: In the units of R; zero for the plain model of Eq. 31.
     """
 
-    def __init__(self, engine: Engine, exact: bool) -> None:
+    def __init__(self, engine: Engine, exact: bool, bounded: bool = False) -> None:
+        self._most = MOST_BOUNDED if bounded else MOST
         self._engine, self._exact, self._second_order = engine, exact, exact
         self._relative, self._tried_plain = 0.0, False
 
@@ -36,7 +40,7 @@ class Regularisation:
     @property
     def exhausted(self) -> bool:
         """Whether mu has been raised beyond what can help."""
-        return self._relative > MOST
+        return self._relative > self._most
 
     @property
     def plain(self) -> bool:

@@ -203,7 +203,7 @@ def _minimise(
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    regularisation, history = Regularisation(engine, descent.exact), list[Iteration]()
+    regularisation, history = Regularisation(engine, descent.exact, problem.bounds is not None), list[Iteration]()
     fresh, at_minimum, status = True, False, Status.MAX_ITERATIONS
     try:
         for i in range(first_line, first_line + max_iterations):
