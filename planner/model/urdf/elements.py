@@ -65,8 +65,8 @@ def _shape(element: ElementTree.Element, materials: dict[str, Numbers], where: s
         size += _several(form, key, none, f"the {key} of a {form.tag} of {where}")
     if min(size) < 0.0:
         raise ModelError(f"the {keys} of a {form.tag} of {where} is {min(size):g}, expected at least 0.")
-    halves = [s / 2 for s in size] if form.tag == "box" else [size[0], *(s / 2 for s in size[1:])]
-    return Shape(form.tag, pose, tuple(halves), rgba=rgba)
+    whole = () if form.tag == "box" else size[:1]  # MJCF has radii and half lengths
+    return Shape(form.tag, pose, (*whole, *(s / 2 for s in size[len(whole) :])), rgba=rgba)
 
 
 def joint_of(element: ElementTree.Element, name: str) -> Joint:
