@@ -36,6 +36,7 @@ class ProblemOf(NamedTuple):
     seed: int
     objective: dict[str, float] | None
     durations: list[float] | None
+    notes: tuple[str, ...] = ()  # sentences about what was chosen by itself
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemOf:
@@ -105,6 +106,8 @@ def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) ->
     problem = asked.problem
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
+    for note in asked.notes:
+        console.note(note)
     console.note(f"planning {name_of(arguments)}: {problem.N} stages of {problem.dynamics.dt:.4g} s{several}")
     began = time.perf_counter()
     options = {

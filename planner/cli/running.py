@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.console import Console
+from planner.cli.curing import cured
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
@@ -88,6 +90,14 @@ def _run(
         if path:
             folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
             digest = plan_digest(folder.path / "plan.npz")
+    if not (resumed or arguments.no_refine or plan.status is Status.INTERRUPTED or (proof and proof.passed)):
+        better = cured(asked, plan, proof, arguments, console, partial(prove, rollouts=0, hold_seconds=arguments.hold))
+        if better is not None:
+            plan, proof = better
+            path = ()
+            folder.begin("plan.npz", plan.save, seconds=seconds)
+            digest = plan_digest(folder.path / "plan.npz")
+            results.show_plan(plan, None, console)
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     if proof is not None:
         proof = results.completed(

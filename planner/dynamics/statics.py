@@ -234,7 +234,10 @@ class _Steepness:
         """(free, free) by differences."""
         n, space = self._free.shape[1], self._mechanism.space
         change = np.zeros((2 * n, space.ndx))
-        change[:n, : len(self._free)], change[n:, : len(self._free)] = DIFFERENCE * self._free.T, -DIFFERENCE * self._free.T
+        change[:n, : len(self._free)], change[n:, : len(self._free)] = (
+            DIFFERENCE * self._free.T,
+            -DIFFERENCE * self._free.T,
+        )
         uphill = self.uphill(space.integrate(np.tile(x, (2 * n, 1)), change))
         return (uphill[:n] - uphill[n:]).T / (2.0 * DIFFERENCE)
 

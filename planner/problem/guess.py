@@ -8,6 +8,7 @@ from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
+from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
 from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
 
@@ -37,8 +38,8 @@ def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
 
-    The motion is q (N, nq), qd and qdd (N, nv); actuators have no activations and reach every joint. Of coupled joints
-    the motion keeps the couplings, and G' tau is what the actuators give.
+    The motion is q (N, nq), qd and qdd (N, nv), of hinges and slides; actuators have no activations and reach every
+    joint. Of coupled joints the motion keeps the couplings, and G' tau is what the actuators give.
     """
     actuators = mechanism.actuators
     reach = actuators.moment.T * actuators.gain
@@ -48,8 +49,23 @@ def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
-    tau = rnea(mechanism, q, qd, qdd) - force @ actuators.moment
+    tau = rnea(mechanism, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
     return np.linalg.lstsq(reach, tau.T if G is None else G.T @ tau.T, rcond=None)[0].T
+
+
+def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
+    """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None where there is no way.
+
+    There is one for a fully actuated machine of hinges and slides without contacts, from rest to rest.
+    """
+    nq, nv = mechanism.nq, mechanism.nv
+    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
+    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
+        return None
+    try:
+        return follow(mechanism, *quintic(x0[:nq], goal[:nq], duration, N))
+    except PlannerError:  # the actuators do not reach every joint
+        return None
 
 
 def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -65,7 +65,7 @@ from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights
-from planner.problem.guess import holding_controls
+from planner.problem.guess import holding_controls, straight_line
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
@@ -214,7 +214,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
-        us=np.tile(_holding(dynamics, x0), (N, 1)) if table["guess"] == "hold" else None,
+        us=_first_guess(table["guess"], dynamics, x0, goal, N),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
         tolerance=table["tolerance"], decrease_tolerance=DECREASE,
@@ -244,6 +244,23 @@ def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
     if not isinstance(names, list):
         raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)
+
+
+def _first_guess(
+    guess: str, dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int
+) -> np.ndarray | None:
+    """Controls (N, nu) of the table's kind of guess; None for zero."""
+    if guess == "zero":
+        return None
+    line = None
+    if guess in ("line", "auto") and not dynamics.prescribed:
+        line = straight_line(dynamics.mechanism, x0, goal, N * dynamics.dt, N)
+    if line is None and guess == "line":
+        raise PlannerError(
+            "guess is 'line', expected 'hold' or 'zero': a line is for machines of hinges and slides that are at rest "
+            "at both ends, whose actuators reach every joint, without contacts."
+        )
+    return np.tile(_holding(dynamics, x0), (N, 1)) if line is None else line
 
 
 def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:

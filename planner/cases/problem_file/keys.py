@@ -20,11 +20,12 @@ KEYS = {
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
-    "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
-    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of their "
-    "law, below; auto chooses",
-    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto does "
-    "so with contacts = 'ground', unless they are in the air",
+    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), hold (the start against "
+    "gravity) or zero; auto is line where every joint has an actuator, else hold",
+    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
+    "their law, below; auto chooses",
+    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
+    "does so with contacts = 'ground', unless they are in the air",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",
@@ -76,6 +77,6 @@ MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 URDF = ("base", "floor", "package_path", "inertia")
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "hold", "contacts": "auto",
+    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

@@ -86,7 +86,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "seed": count("seed", table["seed"], least=0),
         "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
         "substeps": table["substeps"] if table["substeps"] == "auto" else count("substeps", table["substeps"], most=16),
-        "guess": choice("guess", table["guess"], ("hold", "zero")),
+        "guess": choice("guess", table["guess"], ("auto", "line", "hold", "zero")),
     }  # fmt: skip
     if not isinstance(table["title"], str):
         raise PlannerError(f"title is {shown(table['title'])}, expected a text.")

@@ -41,7 +41,9 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
     falling = falling_trees(survey)
     standing = ground_pairs(survey)
     if asked == "auto":
-        asked = "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
+        asked = (
+            "model" if all(is_modelled(survey, pair) for pair in survey.pairs) else "ground" if standing else "avoid"
+        )
     if asked == "model":
         return Choice(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
     if asked == "ground" and standing:

@@ -46,12 +46,20 @@ def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float,
         forces[data.efc_id[which]] = data.efc_force[which]
     loss = mechanism.friction_loss[rubs]
     x = mechanism.friction_inertia[rubs] * (qdd + mechanism.friction_rate * qd)[:, rubs] / loss
-    difference = np.abs(friction_forces(mechanism, qd, qdd)[0] - theirs) / np.where(mechanism.friction_loss, mechanism.friction_loss, 1.0)
+    difference = np.abs(friction_forces(mechanism, qd, qdd)[0] - theirs) / np.where(
+        mechanism.friction_loss, mechanism.friction_loss, 1.0
+    )
     bent = np.abs(np.abs(x) - 1.0) < BEND
     of = f"of {len(rubs)} degrees of freedom at {states} random states (seed {seed}), relative to the loss"
     worst = difference[:, rubs]
     held, slides = (np.abs(x) < 1.0) & ~bent, (np.abs(x) > 1.0) & ~bent
     note = f"held {held.sum()} times and sliding {slides.sum()} times, {of}"
-    yield Measured("friction_loss_error", float(max(worst[~bent].max(initial=0.0), np.delete(difference, rubs, axis=1).max(initial=0.0))), "", bound, note)
+    yield Measured(
+        "friction_loss_error",
+        float(max(worst[~bent].max(initial=0.0), np.delete(difference, rubs, axis=1).max(initial=0.0))),
+        "",
+        bound,
+        note,
+    )
     note = f"between, where MuJoCo's is cut off and the plan's bends, {of}"
     yield Measured("friction_loss_bend", float(worst[bent].max(initial=0.0)), "", None, note)
