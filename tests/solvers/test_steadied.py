@@ -119,6 +119,7 @@ def test_a_solve_whose_gradient_overflows_is_not_finite():
     plan = planner.solve(replace(still, us=np.zeros((still.N, 1))), max_iterations=5)
     assert not np.isfinite(plan.gradient_norm)
     assert plan.status is Status.NOT_FINITE
-    rate = fastest(still.dynamics.mechanism, still.x0).rate
+    m = still.dynamics.mechanism
+    rate = fastest(m, [still.x0, m.home]).rate
     expected = f'expected integrator="rk4", substeps={substeps_of(Fastest(rate, ""), still.dynamics.dt)}.'
     assert plan.options["not_finite"] == f"cart has a rate of {rate:.4g} per s and a step takes 0.02 s, {expected}"

@@ -72,7 +72,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
         "seed": count("seed", table["seed"], least=0),
         "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
-        "substeps": table["substeps"] if table["substeps"] == "auto" else count("substeps", table["substeps"], most=16),
+        "substeps": table["substeps"] if table["substeps"] == "auto" else count('substeps, unless "auto",', table["substeps"], most=16),
         "guess": choice("guess", table["guess"], ("hold", "zero")),
     }  # fmt: skip
     if not isinstance(table["title"], str):
