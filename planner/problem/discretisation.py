@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.stiffness import fastest, reason
+from planner.dynamics.stiffness import REACH, fastest, reason, substeps_of
 from planner.problem.costs.terms import remade
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.criteria import plain, with_objective
@@ -76,6 +76,22 @@ def substeps_reason(problem: Problem) -> str:
         return ""
     states = [problem.x0, dynamics.mechanism.home, *([] if goal is None else [goal.x_ref[-1]])]
     return reason(fastest(dynamics.mechanism, states, dynamics.prescribed), dynamics.substeps)
+
+
+def too_long(problem: Problem) -> str:
+    """What to write where a step of the problem is too long for its machine's fastest motion; "" where it is not."""
+    dynamics = problem.dynamics
+    if not isinstance(dynamics, RigidBodyDynamics):
+        return ""
+    found = fastest(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
+    step = dynamics.dt / dynamics.substeps
+    if found.rate * step <= REACH:
+        return ""
+    try:
+        wanted = f'integrator="rk4", substeps={substeps_of(found, dynamics.dt)}'
+    except PlannerError as error:
+        return str(error)
+    return f"{found.joint} has a rate of {found.rate:.4g} per s and a step takes {step:.3g} s, expected {wanted}."
 
 
 def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:

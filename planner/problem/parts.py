@@ -59,13 +59,8 @@ def of_parts(facts: dict[str, Any], arrays: dict[str, np.ndarray], twin: Twin | 
     mechanism: Mechanism = read(twin.planned, assets=twin.assets).with_curves(twin.curves)
     mechanism = replace(mechanism, original=twin.original)
     prescribed = facts.get("prescribed", [])
-    dynamics = RigidBodyDynamics(  # it checks what a file may have wrong
-        mechanism,
-        facts.get("dt"),
-        facts.get("integrator"),
-        prescribed,
-        facts.get("substeps", 1),  # pyright: ignore
-    )
+    step: dict[str, Any] = {"integrator": facts.get("integrator"), "substeps": facts.get("substeps", 1)}
+    dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), prescribed=prescribed, **step)  # pyright: ignore
     cost = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
     return Problem(
         dynamics, cost, arrays["x0"], us=arrays["us"], twin=twin,

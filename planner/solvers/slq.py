@@ -31,6 +31,7 @@ from planner.base.errors import PlannerError
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
+from planner.problem.discretisation import too_long
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -150,6 +151,8 @@ def solve(
                 "that hold or brake the machine with feedback."
             )
             best = solved(steady)
+    if best.status is Status.NOT_FINITE and (cure := too_long(problem)):
+        options["not_finite"] = cure
     return replace(as_user_plan(problem, best), options=options)
 
 

@@ -27,7 +27,7 @@ Control = Callable[[int, np.ndarray], np.ndarray]
 def runs_away(xs: np.ndarray) -> np.ndarray:
     """(N+1,) whether each state of a rollout xs (N+1, nx) is not finite, or so large that it soon will be."""
     with np.errstate(invalid="ignore"):
-        return ~(np.abs(xs) < RUNAWAY * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1)
+        return np.asarray(~(np.abs(xs) < RUNAWAY * max(1.0, float(np.abs(xs[0]).max(initial=0.0)))).all(axis=1))
 
 
 def steadied(problem: Problem) -> np.ndarray | None:

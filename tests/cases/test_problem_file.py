@@ -8,11 +8,14 @@ import sys
 import numpy as np
 import pytest
 from carts import refuse, write
+from fingers import FAST
 from places import ROOT
 
 import planner
-from planner.cases.problem_file import load
+from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, WEIGHTS
+from planner.dynamics.stiffness import substeps_for
+from planner.problem.discretisation import finer
 from planner.problem.guess import follow, holding_controls
 
 EXAMPLES = ROOT / "examples"
@@ -211,3 +214,35 @@ def test_the_python_example_runs(tmp_path):
     assert "PASS" in done.stdout
     assert "without: contacts" in done.stdout
     assert (tmp_path / "crane.npz").is_file()
+
+
+def stiff(folder, **keys):
+    """The problem of a file whose machine needs several substeps."""
+    (folder / "fast.xml").write_text(FAST, encoding="utf-8")
+    stages = {"duration": 0.4, "dt": 0.02} | keys
+    lines = [f"{key} = {value}" for key, value in stages.items()]
+    text = "\n".join(['model = "fast.xml"', "start = [0.0, 0.0]", "goal = [0.5, 0.2]", *lines])
+    (folder / "fast.toml").write_text(text, encoding="utf-8")
+    return load(folder / "fast.toml").problem
+
+
+def test_stages_have_the_substeps_that_the_machine_needs(tmp_path):
+    problem = stiff(tmp_path)
+    mechanism, states = problem.dynamics.mechanism, [problem.x0, problem.cost.x_ref[-1]]
+    assert problem.dynamics.substeps == substeps_for(mechanism, 0.02, states) > 4
+    assert finer(problem).dynamics.substeps == substeps_for(mechanism, 0.01, states) < problem.dynamics.substeps
+    back = planner.load_plan(planner.solve(problem).save(tmp_path / "plan.npz"))
+    assert back.problem.dynamics.substeps == problem.dynamics.substeps
+    assert stiff(tmp_path, integrator='"semi-implicit-euler"').dynamics.substeps == 1
+    assert stiff(tmp_path, substeps=3).dynamics.substeps == 3
+    with pytest.raises(planner.PlannerError, match=r"finger has a rate of .* expected dt = "):
+        stiff(tmp_path, duration=4.0, dt=0.2)
+    with pytest.raises(planner.PlannerError, match="substeps, unless \"auto\", is 'fast', expected"):
+        stiff(tmp_path, substeps='"fast"')
+
+
+def test_plans_of_before_there_were_substeps_have_none(tmp_path):
+    problem = stiff(tmp_path)
+    table = {name: value for name, value in problem.parameters.items() if name != "substeps"}
+    assert of_table(table, problem.twin).dynamics.substeps == 1
+    assert of_table(problem.parameters, problem.twin).dynamics.substeps == problem.dynamics.substeps

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fingers import FAST
+from trees import driven, machines, relative_error
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
 from planner.dynamics.stiffness import AIM, Fastest, fastest, reason, substeps_for, substeps_of
-from tests.dynamics.test_substeps import FAST
-from tests.trees import driven, machines, relative_error
 
 SLIDES = """
 <mujoco><worldbody>

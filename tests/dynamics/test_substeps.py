@@ -7,21 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fingers import FAST
+from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
 from planner.solvers.engine import borrow
 from planner.solvers.engine.in_numpy import NumpyEngine
-from tests.trees import CHAINS, actuated, driven, machines, relative_error
-
-FAST = """
-<mujoco><worldbody><body name="arm"><joint name="arm" axis="0 1 0"/>
-  <inertial mass="1" pos="0 0 -0.5" diaginertia="0.1 0.1 0.1"/>
-  <body name="finger" pos="0 0 -1"><joint name="finger" axis="0 1 0" damping="0.02" stiffness="0.5"/>
-    <inertial mass="0.02" pos="0 0 -0.05" diaginertia="1e-5 1e-5 1e-5"/></body></body></worldbody>
-  <actuator><motor joint="arm"/><position joint="finger" kp="1" kv="0.01"/></actuator></mujoco>
-"""
 
 
 def in_single_steps(dynamics, xs, us):

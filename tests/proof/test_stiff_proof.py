@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fingers import FAST
 
 import planner
 from planner import Mechanism, RigidBodyDynamics
@@ -18,19 +19,12 @@ from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.same_step import same_step
 
 DT, N = 0.02, 30
-ARM = """
-<mujoco><option timestep="0.002"/><worldbody><body name="arm"><joint name="arm" axis="0 1 0"/>
-  <inertial mass="1" pos="0 0 -0.5" diaginertia="0.1 0.1 0.1"/>
-  <body name="finger" pos="0 0 -1"><joint name="finger" axis="0 1 0" damping="0.05"/>
-    <inertial mass="0.02" pos="0 0 -0.05" diaginertia="1e-5 1e-5 1e-5"/></body></body></worldbody>
-  <actuator><motor joint="arm"/><position joint="finger" kp="1" kv="0.01"/></actuator></mujoco>
-"""
 LEAST_RATE = 2.78 / DT  # 1/s, above which one step a stage is unstable
 
 
 @pytest.fixture(scope="module")
 def plan():
-    m = Mechanism.from_mjcf(ARM)
+    m = Mechanism.from_mjcf(FAST)
     assert fastest(m, m.home).rate > 3.0 * LEAST_RATE
     dynamics = RigidBodyDynamics(m, DT, substeps=substeps_for(m, DT, m.home))
     goal = np.array([0.8, 0.4, 0.0, 0.0])

@@ -9,6 +9,7 @@ import pytest
 
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, Status, TrackingCost
+from planner.dynamics.stiffness import Fastest, fastest, substeps_of
 from planner.problem.limits import Limits
 from planner.solvers.steadied import runs_away, steadied
 from planner.solvers.warm_start import roll_out
@@ -118,3 +119,7 @@ def test_a_solve_whose_gradient_overflows_is_not_finite():
     plan = planner.solve(replace(still, us=np.zeros((still.N, 1))), max_iterations=5)
     assert not np.isfinite(plan.gradient_norm)
     assert plan.status is Status.NOT_FINITE
+    m = still.dynamics.mechanism
+    rate = fastest(m, [still.x0, m.home]).rate
+    expected = f'expected integrator="rk4", substeps={substeps_of(Fastest(rate, ""), still.dynamics.dt)}.'
+    assert plan.options["not_finite"] == f"cart has a rate of {rate:.4g} per s and a step takes 0.02 s, {expected}"

@@ -12,6 +12,7 @@ from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
+from planner.dynamics.rigid_body import MOST_SUBSTEPS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
 from planner.problem.limits import OFF, Limits
@@ -85,7 +86,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
         "seed": count("seed", table["seed"], least=0),
         "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
-        "substeps": table["substeps"] if table["substeps"] == "auto" else count("substeps", table["substeps"], most=16),
+        "substeps": _substeps(table["substeps"]),
         "guess": choice("guess", table["guess"], ("auto", "line", "hold", "zero")),
     }  # fmt: skip
     if not isinstance(table["title"], str):
@@ -97,6 +98,10 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     if "durations" in table:
         table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
     return table, N
+
+
+def _substeps(value: Any) -> int | str:
+    return value if value == "auto" else count('substeps, unless "auto",', value, most=MOST_SUBSTEPS)
 
 
 def checked_starts(starts: Any) -> int:

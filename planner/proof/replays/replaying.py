@@ -156,7 +156,7 @@ def replay_in(
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
-        least = max(REFINEMENT, SUBSTEP_REFINEMENT * getattr(problem.dynamics, "substeps", 1))
+        least = max(REFINEMENT, SUBSTEP_REFINEMENT * int(getattr(problem.dynamics, "substeps", 1)))
         substeps = max(least, math.ceil(min(dt / step, 1e12) - 1e-9))
         substeps += -substeps % parts
     n = count("substeps", substeps)
