@@ -9,7 +9,7 @@ ARM = """
       <geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.3" mass="2"/>
       <body pos="0 0 0.3"><joint name="lift" axis="0 1 0" frictionloss="0.4" solreffriction="-3 -60"/>
         <geom type="capsule" size="0.05" fromto="0 0 0 0.4 0 0" mass="2"/>
-        <body name="fore" pos="0.4 0 0"><joint name="bend" axis="0 1 0" frictionloss="0.2" solimpfriction="0.8 0.9 0.1"/>
+        <body pos="0.4 0 0"><joint name="bend" axis="0 1 0" frictionloss="0.2" solimpfriction="0.8 0.9 0.1"/>
           <geom type="capsule" size="0.04" fromto="0 0 0 0.3 0 0" mass="1"/></body></body></body>
   </worldbody>
   <actuator><motor joint="turn"/><motor joint="lift"/><motor joint="bend"/></actuator>

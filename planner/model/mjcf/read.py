@@ -151,8 +151,8 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         velocity_limit=np.full(model.nv, np.inf), **joint_friction(model), **_lifted(model, links, poses),
         body_names=("world", *_names(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
-        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model), sites=sites, keyframes=keyframes,
-        mjcf=text, assets=files, ignored=ignored,
+        contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
+        sites=sites, keyframes=keyframes,         mjcf=text, assets=files, ignored=ignored,
     )  # fmt: skip
 
 
