@@ -1,12 +1,13 @@
 """Friction loss of joints (MuJoCo's dof_frictionloss), in NumPy: the readable twin of the kernels.
 
-MuJoCo's friction loss is a constraint, the force -clip(D (a + beta v), loss) on a joint that moves at v and accelerates
-by a. So friction holds a joint as an armature D with a damper beta D would, until that takes more force than the loss.
-The plan has the same force with a bend:
+MuJoCo's friction loss is a constraint, the force -clip(D (a + beta v), loss) on a joint that moves at v and
+accelerates by a. So friction holds a joint as an armature D with a damper beta D would, until that takes more than
+the loss. The plan has the same force with a bend:
 
     f = -loss s(x),   x = D (a + beta v) / loss,   s(x) = x up to 1 - b, 1 from 1 + b, a parabola between, and odd
 
-It depends on the acceleration, so it is no part of the bias, but of the accelerations that solve M a + bias = tau + f(a).
+It depends on the acceleration, so it is no part of the bias, but of the accelerations that solve
+M a + bias = tau + f(a).
 """
 
 from __future__ import annotations

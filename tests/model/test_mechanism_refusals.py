@@ -18,12 +18,10 @@ SPATIAL = '<spatial name="t" %s><site site="p"/><site site="q"/></spatial>'
 MUSCLE = '<muscle name="biceps" joint="h" lengthrange="0 1"/>'
 MOCAP = '<body name="hand" mocap="true"><body name="toy"><joint/><geom size="0.1"/></body></body>'
 REFUSED = [
-    ("frictionloss", plain(joint='frictionloss="1"'), ["frictionloss of joint 'h'"]),
-    ("frictionloss", plain(default='<default><joint frictionloss="1"/></default>'), ["joint 'h'", "joint 's'"]),
     ("frictionloss", plain(tendon=TENDON % 'frictionloss="1"'), ["frictionloss of tendon 't'"]),
     ("equality", plain(equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>'), ["equality 'cam'"]),
     ("equality", plain(equality='<weld body1="one"/>'), ["equality number 0"]),
-    ("tendon", plain(tendon=TENDON % 'stiffness="1"'), ["stiffness of tendon 't'"]),
+    ("tendon", plain(tendon=TENDON % 'armature="1" damping="1"'), ["armature of tendon 't'"]),
     ("tendon", plain(tendon=SPATIAL % 'damping="1"'), ["damping of tendon 't'"]),
     ("tendon", plain(tendon=SPATIAL % 'range="0 9" limited="true"'), ["limit of tendon 't'"]),
     (
@@ -33,7 +31,6 @@ REFUSED = [
     ),
     ("fluid", plain(option='<flag contact="disable"/>').replace("<option>", '<option density="9">'), ["density"]),
     ("fluid", plain().replace("<option>", '<option viscosity="9">'), ["viscosity"]),
-    ("gravcomp", plain(body='gravcomp="0.5"'), ["gravcomp of body 'one'"]),
     ("actuator", plain(actuator=MUSCLE), ["actuator 'biceps'", "muscle"]),
     ("actuator", plain(actuator='<damper name="x" joint="h" kv="1" ctrlrange="0 1"/>'), ["'x' (affine gain)"]),
     ("actuator", plain(actuator='<motor name="x" site="p" gear="1"/>'), ["'x' (site transmission)"]),
@@ -57,6 +54,14 @@ REFUSED = [
         ["actearly of actuator 'x'"],
     ),
     ("mocap", plain(world=MOCAP).replace("<option>", '<option><flag contact="disable"/>'), ["mocap body 'hand'"]),
+]
+# What is modelled and that `ignore` takes out all the same.
+MODELLED = [
+    ("frictionloss", plain(joint='frictionloss="1"'), ["frictionloss of joint 'h'"]),
+    ("frictionloss", plain(default='<default><joint frictionloss="1"/></default>'), ["joint 'h'", "joint 's'"]),
+    ("tendon", plain(tendon=TENDON % 'stiffness="1"'), ["stiffness of tendon 't'"]),
+    ("tendon", plain(tendon=TENDON % 'damping="1" range="0 9" limited="true"'), ["damping, limit of tendon 't'"]),
+    ("gravcomp", plain(body='gravcomp="0.5"'), ["gravcomp of body 'one'"]),
 ]
 NEW = [  # of MuJoCo 4
     ("polynomial", plain(joint='stiffness="1 2"'), ["polynomial stiffness of joint 'h'"]),
@@ -99,7 +104,17 @@ def test_refused_by_name_and_taken_out(kind, text, names):
     for name in names:
         assert name in str(error.value)
     assert f"ignore=('{kind}',)" in str(error.value)
+    is_taken_out(kind, text, names, contacts)
 
+
+@pytest.mark.parametrize(("kind", "text", "names"), MODELLED, ids=[f"{one[0]}-{i}" for i, one in enumerate(MODELLED)])
+def test_modelled_and_taken_out_where_it_is_asked_for(kind, text, names):
+    assert Mechanism.from_mjcf(text, contacts="off").ignored == ()
+    is_taken_out(kind, text, names, "off")
+
+
+def is_taken_out(kind, text, names, contacts):
+    """Whether ignoring a kind of element takes it out of the mechanism and of its text, and nothing else."""
     m = Mechanism.from_mjcf(text, ignore=(kind,), contacts=contacts)
     assert all(any(name.strip("()") in phrase for phrase in m.ignored) for name in names)
     again = Mechanism.from_mjcf(m.mjcf)
@@ -134,7 +149,7 @@ def test_everything_in_one_sentence():
         equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>',
         world='<geom name="floor" type="plane" size="1 1 1"/>',
     )  # fmt: skip
-    parts = ["joint 'h'", "body 'one'", "tendon 't'", "'biceps'", "'lock'", "geom 'floor'", "contacts='avoid'"]
+    parts = ["'biceps'", "'lock'", "geom 'floor'", "contacts='avoid'"]
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text, contacts="model")
     for part in parts:

@@ -1,12 +1,13 @@
-"""Friction loss of joints (planner.dynamics.friction) in forward dynamics, and its derivatives, on lanes.
+"""Friction loss of joints (planner.dynamics.friction) in forward dynamics, and derivatives, on lanes.
 
-The force f(a, v) = -loss s(x), x = inertia (a + rate v) / loss, has the acceleration in it. Newton's method takes it for
+The force f(a, v) = -loss s(x), x = inertia (a + rate v) / loss, has the acceleration in it. Newton's method takes it
+for
 
     f(a_k, v) - inertia s'(x_k) (a - a_k),
 
-a force and an armature, for which the recursion finds the next a. The accelerations are the minimum of a convex function
-whose gradient is T - f, T = M a + bias - tau being the force that friction would have to give; T is linear in a, so the
-way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers, so that a
+a force and an armature, for which the recursion finds the next a. The accelerations are the minimum of a convex
+function whose gradient is T - f, T = M a + bias - tau being the force that friction would have to give; T is linear in
+a, so the way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers, so that a
 state's acceleration does not depend on the states beside it.
 """
 
@@ -14,7 +15,8 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
-from planner.kernels.tree.model import LOSS_SIZE, TREE
+from planner.kernels.tree.model import TREE
+from planner.kernels.tree.own_forces import LOSS_SIZE
 
 BEND = 0.5  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
 MOST_ROUNDS = 30  # of Newton's method, which takes three or four

@@ -13,10 +13,11 @@ joint i beyond j moves h alone:
 
 from __future__ import annotations
 
-from planner.kernels.algebra.spatial import add, add3, axpy, cross, dot, load3, rotated, scaled, store3
+from planner.kernels.algebra.spatial import add3, axpy, cross, dot, load3, rotated, scaled, store3
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
-from planner.kernels.tree.model import LIFTED_SIZE, TREE
+from planner.kernels.tree.model import TREE
+from planner.kernels.tree.own_forces import LIFTED_SIZE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS
 
 MOMENT = 81  # offset in a link's record, beyond those of kernels.tree.recursion and of sensitivity

@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
+from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
 from planner.model.tendons import acting_tendons
@@ -26,7 +27,6 @@ HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, 
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
 CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
-TENDON_SIZE, LIFTED_SIZE, LOSS_SIZE = 4, 4, 3  # see _tendons, _lifted and _losses
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
@@ -93,8 +93,8 @@ class Model:
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
-        arrays |= _curves(curves) | _tendons(tendons)
-        arrays |= _lifted(mechanism, arrays["frames"]) | _losses(mechanism, losses) | _dependents(reduction)
+        arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
+        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
@@ -324,38 +324,6 @@ def _curves(curves: Any) -> dict[str, np.ndarray]:
         "curve_slope_dof": np.array([j for j, _ in slopes], dtype=np.int64),
         "curve_slope": np.array([slope for _, slope in slopes], dtype=float),
     }
-
-
-def _tendons(tendons: Any) -> dict[str, np.ndarray]:
-    """Per tendon: its degrees of freedom with their factors from tendon_start on, and the four numbers of its force."""
-    numbers = [(tendon.stiffness, *tendon.rest, tendon.damping) for tendon in tendons]
-    return {
-        "tendon_start": np.cumsum([0, *(len(tendon.dofs) for tendon in tendons)]),
-        "tendon_dof": np.array([dof for tendon in tendons for dof in tendon.dofs], dtype=np.int64),
-        "tendon_factor": np.array([factor for tendon in tendons for factor in tendon.coefficients], dtype=float),
-        "tendon_value": np.array(numbers, dtype=float).reshape(-1, TENDON_SIZE),
-    }
-
-
-def _losses(mechanism: Any, losses: np.ndarray) -> dict[str, np.ndarray]:
-    """Per joint that rubs: its degree of freedom, and loss, inertia and rate of its friction."""
-    dof = np.flatnonzero(losses)
-    value = np.column_stack([losses, mechanism.friction_inertia, mechanism.friction_rate])[dof]
-    return {"loss_dof": dof, "loss_value": value}
-
-
-def _lifted(mechanism: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
-    """Per link: the mass that gravity compensation carries and its first moment (3) in the kernels' frames.
-
-    And that mass of the link and all beyond it.
-    """
-    mass = mechanism.lifted_mass
-    moment = np.einsum("nji,nj->ni", frames[:, :3, :3], mechanism.lifted_moment - mass[:, None] * frames[:, :3, 3])
-    beyond = mass.copy()
-    for i in reversed(range(len(mass))):
-        if mechanism.parent[i] >= 0:
-            beyond[mechanism.parent[i]] += beyond[i]
-    return {"lifted_value": np.column_stack([mass, moment]), "lifted_mass": beyond}
 
 
 def _dependents(reduction: Any) -> dict[str, np.ndarray]:

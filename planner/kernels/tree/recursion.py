@@ -171,8 +171,9 @@ def move_links(m, q, v, ws):
 def accelerate(m, tau, a, ws, armature, reaction):
     """Accelerations from forces (Fig. 2, right; the paper's Case 3 where accelerations are prescribed).
 
-    The way back and out again, of links that move_links has seen. tau (nv) and a (nv) are lanes, armature (nv) may be; tau
-    is the whole applied force, a prescribed joint's entry of a is read and, with `reaction`, its entry of tau becomes the force that it takes.
+    The way back and out again, of links that move_links has seen. tau (nv) and a (nv) are lanes, armature (nv) may be.
+    tau is the whole applied force, a prescribed joint's entry of a is read and, with `reaction`, its entry of tau
+    becomes the force that it takes.
     """
     n = m[TREE.nv]
     parent, g = integers(m, TREE.parent), floats(m, TREE.base_acceleration)

@@ -196,8 +196,8 @@ def _still(model: Any, joints: list[int]) -> np.ndarray:
 def released(mechanism: Mechanism, prescribed: Collection[str]) -> Mechanism:
     """The mechanism of a driven twin but for its armature: the other half of a parity.
 
-    Without armature, springs, dampers, friction, curves and actuators of the prescribed joints, and with a motor of gear HEAVY
-    for each of their degrees of freedom; without contacts and stops.
+    Without armature, springs, dampers, friction, curves and actuators of the prescribed joints, and with a motor of
+    gear HEAVY for each of their degrees of freedom; without contacts and stops.
     """
     dofs = prescribed_dofs(mechanism, prescribed)
     given = np.zeros(mechanism.nv, dtype=bool)

@@ -1,8 +1,8 @@
 """Read friction loss of joints from a compiled model: the numbers of planner.dynamics.friction.
 
 MuJoCo's constraint has the regularisation R = (1 - d) w / d, with d the impedance of `solimpfriction` at 0 and w the
-inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or -damping / dmax
-in the direct format. So D = 1 / R, and what slides alone decays at d beta per s, 95 by default.
+inverse inertia of the joint at qpos0, and the damping beta of `solreffriction`: 2 / (dmax timeconst), or
+-damping / dmax in the direct format. So D = 1 / R, and what slides alone decays at d beta per s, 95 by default.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _DEFAULT = 0.02  # s, MuJoCo's time constant where solref has numbers of both fo
 
 
 def joint_friction(model: Any) -> dict[str, np.ndarray]:
-    """Loss (nv,), N m or N, inertia (nv,), kg m^2 or kg, and rate (nv,), 1/s, of friction; zeros where there is none."""
+    """Loss (nv,), N m or N, inertia (nv,), kg m^2 or kg, and rate (nv,), 1/s, of friction; zeros for none."""
     ends = np.clip(model.dof_solimp[:, :2], LEAST_IMPEDANCE, MOST_IMPEDANCE)
     flat = (ends[:, 0] == ends[:, 1]) | (model.dof_solimp[:, 2] <= _LEAST)
     d = np.where(flat, ends.mean(axis=1), ends[:, 0])

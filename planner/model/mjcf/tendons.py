@@ -18,10 +18,8 @@ def fixed(model: Any, tendon: int) -> bool:
 
 def row_of(model: Any, tendon: int) -> np.ndarray:
     """(nv,) the coefficients of a fixed tendon."""
-    row, wraps = (
-        np.zeros(model.nv),
-        slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]),
-    )
+    first, row = model.tendon_adr[tendon], np.zeros(model.nv)
+    wraps = slice(first, first + model.tendon_num[tendon])
     np.add.at(row, model.jnt_dofadr[model.wrap_objid[wraps]], model.wrap_prm[wraps])
     return row
 

@@ -1,8 +1,8 @@
 """Parity of friction loss: the plan's friction of joints and MuJoCo's, at random states with random forces.
 
 Both are the same function of the velocity and the acceleration (planner.dynamics.friction), but that the plan's bends
-where MuJoCo's is cut off at once. So at MuJoCo's acceleration they are the same, to rounding, in all joints that are held
-or slide well enough; in the bend the difference is shown.
+where MuJoCo's is cut off at once. So at MuJoCo's acceleration they are the same, to rounding, in all joints that are
+held or slide well enough; in the bend the difference is shown.
 """
 
 from __future__ import annotations
@@ -46,20 +46,12 @@ def friction_parity(mechanism: Mechanism, model: Any, states: int, bound: float,
         forces[data.efc_id[which]] = data.efc_force[which]
     loss = mechanism.friction_loss[rubs]
     x = mechanism.friction_inertia[rubs] * (qdd + mechanism.friction_rate * qd)[:, rubs] / loss
-    difference = np.abs(friction_forces(mechanism, qd, qdd)[0] - theirs) / np.where(
-        mechanism.friction_loss, mechanism.friction_loss, 1.0
-    )
-    bent = np.abs(np.abs(x) - 1.0) < BEND
+    off, bent = np.abs(friction_forces(mechanism, qd, qdd)[0] - theirs), np.abs(np.abs(x) - 1.0) < BEND
+    beside, difference = np.delete(off, rubs, axis=1).max(initial=0.0), off[:, rubs] / loss
     of = f"of {len(rubs)} degrees of freedom at {states} random states (seed {seed}), relative to the loss"
-    worst = difference[:, rubs]
     held, slides = (np.abs(x) < 1.0) & ~bent, (np.abs(x) > 1.0) & ~bent
     note = f"held {held.sum()} times and sliding {slides.sum()} times, {of}"
-    yield Measured(
-        "friction_loss_error",
-        float(max(worst[~bent].max(initial=0.0), np.delete(difference, rubs, axis=1).max(initial=0.0))),
-        "",
-        bound,
-        note,
-    )
+    error = float(max(difference[~bent].max(initial=0.0), beside))
+    yield Measured("friction_loss_error", error, "", bound, note)
     note = f"between, where MuJoCo's is cut off and the plan's bends, {of}"
-    yield Measured("friction_loss_bend", float(worst[bent].max(initial=0.0)), "", None, note)
+    yield Measured("friction_loss_bend", float(difference[bent].max(initial=0.0)), "", None, note)

@@ -93,9 +93,8 @@ def _of_mechanism(mechanism: Mechanism, dynamics: Any, compiled: CompiledTwin, s
     model = compiled.copy()
     with curves_acting(compiled.twin, model):
         smooth = rigid_parity(mechanism, model, dynamics, STATES, BOUND, seed)
-    return replace(
-        smooth, measured=(*smooth.measured, *friction_parity(mechanism, compiled.copy(), STATES, BOUND, seed))
-    )
+    friction = friction_parity(mechanism, compiled.copy(), STATES, BOUND, seed)
+    return replace(smooth, measured=(*smooth.measured, *friction))
 
 
 def _of_rates(problem: Problem, requirements: Requirements, compiled: CompiledTwin, seed: int) -> Section:

@@ -23,7 +23,7 @@ from planner.model.mjcf.couplings import set_hard
 from planner.model.mjcf.driven import as_driven
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.left_out import left_out
-from planner.model.mjcf.refuse import unmodelled
+from planner.model.mjcf.refuse import modelled, unmodelled
 from planner.model.mjcf.survey import Survey, compile_model
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin
@@ -122,7 +122,7 @@ def _without(mechanism: Mechanism, compiled: CompiledTwin) -> CompiledTwin:
     if not mechanism.original:
         return compiled
     survey = Survey(compiled.model)
-    found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=True)]
+    found = [*unmodelled(survey.model), *modelled(survey.model), *contact_refusals(survey, all_of_them=True)]
     lacks = left_out(mechanism.original, mechanism.mjcf, mechanism.assets).kinds
     kinds = lacks & {one.kind for one in found}
     if not kinds:

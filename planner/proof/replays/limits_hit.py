@@ -27,7 +27,7 @@ def clamps_hit(run: Replay) -> list[str]:
 
 
 def stops_hit(run: Replay) -> list[str]:
-    """Joints and tendons that the plan, or the replay, moves beyond a range without a stop in the plan, in sentences."""
+    """Joints and tendons that the plan, or the replay, moves beyond a range that has no stop in it, in sentences."""
     model, stopped, limits = run.compiled.model, stopped_dofs(run.plan), getattr(run.plan.problem, "limits", None)
     own, replayed = (
         [*joints_in(model, w, stopped), *tendons_in(model, w)] for w in (run.twin.sim_of(run.plan_xs), _states(run))

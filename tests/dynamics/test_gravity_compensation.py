@@ -1,0 +1,88 @@
+"""Gravity compensation and fixed tendons: against MuJoCo term by term, and derivatives against complex steps."""
+
+import numpy as np
+import pytest
+from mechanisms import MACHINE
+from rubbing import lifted
+
+import planner
+from planner.base.errors import PlannerError
+from planner.dynamics import algorithms, poe
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import product
+from planner.proof.compare.rigid_parity import random_states
+
+TEXT = lifted(MACHINE)
+
+
+def test_parity_with_mujoco():
+    section = planner.parity(Mechanism.from_mjcf(TEXT))
+    assert section.passed, section
+    wrong = planner.parity(Mechanism.from_mjcf(TEXT), TEXT.replace('gravcomp="0.6"', 'gravcomp="0.7"'))
+    assert "mass with gravity compensation" in str(wrong)
+    wrong = planner.parity(Mechanism.from_mjcf(TEXT), TEXT.replace('"2"><j', '"3"><j'))
+    assert "stiffness of tendon 'taut'" in str(wrong)
+
+
+def test_kernels_are_their_twin_and_their_derivatives_exact():
+    """Derivatives by an imaginary step in the readable twin, exact to rounding: sums of some hundred terms."""
+    m = Mechanism.from_mjcf(TEXT)
+    rng = np.random.default_rng(0)
+    xs, qdd = random_states(m, rng, 4), rng.normal(size=(4, m.nv))
+    q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
+    tau, derivatives = algorithms.rnea(m, q, qd, qdd), algorithms.rnea_derivatives(m, q, qd, qdd)
+    np.testing.assert_allclose(algorithms.forward_dynamics(m, q, qd, tau), qdd, rtol=1e-8, atol=1e-9)
+    for k in range(4):
+        scale = np.abs(tau[k]).max()
+        assert np.abs(poe.rnea(m, q[k], qd[k], qdd[k]) - tau[k]).max() < 1e-12 * scale
+        for j, e in enumerate(np.eye(m.nv)):
+            by_qd = poe.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
+            assert np.abs(by_qd - derivatives.qd[k, :, j]).max() < 1e-12 * np.abs(derivatives.qd[k]).max()
+            moved = q[k].astype(complex)
+            for i in np.flatnonzero(m.kind == SCREW):
+                moved[m.q_address[i]] += 1e-30j * e[i]
+            for a, i in m.quaternions:
+                moved[a : a + 4] += 1e-30j * product(q[k, a : a + 4], np.array([0.0, *(0.5 * e[i : i + 3])]))
+            by_q = poe.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
+            assert np.abs(by_q - derivatives.q[k, :, j]).max() < 1e-12 * np.abs(derivatives.q[k]).max()
+
+
+def test_a_stage_of_a_machine_with_both():
+    m = Mechanism.from_mjcf(TEXT)
+    dynamics, rng = planner.RigidBodyDynamics(m, 0.005), np.random.default_rng(1)
+    xs, us = random_states(m, rng, 4), rng.normal(size=(4, 1))
+    A, _ = dynamics.linearize(np.vstack([xs, xs[:1]]), us)
+    space, h = m.space, 1e-6
+    for j, e in enumerate(np.eye(space.ndx)):
+        ends = [dynamics.step(space.integrate(xs, np.tile(side * h * e, (4, 1))), us) for side in (1.0, -1.0)]
+        found = space.difference(*ends) / (2.0 * h)
+        assert np.abs(found - A[:, :, j]).max() < 1e-6 * np.abs(A).max()  # h^2 times third derivatives, rounding / h
+
+
+def test_weight_that_is_carried_needs_no_holding():
+    body = '<body gravcomp="1"><joint axis="0 1 0"/><geom size="0.1" pos="1 0 0"/></body>'
+    still = Mechanism.from_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert np.abs(algorithms.bias(still, [0.3], [0.0])).max() < 1e-12 * 9.81 * 4.2
+
+
+def test_clamped_compensation_is_refused():
+    text = (
+        '<mujoco><worldbody><body gravcomp="1"><joint name="a" actuatorgravcomp="true" actuatorfrcrange="-1 1"/>'
+        '<geom size="0.1" pos="1 0 0"/></body></worldbody><actuator><motor joint="a"/></actuator></mujoco>'
+    )
+    with pytest.raises(PlannerError, match="clamped actuatorgravcomp of joint 'a'"):
+        Mechanism.from_mjcf(text)
+    free = text.replace(' actuatorfrcrange="-1 1"', "")
+    assert planner.parity(Mechanism.from_mjcf(free)).passed
+
+
+def test_a_tendons_range_is_data_and_named_where_a_motion_leaves_it():
+    from planner.base.gl import load_mujoco
+    from planner.proof.replays.ranges import ranges_reached
+
+    m = Mechanism.from_mjcf(TEXT)
+    assert m.tendons[0].range == (-1.0, 1.0)
+    w = np.tile(m.home, (3, 1))
+    w[1:, m.q_address[m.joint("lift")]] += 2.0
+    said = ranges_reached(load_mujoco().MjModel.from_xml_string(TEXT), np.arange(3.0), w, np.zeros((2, 1)))
+    assert [one for one in said if "tendon 'slack' is outside its range from t = 1 s" in one]
