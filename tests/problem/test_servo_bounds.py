@@ -245,9 +245,9 @@ def test_what_gains_ask_for_beyond_a_clamp_is_judged_where_the_plan_does_not_kno
     assert clamps_hit(run) == []
     assert clamps_hit(asking) == []
     free = replace(plan, problem=replace(plan.problem, limits=None))
-    assert len(clamps_hit(replace(asking, plan=free))) == 2  # forcerange and the motor's ctrlrange
+    assert len(clamps_hit(replace(asking, plan=free))) == 3  # lift's ctrlrange and forcerange, fold's ctrlrange
     wild = replace(plan, us=plan.us + np.array([1.0, 3.0]))  # what the plan itself asks for counts
-    assert len(clamps_hit(replace(run, plan=wild))) == 2
+    assert len(clamps_hit(replace(run, plan=wild))) == 3
 
 
 def test_the_figure_shows_bounds_along_the_plan(plan):
