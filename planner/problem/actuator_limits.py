@@ -57,6 +57,17 @@ def servo_bounds(mechanism: Mechanism, dt: float, ndx: int, without: frozenset[i
     return Servos(np.array(which), in_x[used], used, low, high, now[:, used], late[:, used], ndx)
 
 
+def unbounded_actuators(mechanism: Mechanism) -> frozenset[int]:
+    """The actuators with clamps that bound no control of a plan."""
+    acts = mechanism.actuators
+    return frozenset(
+        a
+        for a in range(acts.nu)
+        if np.isfinite(acts.activation_range[a]).any()
+        or any(not (clamp.alone and _plain(mechanism, a)) for clamp in _clamps(mechanism, a))
+    )
+
+
 def unbounded(mechanism: Mechanism) -> tuple[str, ...]:
     """The clamps of the model that bound no control of a plan, one sentence each: its replay judges them."""
     acts, found = mechanism.actuators, []

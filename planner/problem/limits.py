@@ -23,7 +23,7 @@ from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
-from planner.problem.actuator_limits import model_bounds, servo_bounds
+from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators
 from planner.problem.control_bounds import ControlBounds, Servos
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
@@ -82,6 +82,17 @@ class Limits:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
         return {name: _plain(value) for name, value in vars(self).items() if value is not None}
+
+    @property
+    def keeps_clamps(self) -> bool:
+        """Whether the model's clamps bound controls, but for those of a table."""
+        return _is(self.control, MODEL) or isinstance(self.control, Mapping)
+
+    def without_clamps(self, mechanism: Mechanism) -> frozenset[int]:
+        """The actuators whose clamps do not bound a control, or not all of them."""
+        own = self.control if isinstance(self.control, Mapping) else {}
+        given = {a for a, name in enumerate(mechanism.actuators.names) if not _is(own.get(name, MODEL), MODEL)}
+        return unbounded_actuators(mechanism) | given
 
     def repeated(self, parts: int) -> Limits:
         """The same for stages divided into parts: bounds of each stage are those of its parts."""

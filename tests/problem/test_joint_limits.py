@@ -100,6 +100,13 @@ def test_a_plan_at_its_ranges_is_proven():
     assert {one.name: one.value for one in proof.your_file.measured}["unknown_stops"] == 0.0
 
 
+def test_a_stop_begins_at_the_margin_of_its_joint():
+    """MuJoCo's attribute `margin`: the stop pushes from there on."""
+    text = REACH.replace('axis="0 1 0" range', 'axis="0 1 0" margin="0.05" range')
+    machine = Mechanism.from_mjcf(text, contacts="off")
+    np.testing.assert_allclose(machine.joint_range, [[-0.5, 0.5], [-1.95, 0.95]])
+
+
 def test_stops_that_the_plan_models_are_no_limits():
     stop = Stop(1, 1.0, 1, Law(1e4, 10.0))
     problem = reach()

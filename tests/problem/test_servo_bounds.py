@@ -8,6 +8,7 @@ import pytest
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.problem.actuator_limits import unbounded
+from planner.proof.replays.limits_hit import clamps_hit
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine
 
@@ -235,6 +236,18 @@ def test_a_plan_at_a_servo_s_limit_is_replayed_without_a_clamp():
     assert found["clamped_actuators"].value == 0.0, found["clamped_actuators"].note
     free = planner.solve(replace(plan.problem, limits=None))
     assert np.abs(forces(free.problem, free.xs, free.us)).max() > 6.5  # the clamp matters
+
+
+def test_what_gains_ask_for_beyond_a_clamp_is_judged_where_the_plan_does_not_know_it():
+    plan = planner.solve(arm(N=160, dt=0.005))
+    run = planner.replay(plan, feedback=True)
+    asking = replace(run, ctrl=run.ctrl + np.array([1.0, 3.0]))
+    assert clamps_hit(run) == []
+    assert clamps_hit(asking) == []
+    free = replace(plan, problem=replace(plan.problem, limits=None))
+    assert len(clamps_hit(replace(asking, plan=free))) == 3  # lift's ctrlrange and forcerange, fold's ctrlrange
+    wild = replace(plan, us=plan.us + np.array([1.0, 3.0]))  # what the plan itself asks for counts
+    assert len(clamps_hit(replace(run, plan=wild))) == 3
 
 
 def test_the_figure_shows_bounds_along_the_plan(plan):

@@ -281,9 +281,11 @@ def _ranges(limited: np.ndarray, ranges: np.ndarray) -> np.ndarray:
 
 
 def _joint_ranges(model: Any) -> np.ndarray:
-    """(nv, 2) of hinges and slides; the first of a ball has that of its angle."""
+    """(nv, 2) of hinges and slides; the first of a ball has that of its angle. A stop acts from its margin on."""
     limited = model.jnt_limited * (not disabled(model, "constraint", "limit"))
-    ranges = _ranges(limited, model.jnt_range)
+    half = 0.5 * np.ptp(model.jnt_range, axis=1)
+    margin = np.minimum(model.jnt_margin, np.where(half > 0.0, half, np.inf))
+    ranges = _ranges(limited, model.jnt_range + margin[:, None] * np.array([1.0, -1.0]))
     result = np.tile([-np.inf, np.inf], (model.nv, 1))
     result[model.jnt_dofadr] = ranges
     return result

@@ -3,12 +3,18 @@
 A plan whose limits are its model's own touches them exactly, and rounding is no fault: so what the plan itself asks for
 has a tolerance of rounding. Gains correct what MuJoCo does otherwise than the plan, by a little everywhere: what they
 ask for beyond a range counts only above a hundredth of it.
+
+A clamp that bounds the controls of a plan is known to it. The plan must keep it, at the knots exactly and between them
+to a hundredth, since the force of a servo changes while its control is held. What gains ask for beyond such a clamp
+MuJoCo cuts off as the machine would: the motion that comes of it is judged, not the cut.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.survey import named
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in, tendons_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 
@@ -23,7 +29,32 @@ def clamps_hit(run: Replay) -> list[str]:
     planned = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     own = efforts_in(model, twin.sim_of(run.plan_xs), planned)
     replayed = efforts_in(model, _states(run), compiled.commands(run.ctrl))
-    return _sentences(run, list(own), list(replayed), ROUNDING, 0.0)
+    known, found = _known(run), []
+    for planned, real in zip(own, replayed, strict=True):
+        if planned.name in known:
+            said = planned.sentence(run.t, CORRECTION * _scale(planned, planned))
+        else:
+            said = _sentence(run, planned, real, ROUNDING, 0.0)
+        found += [said] if said else []
+    return found
+
+
+def _known(run: Replay) -> set[str]:
+    """Names of the actuators and joints whose clamps in the model bound the plan's controls."""
+    problem, model = run.plan.problem, run.compiled.model
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    limits = getattr(problem, "limits", None)
+    if not isinstance(mechanism, Mechanism) or limits is None or not limits.keeps_clamps:
+        return set()
+    free = limits.without_clamps(mechanism)
+    moment, places = mechanism.actuators.moment, np.arange(model.nu)[run.compiled.controls]
+    held, unheld = (
+        np.any(moment[[a for a in range(mechanism.nu) if (a in free) == out]], axis=0) for out in (False, True)
+    )
+    joints = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+    alone = {name for name, links in joints if np.any(held[links]) and not np.any(unheld[links])}
+    kept = {named(model, "actuator", int(places[a])) for a in range(mechanism.nu) if a not in free}
+    return kept | {named(model, "joint", j) for j in range(model.njnt) if model.joint(j).name in alone - {""}}
 
 
 def stops_hit(run: Replay) -> list[str]:
@@ -43,10 +74,14 @@ def _sentences(run: Replay, own: list[Excess], replayed: list[Excess], part: flo
     """A sentence for each range that the plan exceeds by a part of it and `least`, or the replay by CORRECTION."""
     found = []
     for planned, real in zip(own, replayed, strict=True):
-        scale = _scale(planned, real)
-        said = planned.sentence(run.t, least + part * scale) or real.sentence(run.t, CORRECTION * scale)
+        said = _sentence(run, planned, real, part, least)
         found += [said] if said else []
     return found
+
+
+def _sentence(run: Replay, planned: Excess, real: Excess, part: float, least: float) -> str:
+    scale = _scale(planned, real)
+    return planned.sentence(run.t, least + part * scale) or real.sentence(run.t, least + CORRECTION * scale)
 
 
 def _scale(planned: Excess, real: Excess) -> float:
