@@ -67,7 +67,7 @@ def read(
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        left_out = give_law(root, survey, *_laws(survey, law))
+        left_out = give_law(root, survey, *_laws(survey, law), grounds=law is None)
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     if found:
