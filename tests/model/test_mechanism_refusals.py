@@ -84,7 +84,8 @@ def as_values(m):
     values |= {"bodies": [vars(f) for f in m.bodies], "sites": {name: vars(f) for name, f in m.sites.items()}}
     return {
         name: values[name]
-        for name in values.keys() - {"ignored", "original", "contacts_mode", "contacts_choice", "actuators", "space", "quaternions", "home"}
+        for name in values.keys()
+        - {"ignored", "original", "contacts_mode", "contacts_choice", "actuators", "space", "quaternions", "home"}
     }
 
 

@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane
 from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.contact_points import add_points
-from planner.model.mjcf.survey import Pair, Survey
+from planner.model.mjcf.survey import Pair, Survey, compile_model
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
@@ -77,13 +79,25 @@ def give_law(
 
 
 def force_begins(model: Any, pair: Pair) -> float:
-    """How far apart a pair's surfaces are where its force begins, m: margins less gaps, as mj_contactParam has them."""
-    ends = list(pair.geoms)
-    margin, gap = float(model.geom_margin[ends].max()), float(model.geom_gap[ends].max())
+    """How far apart a pair's surfaces are where its force begins, m: of margins and gaps, as this MuJoCo has them."""
+    geoms = tuple(f'margin="{model.geom_margin[geom]}" gap="{model.geom_gap[geom]}"' for geom in pair.geoms)
     for k in range(model.npair):
-        if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == set(ends):
-            margin, gap = float(model.pair_margin[k]), float(model.pair_gap[k])
-    return max(margin - gap, 0.0)
+        if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == set(pair.geoms):
+            return _begins("", "", f'margin="{model.pair_margin[k]}" gap="{model.pair_gap[k]}"')
+    return _begins(*geoms, "")
+
+
+@cache
+def _begins(first: str, second: str, pair: str) -> float:
+    """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one."""
+    explicit = f'<contact><pair geom1="a" geom2="b" {pair}/></contact>' if pair else ""
+    model = compile_model(
+        f'<mujoco><worldbody><geom name="a" type="plane" size="1 1 1" {first}/><body pos="0 0 .9"><freejoint/>'
+        f'<geom name="b" size="1" {second}/></body></worldbody>{explicit}</mujoco>'
+    )
+    data = load_mujoco().MjData(model)
+    load_mujoco().mj_fwdPosition(model, data)
+    return max(float(data.contact[0].includemargin), 0.0)
 
 
 def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> ElementTree.Element:
