@@ -14,7 +14,8 @@ SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0
   <body name="sled" pos="0 0 -.65"><freejoint name="root"/><inertial pos="0 0 0" mass="1.5" diaginertia=".1 .1 .1"/>
     <geom size=".05" pos=".3 .2 0"/><geom size=".05" pos="-.3 .2 0"/>
     <geom size=".05" pos=".3 -.2 0"/><geom size=".05" pos="-.3 -.2 0"/>
-    <body name="mast"><joint name="mast" axis="0 1 0" damping=".1"/><inertial pos="0 0 .2" mass=".5" diaginertia=".01 .01 .01"/>
+    <body name="mast"><joint name="mast" axis="0 1 0" damping=".1"/>
+      <inertial pos="0 0 .2" mass=".5" diaginertia=".01 .01 .01"/>
     </body></body></worldbody><actuator><motor joint="mast"/></actuator></mujoco>"""
 TABLE = 'model = "sled.xml"\nstart = {start}\ngoal = {goal}\nduration = 0.5\ndt = 0.01\n{more}\n'
 

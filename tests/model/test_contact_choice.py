@@ -12,7 +12,8 @@ FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
 ARM = """<body name="arm"><joint name="hinge" axis="0 0 1"/>
   <geom name="link" type="capsule" fromto="0.2 0 .5 1 0 .5" size="0.02" mass="1"/></body>"""
 # A trunk of 6 kg with two legs of 1 kg, driven at the hips; the legs may touch each other.
-WALKER = """<body name="trunk" pos="0 0 .6"><freejoint/><geom type="sphere" size=".1" mass="6" contype="0" conaffinity="0"/>
+WALKER = """<body name="trunk" pos="0 0 .6"><freejoint/>
+  <geom type="sphere" size=".1" mass="6" contype="0" conaffinity="0"/>
   <body name="left" pos="0 .1 0"><joint name="hip" axis="0 1 0"/>
     <geom name="left" type="capsule" fromto="0 0 -.2 0 0 -.5" size=".03" mass="1" condim="4" margin=".01"/></body>
   <body name="right" pos="0 -.1 0"><joint name="other" axis="0 1 0"/>
@@ -89,9 +90,9 @@ def test_an_object_lies_on_what_is_under_it():
 
 
 def test_a_mode_that_does_not_fit_is_told_the_one_that_does():
-    with pytest.raises(ModelError, match="^contacts='ground' loads the model without .*condim 4, expected 1 or 3"):
+    with pytest.raises(ModelError, match=r"^contacts='ground' loads the model without .*condim 4, expected 1 or 3"):
         Mechanism.from_mjcf(walker(), contacts="model")
-    with pytest.raises(ModelError, match="^contacts='avoid' loads the model"):
+    with pytest.raises(ModelError, match=r"^contacts='avoid' loads the model"):
         Mechanism.from_mjcf(model(FLOOR, ARM), contacts="model")
     with pytest.raises(ModelError, match="contacts is 'ground', but nothing in the model falls on a plane or box"):
         Mechanism.from_mjcf(model(FLOOR, ARM), contacts="ground")

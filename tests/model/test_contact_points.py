@@ -35,7 +35,7 @@ def test_points_lie_on_the_shape_and_span_it(shape):
     if shape == "cylinder":
         assert len(points) == 2 * RIM
         np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), 0.1, rtol=1e-12)
-        # an octagon in a circle, seen from between two corners: 1 - cos(pi / 8) of the radius, to the grid of directions
+        # an octagon in a circle, from between two corners: 1 - cos(pi / 8) of the radius, to the grid of directions
         assert shortfall(model, model.geom("shape").id) == pytest.approx(0.1 * (1.0 - np.cos(np.pi / 8)), rel=0.05)
     elif shape == "ellipsoid":
         assert len(points) == MOST

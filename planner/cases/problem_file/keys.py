@@ -15,10 +15,10 @@ KEYS = {
     "dt": "length of a stage, s",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "guess": "first controls: hold (the start against gravity, as far as actuators can) or zero",
-    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of their "
-    "law, below; auto chooses",
-    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto does "
-    "so with contacts = 'ground', unless they are in the air",
+    "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
+    "their law, below; auto chooses",
+    "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
+    "does so with contacts = 'ground', unless they are in the air",
     "ignore": "list of what to take out of the model, e.g. frictionloss",
     "prescribed": "list of joints whose acceleration is a control instead of their force; none by default",
     "starts": "number of first guesses to try",

@@ -12,7 +12,6 @@ from planner.dynamics.statics import clearance, lowered, settled, undriven
 from planner.model.mechanism import Mechanism
 
 IN_THE_AIR = 0.05  # m above the ground: who writes a height puts feet down to some centimetres
-
 SAME = 1e-6  # m or rad: poses at rest are found as exactly as forces balance
 
 

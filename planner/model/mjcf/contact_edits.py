@@ -21,8 +21,8 @@ from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane
-from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.contact_points import add_points
+from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.survey import Pair, Survey, compile_model
 from planner.model.mjcf.text import written
 
@@ -36,7 +36,7 @@ def give_law(
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
     The survey is of what the root compiles to. Pairs without a law, and of shapes that are not modelled, are excluded.
-    Of an infinite impratio becomes IMPRATIO; all laws have the same, and the same `smoothing`: see contacts.CONTACT_RAMP.
+    Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `smoothing` (CONTACT_RAMP).
     For grounds, shapes with a margin get points that are larger by it: there the file's own force begins.
     """
     if not survey.pairs:

@@ -1,9 +1,9 @@
-"""Points that stand for cylinders, meshes and ellipsoids where they meet a plane: small spheres in the plan's own text.
+"""Points that stand for cylinders, meshes and ellipsoids where they meet a plane: small spheres in the plan's text.
 
-MuJoCo finds up to four points of such a shape, at places that jump from edge to edge while it rolls. A plan wants places
-that stay on the body, so its text gets spheres of RADIUS at them, which touch planes and nothing else; MuJoCo replays
-the plan's text with the same spheres, and "your file" judges the true shape. A cylinder has RIM of them at each rim, a
-mesh and an ellipsoid up to MOST that span nearly the hull. What is missing of the shape is `shortfall`.
+MuJoCo finds up to four points of such a shape, at places that jump from edge to edge while it rolls. A plan wants
+places that stay on the body, so its text gets spheres of RADIUS there, which touch planes and nothing else; MuJoCo
+replays the plan's text with the same spheres, and "your file" judges the true shape. A cylinder has RIM of them at each
+rim, a mesh and an ellipsoid up to MOST that span nearly the hull. What is missing of the shape is its `shortfall`.
 """
 
 from __future__ import annotations
