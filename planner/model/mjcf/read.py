@@ -65,6 +65,7 @@ def read(
     if asked == "ground" and mode != "ground":
         raise ModelError(f"contacts is 'ground', but nothing in {name} falls on a plane or box: contacts='avoid'.")
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
+    left_out: list[Pair] = []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
         left_out = give_law(root, survey, *_laws(survey, law), grounds=law is None)
@@ -73,7 +74,7 @@ def read(
     if found:
         take_out(root, found, survey.model)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
-    if mode in ("law", "ground") and left_out:
+    if left_out:
         phrases.append(phrase_of(survey.model, left_out))
     text = ElementTree.tostring(root, encoding="unicode")
     if text != original:  # the edits have made another text, which may not do what they meant

@@ -191,7 +191,7 @@ class _Bench:
                 self._seen.setdefault((shapes.own, shapes.other), shapes.name)
 
     def _is_like_others(self, contact: AnyContact, shapes: Shapes) -> bool:
-        """Whether it is where the plan has it and is a point of a shape of which enough with its numbers were pressed."""
+        """Whether it is a point where the plan has it, of a shape of which enough with its numbers were pressed."""
         model, survey = self._model, self._survey
         shape = shape_of(model.geom(shapes.own).name)
         if shape == model.geom(shapes.own).name or not isinstance(contact, Contact):
