@@ -65,10 +65,10 @@ def _forces(places: Sequence[PlanePlace | BodyPlace], q: np.ndarray, single: boo
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
-def contact_jacobians(mechanism: Mechanism, q: Any, which: Sequence[int] | None = None) -> np.ndarray:
+def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.ndarray:
     """Jacobians (..., contacts, 3, nv) of the places where contacts act, at q (..., nq): J'f is what a force f does.
 
-    Of all contacts, or of `which`.
+    Of all contacts, or of those whose numbers are in `which`.
     """
     q = np.asarray(q, dtype=float)
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))

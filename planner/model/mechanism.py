@@ -239,13 +239,14 @@ class Mechanism:
         Args:
             model: A path, or the XML text itself.
             ignore: Kinds of elements to take out, e.g. ("frictionloss",): in the replayed model too.
-            contacts: How contacts are planned. "model" with the file's own law, where that is a law of
+            contacts: How contacts are planned. "model": with the file's own law, where that is a law of
                 planner.model.contact.laws (see planner.model.mjcf.contacts): of spheres, capsules and corners of boxes
-                with planes, and of spheres and capsules with each other. "ground" gives ContactLaw.resting for the
-                machine's mass to what can fall on a plane; all other contacts are left out. "avoid" leaves all of
-                them out, and so does "off". "auto" chooses the first of "model", "ground" and "avoid" that fits: see `contacts_choice`. A ContactLaw is
-                given to all contacts whose shapes are modelled. What is planned is replayed in the plan's own model;
-                what is left out is said in `ignored`, and judged in the user's file.
+                with planes, and of spheres and capsules with each other. "ground": what can fall gets
+                ContactLaw.resting for its mass where it meets a plane; all other contacts are left out. "avoid": all
+                of them are left out, as with "off". "auto" chooses the first of "model", "ground" and "avoid" that
+                fits: see `contacts_choice`. A ContactLaw is given to all contacts whose shapes are modelled. What is
+                planned is replayed in the plan's own model; what is left out is said in `ignored`, and judged in the
+                user's file.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion

@@ -140,7 +140,7 @@ def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:
     start = compiled.twin.sim_of(problem.x0)
     if len(start) != model.nq + model.nv + model.na:
         return compiled  # of another machine: the check before a replay says so
-    pairs = [pair for pair in overlapping(model, start[: model.nq]) if names_of(model, tuple(pair)) not in known]
+    pairs = [pair for pair in overlapping(model, start[: model.nq]) if names_of(model, pair) not in known]
     if not pairs:
         return compiled
     try:

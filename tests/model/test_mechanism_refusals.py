@@ -199,7 +199,7 @@ def test_contacts_are_taken_out_by_their_option_alone():
     assert Mechanism.from_mjcf(text, contacts="off").ignored == ("contacts",)
     assert Mechanism.from_mjcf(plain(), contacts="off").ignored == ()
     assert Mechanism.from_mjcf(text.replace("<option>", '<option><flag contact="disable"/>')).ignored == ()
-    with pytest.raises(PlannerError, match="contacts is .of., expected one of: auto, avoid"):
+    with pytest.raises(PlannerError, match=r"contacts is .of., expected one of: auto, avoid"):
         Mechanism.from_mjcf(text, contacts="of")
 
 

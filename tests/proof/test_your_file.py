@@ -175,7 +175,8 @@ def test_an_overlap_hides_no_other_touch():
 def test_what_lies_on_something_is_no_overlap():
     """A cube that the plan lets fall: the table that carries it in the file stays, and is named."""
     cube = """<geom name="table" type="box" size=".1 .1 .1" pos="0 -5 0"/>
-      <body pos="0 -5 .1499"><joint type="slide" axis="0 0 1"/><geom name="cube" type="box" size=".05 .05 .05"/></body>"""
+      <body pos="0 -5 .1499"><joint type="slide" axis="0 0 1"/>
+        <geom name="cube" type="box" size=".05 .05 .05"/></body>"""
     plan = planner.solve(problem(WALLED.replace("</worldbody>", f"{cube}</worldbody>"), -0.5, contacts="off"))
     assert all("overlap" not in phrase for phrase in left_out(plan.problem))
     assert "geom 'table' and geom 'cube'" in judged(plan, -0.5)[1]["unknown_contacts"]

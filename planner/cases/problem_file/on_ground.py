@@ -12,6 +12,7 @@ from planner.dynamics.statics import clearance, lowered, settled, undriven
 from planner.model.mechanism import Mechanism
 
 IN_THE_AIR = 0.05  # m above the ground: who writes a height puts feet down to some centimetres
+SAME = 1e-6  # m or rad: poses at rest are found as exactly as forces balance
 
 
 def on_ground(
@@ -35,6 +36,8 @@ def on_ground(
     given = _gives_height(table["start"], mechanism)
     start, note = _put_down("start", start, mechanism, given)
     goal, other = _put_down("goal", goal, mechanism, given or _gives_height(table["goal"], mechanism))
+    if np.abs(mechanism.space.difference(goal, start)).max() < SAME:
+        goal = start.copy()
     return start, goal, tuple(filter(None, (note, other)))
 
 

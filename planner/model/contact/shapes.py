@@ -85,9 +85,9 @@ def meets_plane(survey: Survey, geoms: tuple[int, int]) -> tuple[int, int] | Non
     """A pair's geom that is a plane at rest, or the top of such a box, and the one that moves; None for others."""
     model = survey.model
     for flat, other in (geoms, geoms[::-1]):
-        if model.body_weldid[model.geom_bodyid[other]] and plane_of(survey, flat) is not None:
-            if spheres_of(model, other) or has_points(model, other):
-                return flat, other
+        touches = spheres_of(model, other) or has_points(model, other)
+        if touches and model.body_weldid[model.geom_bodyid[other]] and plane_of(survey, flat) is not None:
+            return flat, other
     return None
 
 

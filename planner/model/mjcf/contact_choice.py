@@ -51,7 +51,7 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
     phrase = "planned without contacts: shapes that touch in your file fail the proof"
     unheld = [named(survey.model, "body", int(body)) for body in falling]
     if unheld:
-        phrase += f"; {unheld[0]} falls in the plan, since no plane or box below it carries a shape of it"
+        phrase += f"; {unheld[0]} falls in the plan: draw a plane or a box under it, or take its free joint out"
     return Choice("avoid", phrase)
 
 

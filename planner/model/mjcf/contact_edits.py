@@ -11,29 +11,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from planner.base.errors import ModelError
+from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane
-from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
 from planner.model.mjcf.contact_points import add_points
-from planner.model.mjcf.survey import Pair, Survey
+from planner.model.mjcf.contacts import CONTACT_RAMP, contact_attributes, shapes_fit
+from planner.model.mjcf.survey import Pair, Survey, compile_model
 from planner.model.mjcf.text import written
 
 IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; beyond, its own inertia shows
 
 
 def give_law(
-    root: ElementTree.Element, survey: Survey, law_of: Callable[[Pair], ContactLaw | None], smoothing: str
-) -> list[Pair]:
+    root: ElementTree.Element, survey: Survey, law_of: Callable[[Pair], ContactLaw | None], smoothing: str,
+    grounds: bool = False,
+) -> list[Pair]:  # fmt: skip
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
     The survey is of what the root compiles to. Pairs without a law, and of shapes that are not modelled, are excluded.
-    Of an infinite impratio becomes IMPRATIO; all laws have the same, and the same `smoothing`: see contacts.CONTACT_RAMP.
+    Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `smoothing` (CONTACT_RAMP).
+    For grounds, shapes with a margin get points that are larger by it: there the file's own force begins.
     """
     if not survey.pairs:
         return []
@@ -44,16 +48,19 @@ def give_law(
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
-        match = None if law is None or shapes_fit(survey, pair) else meets_plane(survey, pair.geoms)
-        if law is None or not (shapes_fit(survey, pair) or match):
+        margin = force_begins(model, pair) if grounds else 0.0
+        fits = margin == 0.0 and shapes_fit(survey, pair)
+        match = None if law is None or fits else meets_plane(survey, pair.geoms)
+        if law is None or not (fits or match):
             left_out.append(pair)
             _exclude(root, section, *(body_names[body] for body in bodies))
             continue
         if match is not None:  # its points meet the plane in place of the shape
             flat, other = match
-            if other not in points:
-                points[other] = add_points(geoms[other], _body_of(root, geoms[other]), model, other)
-            names = [[geoms[flat].attrib["name"]], points[other]]
+            if (other, margin) not in points:
+                body = _body_of(root, geoms[other])
+                points[other, margin] = add_points(geoms[other], body, model, other, margin, len(points))
+            names = [[geoms[flat].attrib["name"]], points[other, margin]]
             _exclude(root, section, *(body_names[body] for body in bodies))
         impratio = law.impratio if np.isfinite(law.impratio) else IMPRATIO
         weight = float(np.sum(model.body_invweight0[bodies, 0]))
@@ -69,6 +76,28 @@ def give_law(
     attributes = {"name": CONTACT_RAMP, "data": smoothing}
     ElementTree.SubElement(ElementTree.SubElement(root, "custom"), "numeric", attributes)
     return left_out
+
+
+def force_begins(model: Any, pair: Pair) -> float:
+    """How far apart a pair's surfaces are where its force begins, m: of margins and gaps, as this MuJoCo has them."""
+    geoms = tuple(f'margin="{model.geom_margin[geom]}" gap="{model.geom_gap[geom]}"' for geom in pair.geoms)
+    for k in range(model.npair):
+        if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == set(pair.geoms):
+            return _begins("", "", f'margin="{model.pair_margin[k]}" gap="{model.pair_gap[k]}"')
+    return _begins(*geoms, "")
+
+
+@cache
+def _begins(first: str, second: str, pair: str) -> float:
+    """Where force begins between a plane and a ball with these margins: releases add them, or take the larger one."""
+    explicit = f'<contact><pair geom1="a" geom2="b" {pair}/></contact>' if pair else ""
+    model = compile_model(
+        f'<mujoco><worldbody><geom name="a" type="plane" size="1 1 1" {first}/><body pos="0 0 .9"><freejoint/>'
+        f'<geom name="b" size="1" {second}/></body></worldbody>{explicit}</mujoco>'
+    )
+    data = load_mujoco().MjData(model)
+    load_mujoco().mj_fwdPosition(model, data)
+    return max(float(data.contact[0].includemargin), 0.0)
 
 
 def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> ElementTree.Element:

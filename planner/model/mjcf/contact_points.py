@@ -1,9 +1,9 @@
-"""Points that stand for cylinders, meshes and ellipsoids where they meet a plane: small spheres in the plan's own text.
+"""Points that stand for cylinders, meshes and ellipsoids where they meet a plane: small spheres in the plan's text.
 
-MuJoCo finds up to four points of such a shape, at places that jump from edge to edge while it rolls. A plan wants places
-that stay on the body, so its text gets spheres of RADIUS at them, which touch planes and nothing else; MuJoCo replays
-the plan's text with the same spheres, and "your file" judges the true shape. A cylinder has RIM of them at each rim, a
-mesh and an ellipsoid up to MOST that span nearly the hull. What is missing of the shape is `shortfall`.
+MuJoCo finds up to four points of such a shape, at places that jump from edge to edge while it rolls. A plan wants
+places that stay on the body, so its text gets spheres of RADIUS there, which touch planes and nothing else; MuJoCo
+replays the plan's text with the same spheres, and "your file" judges the true shape. A cylinder has RIM of them at each
+rim, a mesh and an ellipsoid up to MOST that span nearly the hull. What is missing of the shape is its `shortfall`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.contact.shapes import spheres_of
 from planner.model.mjcf.survey import pose
 from planner.model.mjcf.text import written
 
@@ -27,8 +28,10 @@ _NAME = re.compile(r"(.*) \(point \d+\)")
 
 
 def points_of(model: Any, geom: int) -> np.ndarray:
-    """(P, 3) points of a cylinder, mesh or ellipsoid in the geom's frame."""
+    """(P, 3) points of a shape in the geom's frame; of a sphere and a capsule the centres."""
     kinds, size = load_mujoco().mjtGeom, model.geom_size[geom]
+    if spheres := spheres_of(model, geom):
+        return np.array([sphere.centre for sphere in spheres])
     if model.geom_type[geom] == int(kinds.mjGEOM_CYLINDER):
         angles = 2.0 * np.pi * np.arange(RIM) / RIM
         rim = np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), np.full(RIM, size[1])], axis=1)
@@ -47,13 +50,20 @@ def shortfall(model: Any, geom: int) -> float:
     return float((reach - (points_of(model, geom) @ directions.T).max(axis=0)).max())
 
 
-def add_points(element: ElementTree.Element, body: ElementTree.Element, model: Any, geom: int) -> list[str]:
-    """Add the spheres of a geom to the body that has its element; returns their names."""
+def add_points(
+    element: ElementTree.Element, body: ElementTree.Element, model: Any, geom: int, margin: float = 0.0, before: int = 0
+) -> list[str]:
+    """Add the spheres of a geom, larger by a margin, to the body that has its element; returns their names.
+
+    `before` tells how many sets of points there are: one shape may have several, of several margins.
+    """
     names, T = [], pose(model.geom_pos[geom], model.geom_quat[geom])
+    spheres = spheres_of(model, geom)
+    radius = margin + max(RADIUS, spheres[0].radius if spheres else 0.0)
     for k, point in enumerate(points_of(model, geom)):
-        names.append(f"{element.attrib['name']} (point {k + 1})")
+        names.append(f"{element.attrib['name']} (point {100 * before + k + 1})")
         ElementTree.SubElement(body, "geom", {
-            "name": names[-1], "type": "sphere", "size": written(RADIUS), "pos": written(*(T @ [*point, 1.0])[:3]),
+            "name": names[-1], "type": "sphere", "size": written(radius), "pos": written(*(T @ [*point, 1.0])[:3]),
             "mass": "0", "contype": "0", "conaffinity": "0", "rgba": "0 0 0 0", "group": "5",
         })  # fmt: skip
     return names

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +103,7 @@ def pairs_by_name(model: Any) -> dict[frozenset[GeomName], tuple[int, int]]:
     return {names_of(model, pair): pair for pair in contact_pairs(model)}
 
 
-def names_of(model: Any, pair: tuple[int, int]) -> frozenset[GeomName]:
+def names_of(model: Any, pair: Collection[int]) -> frozenset[GeomName]:
     """A pair of geoms by names that are the same in an edited text."""
     return frozenset(_name_of(model, geom) for geom in pair)
 

@@ -84,16 +84,17 @@ def read_opened(
     if asked == "ground" and mode != "ground":
         raise ModelError(f"contacts is 'ground', but nothing in {name} falls on a plane or box: contacts='avoid'.")
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
+    left_out: list[Pair] = []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        left_out = give_law(root, survey, *_laws(survey, law))
+        left_out = give_law(root, survey, *_laws(survey, law), grounds=law is None)
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
     if found:
         take_out(root, found, survey.model)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
-    if mode in ("law", "ground") and left_out:
+    if left_out:
         phrases.append(phrase_of(survey.model, left_out))
     if ElementTree.tostring(root, encoding="unicode") != original:  # the edits may not do what they meant
         survey = Survey(compile_model(root, files, name))

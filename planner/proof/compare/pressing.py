@@ -18,7 +18,7 @@ _ITERATIONS, _STEP = 25, 0.5  # of Newton's method, and how far a joint goes at 
 _ARRIVED, _ALMOST = 1e-6, 1e-3  # of the depth
 _ENOUGH = 3  # states that arrived: the others are left where they are
 _CORNERS = 4  # others that a box has at least, if it is one
-_SLIGHT = 1e-9  # of a Jacobian that is none
+_SLIGHT = 1e-9  # of a Jacobian that is none, and m between places that are one
 _SHARE = 0.05  # of a radius: how deep shapes are pressed, unless the ramps ask for more
 _POINT = 0.02  # of the distance between the corners of a box: the same
 
@@ -36,8 +36,9 @@ class Pressing:
         self.mechanism, self.contact = mechanism, contact
         self._others = [one for one in mechanism.contacts if self._beside(one)]
         away = [float(np.linalg.norm(one.centre - contact.centre)) for one in self._others]  # type: ignore[union-attr]
-        self.lowest_only = len(away) >= _CORNERS
-        self.spacing = min((distance for distance in away if distance > 0.0), default=np.inf)
+        corner = isinstance(contact, Contact) and contact.radius == 0.0
+        self.lowest_only = corner and len(away) >= _CORNERS
+        self.spacing = min((distance for distance in away if distance > _SLIGHT), default=np.inf)
         weight = self._mass() * float(np.linalg.norm(mechanism.gravity))
         radius = contact.radius if isinstance(contact, Contact) else contact.first.radius + contact.second.radius
         wishes = [weight / contact.law.stiffness, _SHARE * radius if radius > 0.0 else _POINT * self.spacing]

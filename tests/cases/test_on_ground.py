@@ -1,0 +1,95 @@
+"""Start and goal of a problem file are put on the ground, unless they are in the air by their own height."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.cases.plan_file import load_plan
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.statics import clearance
+
+# A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
+SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>
+  <body name="sled" pos="0 0 -.65"><freejoint name="root"/><inertial pos="0 0 0" mass="1.5" diaginertia=".1 .1 .1"/>
+    <geom size=".05" pos=".3 .2 0"/><geom size=".05" pos="-.3 .2 0"/>
+    <geom size=".05" pos=".3 -.2 0"/><geom size=".05" pos="-.3 -.2 0"/>
+    <body name="mast"><joint name="mast" axis="0 1 0" damping=".1"/>
+      <inertial pos="0 0 .2" mass=".5" diaginertia=".01 .01 .01"/>
+    </body></body></worldbody><actuator><motor joint="mast"/></actuator></mujoco>"""
+TABLE = 'model = "sled.xml"\nstart = {start}\ngoal = {goal}\nduration = 0.5\ndt = 0.01\n{more}\n'
+
+
+def loaded(tmp_path, start="{}", goal="{ mast = 0.1 }", more=""):
+    (tmp_path / "sled.xml").write_text(SLED)
+    (tmp_path / "p.toml").write_text(TABLE.format(start=start, goal=goal, more=more))
+    return load(tmp_path / "p.toml")
+
+
+def test_start_and_goal_are_put_down(tmp_path):
+    file = loaded(tmp_path)
+    m = file.problem.dynamics.mechanism
+    for x, mast in ((file.problem.x0, 0.0), (file.problem.cost.x_ref[-1], 0.1)):
+        forces = contact_forces(m, x[: m.nq], np.zeros(m.nv)).forces
+        assert forces[:, 2].sum() == pytest.approx(2.0 * 9.81, rel=1e-7)  # carried: its weight
+        assert forces[:, 2].min() > 0.0
+        assert x[7] == mast
+    rates = file.problem.dynamics.rates(file.problem.x0[None], file.problem.first_guess[:1])
+    np.testing.assert_allclose(rates, 0.0, atol=1e-6)
+    assert file.notes[0].startswith("contacts of 4 pairs with the ground are planned with a law for 2 kg")
+    assert file.notes[1] == "start is put on the ground, 0.3 m or rad from what was asked."
+    assert file.problem.parameters["contacts"] == "ground"
+
+
+@pytest.mark.parametrize(
+    ("start", "more", "height", "note"),
+    [
+        ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "", 0.3, "start stays 0.3 m above the ground; settle = true puts it down."),
+        ("{ root = [0, 0, -0.65, 1, 0, 0, 0] }", "", 0.3, "start stays 0.3 m above the ground"),
+        ("{ root = [0, 0, -0.93, 1, 0, 0, 0] }", "", 0.0, ""),  # 2 cm above it
+        ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "settle = true", 0.0, ""),
+        ("{}", "settle = false", 0.3, ""),
+        (
+            "[0, 0, -0.95, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]",
+            "",
+            0.0,
+            "start is not put on the ground, since it moves.",
+        ),
+    ],
+)
+def test_a_height_that_is_written_is_kept(tmp_path, start, more, height, note):
+    file = loaded(tmp_path, start, more=more)
+    # sinks by a quarter of 5 mm
+    assert clearance(file.problem.dynamics.mechanism, file.problem.x0) == pytest.approx(height, abs=2.5e-3)
+    assert any(one.startswith(note) for one in file.notes)
+    assert note or len(file.notes) == 1
+
+
+def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):
+    """Asked to stand 1 cm lower than it can: then to stay is the task, and not a motion of 1e-10 m."""
+    file = loaded(tmp_path, "{ root = [0, 0, -0.95, 1, 0, 0, 0] }", "{ root = [0, 0, -0.96, 1, 0, 0, 0] }")
+    np.testing.assert_array_equal(file.problem.cost.x_ref[-1], file.problem.x0)
+
+
+def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):
+    """The mast is as heavy as the sled, and points far beyond its balls."""
+    text = SLED.replace('pos="0 0 .2" mass=".5"', 'pos="0 0 2" mass="1.5"')
+    (tmp_path / "sled.xml").write_text(text)
+    (tmp_path / "p.toml").write_text(TABLE.format(start="{ mast = 1.5 }", goal="{ mast = 1.4 }", more=""))
+    file = load(tmp_path / "p.toml")
+    assert "start is put on the ground, where it does not balance by itself: the pose does not stay" in file.notes[1]
+    x = file.problem.x0
+    assert clearance(file.problem.dynamics.mechanism, x) == pytest.approx(-0.005, abs=1e-6)  # by its weight on one ball
+    np.testing.assert_allclose(x[3:7], [1, 0, 0, 0], atol=1e-12)
+
+
+def test_a_plan_of_it_passes_and_is_stored(tmp_path):
+    """In the user's file, whose ground is MuJoCo's own."""
+    weights = "[weights]\neffort = 0.1\nposition = 1.0\nvelocity = 1.0\nfinal_position = 1e4"
+    plan = planner.solve(loaded(tmp_path, more=weights).problem)
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.passed, proof
+    again = load_plan(plan.save(tmp_path / "plan.npz"))
+    np.testing.assert_allclose(again.problem.x0, plan.problem.x0, atol=1e-10)
+    np.testing.assert_allclose(again.problem.cost.x_ref[-1], plan.problem.cost.x_ref[-1], atol=1e-10)
+    assert len(again.problem.dynamics.mechanism.contacts) == 4
