@@ -15,8 +15,9 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
 
-LEAST = 1e-12
-"""kg and kg m^2."""
+LEAST = 1e-14
+"""kg and kg m^2; MuJoCo refuses less than 1e-15."""
+_NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
 _WATER = 1000.0  # kg/m^3, for a suggestion
 _ROUNDING = 1e-9  # of a tensor whose principal moments fulfil the triangle inequality as an equation
 _NAMED = 3  # links in a sentence
@@ -174,7 +175,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
             about = mass[child] * (p @ p * np.eye(3) - np.outer(p, p)) - 2.0 * (p @ moment[child]) * np.eye(3)
             about += np.outer(p, moment[child]) + np.outer(moment[child], p)
             moves = a @ (inertia[child] + about) @ a
-        if joint.kind != "fixed" and moves < 10.0 * LEAST:
+        if joint.kind != "fixed" and moves < _NOTHING:
             raise ModelError(_cure(robot, joint, mass[child], name))
         mass[parent], moment[parent] = mass[parent] + mass[child], moment[parent] + moment[child]
         inertia[parent] = inertia[parent] + inertia[child]
@@ -183,7 +184,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
 def _cure(robot: Robot, joint: Joint, mass: float, name: str) -> str:
     where = f"joint {joint.name!r} of {name} moves link {joint.child!r}"
     own = robot.links[joint.child].inertial
-    if mass < LEAST:
+    if mass < _NOTHING:
         return (
             f"{where}, which has no mass and carries none: write its <inertial> with a mass and an inertia, or make "
             'the joint type="fixed".'
