@@ -134,6 +134,15 @@ def test_every_form_of_a_mesh_has_the_same_triangles(name, tmp_path):
     np.testing.assert_allclose(mesh_triangles(tmp_path / name), TETRAHEDRON, atol=1e-8)  # float32 of 0.3 m
 
 
+def test_polygons_are_cut_in_fans(tmp_path):
+    polygons = [[0, 1, 2, 3], [1, 3], [3, 2, 1]]
+    numbers = " ".join(f"{i} 0" for one in polygons for i in one)
+    counts, rest = dae().decode().replace("<vcount>3 3 3 3<", "<vcount>4 2 3<").split("<p>")
+    (tmp_path / "a.dae").write_text(f"{counts}<p>{numbers}</p>{rest.split('</p>')[1]}")
+    expected = CORNERS[[[0, 1, 2], [0, 2, 3], [3, 2, 1]]]
+    np.testing.assert_array_equal(mesh_triangles(tmp_path / "a.dae"), expected)
+
+
 def test_nodes_place_meshes(tmp_path):
     """A quarter turn about z, then a step along x; COLLADA's unit scales it all, its up axis does not count."""
     expected = TETRAHEDRON @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [1, 0, 0]
@@ -240,10 +249,10 @@ WRONG = {
     robot(link("a"), link("b", inertial()), joint("j", "a", "b", rpy="0 0")): "is '0 0', expected 3 numbers",
     robot(link("a"), link("b", inertial(-1.0)), joint("j", "a", "b")): "is -1 kg, expected at least 0",
     robot(link("a"), link("b", inertial(float("inf"))), joint("j", "a", "b")): "the mass of link 'b'",
-    robot(link("a"), link("b", inertial()), joint("j", "a", "b", more='<limit effort="-2"/>')): "the effort of joint 'j'",
+    robot(link("a"), link("b", inertial()), joint("j", "a", "b", more='<limit effort="-2"/>')): "the effort of",
     robot(link("a"), link("b", inertial()), joint("j", "a", "b", more='<mimic joint="k"/>')): "mimics 'k'",
     robot(link("a"), link("b", inertial()), joint("j", "a", "b", more='<mimic joint="j"/>')): "mimics itself",
-    robot(link("a"), link("b", inertial(), shape("visual", '<sphere radius="-1"/>')), joint("j", "a", "b")): "the radius",
+    robot(link("a"), link("b", inertial(), shape("visual", '<sphere radius="-1"/>')), joint("j", "a", "b")): "radius",
     robot(link("a\u009b2J"), link("b", inertial()), joint("j", "a\u009b2J", "b")): "expected printable characters",
     robot(link("a", inertial())): "has no joints that move",
 }  # fmt: skip
