@@ -38,7 +38,7 @@ def inertials(
         rigid = joint.kind == "fixed" and joint.parent
         first[joint.child] = first.get(joint.parent, joint.parent) if rigid else joint.child
         if rigid:
-            poses[joint.child] = poses[joint.parent] @ _pose(joint)
+            poses[joint.child] = poses[joint.parent] @ joint.pose.T
         if joint.child not in anchored:
             groups.setdefault(first[joint.child], []).append(joint.child)
     found: dict[str, Inertial] = {}
@@ -81,12 +81,6 @@ def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, 
 
 def _weighs(body: Inertial) -> bool:
     return bool(body.mass or np.any(body.inertia))
-
-
-def _pose(joint: Joint) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = joint.pose.rotation, joint.pose.xyz
-    return T
 
 
 def _sum(bodies: list[tuple[Inertial, np.ndarray]]) -> Inertial:
@@ -158,7 +152,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
     """Raise ModelError for a joint that moves no mass, or turns no inertia, with all that hangs on it."""
     poses = {robot.root: np.eye(4), "": np.eye(4)}  # "" is the world
     for joint in joints:
-        poses[joint.child] = poses[joint.parent] @ _pose(joint)
+        poses[joint.child] = poses[joint.parent] @ joint.pose.T
     mass, moment, inertia = {}, {}, {}  # of each link and what hangs on it, about the origin of the root
     for link, T in poses.items():
         given = robot.links[link].inertial if link else None
