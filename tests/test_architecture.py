@@ -30,7 +30,7 @@ MODULES = {module_of(path): path for path in FILES}
 
 
 def imports(path):
-    """Modules that a file imports, wherever in it the import stands; Mechanism.from_mjcf and from_urdf are the exceptions."""
+    """Modules that a file imports, wherever in it; the exceptions are Mechanism.from_mjcf and from_urdf."""
     skipped = set()
     for node in ast.walk(TREES[path]):
         if isinstance(node, ast.ClassDef) and node.name == "Mechanism":

@@ -270,7 +270,7 @@ class Mechanism:
         Args:
             model: A path, or the XML text itself.
             base: "fixed" or "free", what the root link is; by default fixed, but for a floating joint of the file.
-            floor: Add the plane z = 0.
+            floor: Add the plane z = 0; what floats starts above it, its lowest shape at least on it.
             package_path: Folder of a package, or of packages, or a list of such: package:// is sought there first,
                 then beside the file and in the folders above it.
             inertia: "nearest" replaces an inertia that no body has by the nearest that one can have, and says so in

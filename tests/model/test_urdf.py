@@ -161,6 +161,32 @@ def test_a_floor_is_added_on_request():
     assert compiled(ARM).ngeom == 0
 
 
+@pytest.mark.parametrize(
+    "form",
+    ['<sphere radius="0.1"/>', '<box size="0.1 0.3 0.2"/>', '<cylinder radius="0.1" length="0.4"/>',
+     '<capsule radius="0.1" length="0.4"/>'],
+)  # fmt: skip
+def test_a_free_base_starts_on_the_floor(form):
+    """MuJoCo's own distance from the floor is 0 at the start, whatever is lowest and however it is turned."""
+    foot = '<collision><origin xyz="0.1 0 -0.2" rpy="0.4 0.3 0.2"/><geometry>' + form + "</geometry></collision>"
+    parts = link("a", inertial()), link("b", inertial(), foot), joint("j", "a", "b", xyz="0 0 -0.5", rpy="1 2 0.5")
+    model = compiled(robot(*parts), base="free", floor=True)
+    data = mujoco.MjData(model)
+    model.geom_margin[:] = 0.01
+    mujoco.mj_forward(model, data)
+    assert data.contact.dist.min() == pytest.approx(0.0, abs=1e-9)
+    assert compiled(robot(*parts), base="free").qpos0[2] == 0.0
+
+
+def test_a_free_base_that_hangs_over_the_floor_stays_there():
+    parts = (
+        link("world"),
+        link("b", inertial(), shape("collision", BALL)),
+        joint("j", "world", "b", "floating", xyz="0 0 2", more=""),
+    )
+    assert compiled(robot(*parts), floor=True).qpos0[2] == 2.0
+
+
 def test_mjcf_gets_no_keys_of_urdfs():
     from planner.model.urdf.read import read_model
 

@@ -18,7 +18,7 @@ def pendulum(six, rpy="0 0 0", axis="1 0 0"):
 
 
 def test_an_impossible_inertia_is_refused_with_the_nearest_one():
-    with pytest.raises(PlannerError, match="link 'b' .* 0.01 0.02 0.06 kg") as error:
+    with pytest.raises(PlannerError, match=r"link 'b' .* 0\.01 0\.02 0\.06 kg") as error:
         Mechanism.from_urdf(pendulum(IMPOSSIBLE))
     assert str(error.value).endswith('or write inertia = "nearest" to plan with the nearest.')
     advised = re.findall(r'i..="([^"]+)"', str(error.value))
@@ -78,7 +78,7 @@ def test_a_joint_that_moves_no_mass_is_held_and_said():
 
 def test_a_joint_that_turns_no_inertia_is_refused_with_a_value():
     point = inertial(0.5, (0.0,) * 6, xyz="0 0 0.1")
-    with pytest.raises(PlannerError, match="no inertia about the joint's axis.*0.5 kg as a ball of water.*ixx=\"") as e:
+    with pytest.raises(PlannerError, match=r"no inertia about the joint's axis.*0\.5 kg as a ball of water") as e:
         Mechanism.from_urdf(robot(link("a"), link("b", point), joint("j", "a", "b", axis="0 0 1")))
     # 2/5 m r^2 with 4/3 pi r^3 1000 kg/m^3 = 0.5 kg: r = 0.0492 m
     assert float(re.findall(r'ixx="([^"]+)"', str(e.value))[0]) == pytest.approx(0.4 * 0.5 * 0.04924**2, rel=5e-3)

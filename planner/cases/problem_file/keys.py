@@ -10,7 +10,7 @@ from planner.problem.objective import OBJECTIVES
 KEYS = {
     "model": "MJCF or URDF file, relative to this file",
     "base": "of a URDF: fixed or free, what its root link is; by default fixed, but for a floating joint of the file",
-    "floor": "of a URDF: true to add the plane z = 0",
+    "floor": "of a URDF: true to add the plane z = 0, on which a free base starts",
     "package_path": "of a URDF: folder of packages, or a list of some, where package:// is sought before the folders "
     "above the file; relative to this file",
     "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",

@@ -73,19 +73,26 @@ def _triangles(geometry: ElementTree.Element) -> np.ndarray:
             stride = 1 + max(int(i.get("offset", "0")) for i in inputs)
             at = next(i for i in inputs if i.get("semantic") == "VERTEX")
             points = _positions(vertices[at.get("source", "")[1:]])
-            lists = [np.array((p.text or "").split(), dtype=np.int64)[int(at.get("offset", "0")) :: stride]
-                     for p in faces.iterfind("p")]  # fmt: skip
+            lists = [
+                np.array((p.text or "").split(), dtype=np.int64)[int(at.get("offset", "0")) :: stride]
+                for p in faces.iterfind("p")
+            ]
+            flat = np.concatenate([np.empty(0, dtype=np.int64), *lists])
             if faces.tag == "polylist":
                 counts = np.array(faces.findtext("vcount", "").split(), dtype=np.int64)
-                lists = np.split(lists[0], np.cumsum(counts)[:-1]) if len(counts) else []
-            if faces.tag == "triangles":
-                fans = [one.reshape(-1, 3) for one in lists]
             else:
-                fans = [np.stack([np.repeat(one[:1], len(one) - 2), one[1:-1], one[2:]], axis=1)
-                        for one in lists if len(one) > 2]  # fmt: skip
-            if fans:
-                found.append(points[np.concatenate(fans)])
+                counts = np.full(len(flat) // 3, 3) if faces.tag == "triangles" else np.array(list(map(len, lists)))
+            found.append(points[flat[_fans(counts)]])
     return np.concatenate(found)
+
+
+def _fans(counts: np.ndarray) -> np.ndarray:
+    """(m, 3) places of the corners of triangles, in a list of polygons of so many corners each."""
+    made = np.maximum(counts - 2, 0)
+    polygon = np.repeat(np.arange(len(counts)), made)
+    first = (np.cumsum(counts) - counts)[polygon]
+    second = first + 1 + np.arange(len(polygon)) - (np.cumsum(made) - made)[polygon]
+    return np.stack([first, second, second + 1], axis=1)
 
 
 def _positions(source: ElementTree.Element) -> np.ndarray:

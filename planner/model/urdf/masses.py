@@ -15,8 +15,9 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
 
-LEAST = 1e-12
-"""kg and kg m^2."""
+LEAST = 1e-14
+"""kg and kg m^2; MuJoCo refuses less than 1e-15."""
+_NOTHING = 1e-11  # kg or kg m^2 that a joint moves: what it moves is lost in rounding
 _WATER = 1000.0  # kg/m^3, for a suggestion
 _ROUNDING = 1e-9  # of a tensor whose principal moments fulfil the triangle inequality as an equation
 _NAMED = 3  # links in a sentence
@@ -37,7 +38,7 @@ def inertials(
         rigid = joint.kind == "fixed" and joint.parent
         first[joint.child] = first.get(joint.parent, joint.parent) if rigid else joint.child
         if rigid:
-            poses[joint.child] = poses[joint.parent] @ _pose(joint)
+            poses[joint.child] = poses[joint.parent] @ joint.pose.T
         if joint.child not in anchored:
             groups.setdefault(first[joint.child], []).append(joint.child)
     found: dict[str, Inertial] = {}
@@ -80,12 +81,6 @@ def without_idle(robot: Robot, joints: tuple[Joint, ...]) -> tuple[tuple[Joint, 
 
 def _weighs(body: Inertial) -> bool:
     return bool(body.mass or np.any(body.inertia))
-
-
-def _pose(joint: Joint) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = joint.pose.rotation, joint.pose.xyz
-    return T
 
 
 def _sum(bodies: list[tuple[Inertial, np.ndarray]]) -> Inertial:
@@ -157,7 +152,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
     """Raise ModelError for a joint that moves no mass, or turns no inertia, with all that hangs on it."""
     poses = {robot.root: np.eye(4), "": np.eye(4)}  # "" is the world
     for joint in joints:
-        poses[joint.child] = poses[joint.parent] @ _pose(joint)
+        poses[joint.child] = poses[joint.parent] @ joint.pose.T
     mass, moment, inertia = {}, {}, {}  # of each link and what hangs on it, about the origin of the root
     for link, T in poses.items():
         given = robot.links[link].inertial if link else None
@@ -174,7 +169,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
             about = mass[child] * (p @ p * np.eye(3) - np.outer(p, p)) - 2.0 * (p @ moment[child]) * np.eye(3)
             about += np.outer(p, moment[child]) + np.outer(moment[child], p)
             moves = a @ (inertia[child] + about) @ a
-        if joint.kind != "fixed" and moves < 10.0 * LEAST:
+        if joint.kind != "fixed" and moves < _NOTHING:
             raise ModelError(_cure(robot, joint, mass[child], name))
         mass[parent], moment[parent] = mass[parent] + mass[child], moment[parent] + moment[child]
         inertia[parent] = inertia[parent] + inertia[child]
@@ -183,7 +178,7 @@ def _check_moved(robot: Robot, joints: tuple[Joint, ...], name: str) -> None:
 def _cure(robot: Robot, joint: Joint, mass: float, name: str) -> str:
     where = f"joint {joint.name!r} of {name} moves link {joint.child!r}"
     own = robot.links[joint.child].inertial
-    if mass < LEAST:
+    if mass < _NOTHING:
         return (
             f"{where}, which has no mass and carries none: write its <inertial> with a mass and an inertia, or make "
             'the joint type="fixed".'

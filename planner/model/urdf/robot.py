@@ -29,6 +29,13 @@ class Pose:
         about_z = np.array([[c, -C, 0.0], [C, c, 0.0], [0.0, 0.0, 1.0]])
         return about_z @ about_y @ about_x
 
+    @property
+    def T(self) -> np.ndarray:
+        """(4, 4)."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation, self.xyz
+        return T
+
 
 @dataclass(frozen=True, eq=False)
 class Inertial:

@@ -36,7 +36,7 @@ class Shapes:
     unread: dict[str, str] = field(default_factory=dict)  # why a mesh is left out, by its name in the URDF
     unseen: list[str] = field(default_factory=list)  # meshes that are left out of pictures
     untouched: list[str] = field(default_factory=list)  # phrases of those that are left out of contacts
-    touching: set[str] = field(default_factory=set)  # links with shapes that may touch
+    touching: dict[str, list[Shape]] = field(default_factory=dict)  # shapes that may touch, by link
     names: set[str] = field(default_factory=set)
 
     def add(self, body: Element, link: Link) -> None:
@@ -54,7 +54,27 @@ class Shapes:
                 attributes["rgba"] = written(*(shape.rgba or _GREY))
             group = TOUCHING if seen else SEEN
             SubElement(body, "geom", {"name": self._named(link.name), **attributes, "group": group})
-            self.touching.add(link.name)
+            self.touching.setdefault(link.name, []).append(shape)
+
+    def lowest(self, poses: dict[str, np.ndarray]) -> float:
+        """The lowest z of what may touch, at these poses of links; infinite where nothing does."""
+        lows = [
+            self._lowest(shape, pose @ shape.pose.T)
+            for link, pose in poses.items() for shape in self.touching.get(link, ())
+        ]  # fmt: skip
+        return min(lows, default=float("inf"))
+
+    def _lowest(self, shape: Shape, T: np.ndarray) -> float:
+        down, z = np.abs(T[2, :3]), float(T[2, 3])
+        if shape.kind == "mesh":
+            path = self.packages.find(shape.file)
+            return z if path is None else z + float(np.min(self.triangles[path] * shape.scale @ T[2, :3]))
+        if shape.kind == "box":
+            return z - float(down @ shape.size)
+        radius, *half = shape.size
+        along = down[2] * half[0] if half else 0.0
+        across = np.sqrt(max(0.0, 1.0 - down[2] ** 2)) if shape.kind == "cylinder" else 1.0
+        return z - float(along + across * radius)
 
     def left_out(self) -> list[str]:
         """Phrases of what is missing; meshes that are only seen are counted in one."""

@@ -47,12 +47,17 @@ def mjcf_of(
         attributes = {"name": "floor", "type": "plane", "size": "0 0 0.05", "rgba": "0.8 0.8 0.8 1"}
         SubElement(world, "geom", attributes)
         shapes.names.add("floor")
-    for link, body in _bodies(robot, world, joints, anchored).items():
+    raised = SubElement(world, "frame")  # what floats
+    for link, body in _bodies(robot, world, raised, joints, anchored).items():
         if link in bodies_of:
             _add_inertial(body, bodies_of[link])
         if link:
             shapes.add(body, robot.links[link])
-    _exclude_neighbours(root, joints, anchored, shapes.touching)
+    if not len(raised):
+        world.remove(raised)
+    if floor and (lowest := shapes.lowest(_floating(joints))) < 0.0:
+        raised.set("pos", written(0.0, 0.0, -lowest))
+    _exclude_neighbours(root, joints, anchored, set(shapes.touching))
     unlimited = _add_motors(root, joints)
     _add_followers(root, joints)
     add_velocity_limits(root, {joint.name: joint.velocity for joint in joints if joint.kind in SCALAR})
@@ -89,8 +94,20 @@ def _held(robot: Robot, joints: Iterable[Joint]) -> set[str]:
     return held
 
 
-def _bodies(robot: Robot, world: Element, joints: tuple[Joint, ...], anchored: set[str]) -> dict[str, Element]:
-    """The body of every link with its joints, and the world as that of ""."""
+def _floating(joints: tuple[Joint, ...]) -> dict[str, np.ndarray]:
+    """Poses (4, 4) of the links that float, with all joints at zero."""
+    poses, floats = {"": np.eye(4), joints[0].parent: np.eye(4)}, set()
+    for joint in joints:  # parents first
+        poses[joint.child] = poses[joint.parent] @ joint.pose.T
+        if joint.kind == "floating" or joint.parent in floats:
+            floats.add(joint.child)
+    return {link: pose for link, pose in poses.items() if link in floats}
+
+
+def _bodies(
+    robot: Robot, world: Element, raised: Element, joints: tuple[Joint, ...], anchored: set[str]
+) -> dict[str, Element]:
+    """The body of every link with its joints, and the world as that of ""; in `raised` what floats."""
     bodies = {"": world}
     if robot.root in anchored:
         bodies[robot.root] = world if robot.root == "world" else SubElement(world, "body", {"name": robot.root})
@@ -98,7 +115,7 @@ def _bodies(robot: Robot, world: Element, joints: tuple[Joint, ...], anchored: s
     for joint in joints:
         place, top = bodies[joint.parent], joint.parent in anchored or not joint.parent
         if joint.kind == "floating" and top:  # MuJoCo's free joints are of the world's own bodies
-            chain, link, place = [], joint.parent, world
+            chain, link, place = [], joint.parent, raised
             while link in above:
                 chain.append(above[link].pose)
                 link = above[link].parent
