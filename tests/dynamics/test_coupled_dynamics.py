@@ -197,8 +197,10 @@ def test_what_holds_a_pose_and_follows_a_motion():
 STAND = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
   <body pos="0 0 .1"><joint name="lift" type="slide" axis="0 0 1"/><geom name="foot" size=".1" mass="3"/>
-    <body pos="0 0 .5"><joint name="arm" type="slide" axis="0 0 1"/><geom size=".1" mass="1" contype="0" conaffinity="0"/></body></body>
-  <body pos="1 0 2"><joint name="weight" type="slide" axis="0 0 1"/><geom size=".1" mass="2" contype="0" conaffinity="0"/></body>
+    <body pos="0 0 .5"><joint name="arm" type="slide" axis="0 0 1"/>
+      <geom size=".1" mass="1" contype="0" conaffinity="0"/></body></body>
+  <body pos="1 0 2"><joint name="weight" type="slide" axis="0 0 1"/>
+    <geom size=".1" mass="2" contype="0" conaffinity="0"/></body>
 </worldbody><equality><joint joint1="weight" joint2="lift" polycoef="0 -1"/></equality>
 <actuator><motor joint="arm"/></actuator></mujoco>
 """
