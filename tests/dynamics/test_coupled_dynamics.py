@@ -9,7 +9,10 @@ import pytest
 from planner import Mechanism, PlannerError, RigidBodyDynamics
 from planner.dynamics import algorithms as rb
 from planner.dynamics import poe
+from planner.dynamics.contacts import contact_forces
 from planner.dynamics.momentum import center_of_mass
+from planner.dynamics.statics import settled
+from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import closed_state
 from planner.model.couplings import Coupling
 from planner.model.mechanism import SCREW
@@ -189,6 +192,30 @@ def test_what_holds_a_pose_and_follows_a_motion():
     for u in us:
         x = dynamics.step(x[None], u[None])[0]
     assert np.abs(x - goal).max() < 1e-3  # of second order in dt
+
+
+STAND = """
+<mujoco><option gravity="0 0 -9.81"/><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
+  <body pos="0 0 .1"><joint name="lift" type="slide" axis="0 0 1"/><geom name="foot" size=".1" mass="3"/>
+    <body pos="0 0 .5"><joint name="arm" type="slide" axis="0 0 1"/>
+      <geom size=".1" mass="1" contype="0" conaffinity="0"/></body></body>
+  <body pos="1 0 2"><joint name="weight" type="slide" axis="0 0 1"/>
+    <geom size=".1" mass="2" contype="0" conaffinity="0"/></body>
+</worldbody><equality><joint joint1="weight" joint2="lift" polycoef="0 -1"/></equality>
+<actuator><motor joint="arm"/></actuator></mujoco>
+"""
+
+
+def test_the_ground_carries_what_the_couplings_leave():
+    """A counterweight on a rope: the ground carries 3 + 1 - 2 kg, and nothing moves."""
+    law = ContactLaw.resting(4.0)
+    m = Mechanism.from_mjcf(STAND, contacts=law)
+    x = settled(m, m.home)
+    np.testing.assert_array_equal(closed_state(m, x), x)
+    assert contact_forces(m, x[: m.nq], np.zeros(m.nv)).forces[0, 2] == pytest.approx(2.0 * 9.81, rel=1e-6)
+    u = holding_controls(m, x)
+    assert u == pytest.approx([9.81])
+    assert np.abs(RigidBodyDynamics(m, 0.01).rates(x[None], u[None])).max() < 1e-6
 
 
 def test_a_coupled_joint_cannot_be_prescribed_and_others_can():

@@ -71,6 +71,13 @@ def test_a_right_plan_passes(proven):
     assert proof.perturbed.passed
 
 
+def test_the_replay_is_as_hard_as_its_step(proven):
+    """Two steps, which MuJoCo takes at the least, also where a file switches that safeguard off."""
+    _, plan, _ = proven
+    for step in (1e-3, 1e-4):
+        np.testing.assert_array_equal(CompiledTwin(plan.twin).stepping(step).eq_solref[:, 0], 2.0 * step)
+
+
 def test_the_users_own_softness_is_judged_in_their_file(proven):
     """Its time constant is 0.02 s, and its deviations are larger than those of the hard replay."""
     _, plan, proof = proven
