@@ -166,7 +166,8 @@ def _strongest(mechanism: Mechanism) -> np.ndarray:
     force = np.where(motors, np.abs(actuators.gain) * control, np.inf)
     force = np.minimum(force, np.abs(actuators.force_range).max(axis=1, initial=0.0))
     moment = np.abs(actuators.moment)
-    return np.where(moment > 0.0, moment * force[:, None], 0.0).sum(axis=0) if len(force) else np.zeros(mechanism.nv)
+    each = np.multiply(moment, force[:, None], out=np.zeros_like(moment), where=moment > 0.0)
+    return each.sum(axis=0)
 
 
 def _short(value: float) -> float:
