@@ -45,7 +45,9 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
         ("Angular velocities", "angular velocity, rad/s", turning), ("Velocities", "velocity, m/s", moving),
     )  # fmt: skip
     plots = [
-        Panel(words, unit, states=curves) for title, unit, part in panels for words, curves in small_multiples(title, part)
+        Panel(words, unit, states=curves)
+        for title, unit, part in panels
+        for words, curves in small_multiples(title, part)
     ]
     plots += [Panel(words, "control", controls=curves) for words, curves in small_multiples("Controls", controls)]
     readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]

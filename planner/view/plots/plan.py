@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 STANCE = "#ece7dc"
 
 _BESIDE = 3  # curves, above which their names stand beside the panel and not in it
+_PAST_AXIS = 1.17  # where they stand beside a right-hand axis, in widths of the panel
 _LONGEST = 22  # characters of a name there
 _ASTRAY = 1.5  # how far a replay that runs away may widen an axis, in parts of the range of the other curves
 
@@ -157,7 +158,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
         )  # fmt: skip
         (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
     if len(curves) > 1:
-        _name_curves(right or axes, [curve.label for curve in curves])
+        _name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
         axes.set_xlabel("time (s)")
         return [axes]
@@ -254,7 +255,7 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
     legend_below(figure, handles)
 
 
-def _name_curves(axes: Axes, labels: list[str]) -> None:
+def _name_curves(axes: Axes, labels: list[str], beside: float) -> None:
     """Draw a legend by colour: each curve's plan and replay share a hue."""
     from matplotlib.lines import Line2D
 
@@ -262,7 +263,7 @@ def _name_curves(axes: Axes, labels: list[str]) -> None:
     style: dict[str, Any] = {"framealpha": 0.85, "edgecolor": "none", "borderpad": 0.3, "handlelength": 1.4}
     if len(labels) > _BESIDE:
         names = [label if len(label) <= _LONGEST else f"{label[:9]}…{label[-12:]}" for label in labels]
-        legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), **style)
+        legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(beside, 0.5), **style)
     else:
         legend = axes.legend(handles, labels, fontsize=8, loc="upper left", ncols=len(labels), **style)
     legend.set_zorder(5)
