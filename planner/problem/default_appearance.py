@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Collection
 from typing import Any
@@ -89,7 +90,7 @@ def small_multiples(title: str, curves: Curves) -> list[tuple[str, tuple[tuple[i
     """Titles and curves of as few panels as can hold them all, none with more than can be told apart."""
     panels = -(-len(curves) // MOST)
     ends = [round(k * len(curves) / panels) for k in range(panels + 1)] if panels else []
-    parts = list(zip(ends[:-1], ends[1:], strict=True))
+    parts = list(itertools.pairwise(ends))
     if len(parts) == 1:
         return [(title, tuple(curves))]
     return [(f"{title}, {a + 1} to {b} of {len(curves)}", tuple(curves[a:b])) for a, b in parts]

@@ -102,7 +102,7 @@ def _goal(move: FirstMove, known: Description, named: bool) -> list[str]:
 
 
 def _table(positions: dict[int, float], known: Description) -> str:
-    pairs = [f"{_key(known.joints[j]['name'])} = {value:g}" for j, value in positions.items()]
+    pairs = [f"{_key(known.joints[j]['name'])} = {value:.9g}" for j, value in positions.items()]
     return "{ " + ", ".join(pairs) + " }"
 
 
