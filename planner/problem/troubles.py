@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground,
 _LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff
 _MENDED = 1e-2  # of that median: the armature that is proposed
 _SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
+_DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as degrees
 _SPARE = 1.5  # times what holds: the range that is proposed
 _MOST = 4  # of a kind that are told one by one
 
@@ -28,7 +30,7 @@ def troubles_of(
     model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
 ) -> list[Trouble]:
     """What looks wrong in a compiled model: in a fixed order, the most serious first."""
-    found = [*_actuation(model, joints), *_surroundings(model), *_light(joints)]
+    found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
     for name, qpos in keyframes.items():
         found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
@@ -64,6 +66,15 @@ def _surroundings(model: Any) -> list[Trouble]:
         floor = '<geom name="floor" type="plane" size="0 0 1"/> in <worldbody>'
         found.append(Trouble(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
     return found
+
+
+def _narrow(joints: list[Record]) -> list[Trouble]:
+    """Ranges that were meant in radians and are read as degrees, as MuJoCo does unless it is told."""
+    widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
+    if not widths or max(widths) > _DEGREES:
+        return []
+    words = f"no hinge may turn by more than {max(widths):.3g} rad, as if its range in radians were read as degrees"
+    return [Trouble(words, '<compiler angle="radian"/>, if that is so')]
 
 
 def _light(joints: list[Record]) -> list[Trouble]:

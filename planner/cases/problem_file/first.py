@@ -18,6 +18,7 @@ from planner.problem.description import Description
 from planner.problem.first_move import FirstMove, driven_joints, first_move
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+_SMALL, _PART = 0.05, 0.05  # rad or m: the tolerance is written for a shorter way, as this part of it
 _WIDE = 100  # characters of a line
 
 
@@ -60,6 +61,9 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
     lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
     lines += _line("dt", "0.01", KEYS["dt"])
+    way = max(abs(end - move.start[known.joints[j]["position"]]) for j, end in move.goal.items())
+    if way < _SMALL:
+        lines += _line("tolerance", f"{_PART * way:.2g}", "how far from the goal passes, rad or m: a part of the way")
     if known.name:
         lines += _line("title", json.dumps(known.name), KEYS["title"])
     lines += [
