@@ -10,7 +10,7 @@ import numpy as np
 from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.facts import Record, coupled_joints, free_bases, overlaps
-from planner.problem.troubles import holding
+from planner.problem.troubles import holding, within
 
 _WAY = 0.15  # of a joint's range
 _WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
@@ -135,9 +135,8 @@ def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
     """Whether the actuators can hold a pose (nq,)."""
     actuators = mechanism.actuators
     u, force = holding(mechanism, pose)
-    low, high = actuators.control_range.T
-    least, most = actuators.force_range.T
-    return bool(np.all((low <= u) & (u <= high) & (least <= force) & (force <= most)))
+    held = within(u, *actuators.control_range.T) & within(force, *actuators.force_range.T)
+    return bool(np.all(held))
 
 
 def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> dict[int, float]:
