@@ -24,10 +24,11 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError("--out is empty, expected the name of a folder.")
     file = opened(arguments.model)
     known = describe(file)
-    _show(arguments.model, known, console)
     written = None
-    if arguments.write is not None:
+    if arguments.write is not None:  # or one sentence, before anything is printed
         written = write_first_problem(arguments.write, arguments.model, file, known)
+    _show(arguments.model, known, console)
+    if written is not None:
         console.say(f"\n{written}: a problem to start from; planner run {written}")
     picture, note = (None, "") if arguments.no_picture else _picture(arguments, known)
     if picture is not None:

@@ -8,6 +8,7 @@ import inspect
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NoReturn, get_args, get_type_hints
 
 from planner.base.arguments import choice, shown
@@ -284,7 +285,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
         elif ending.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
             raise PlannerError(
                 f"{argv[1]} is a model, expected a case ({', '.join(CASES)}) or a {PROBLEM_FILE} that names the model "
-                "(see docs/own-machine.md)."
+                f"(planner model {argv[1]} --write {Path(argv[1]).stem}.toml writes one to start from)."
             )
     arguments, unknown = build().parse_known_args(argv)
     if not unknown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Collection
 from typing import Any
@@ -44,9 +45,12 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
         ("Joint angles", "angle, rad", angles), ("Positions", "position, m", lengths),
         ("Angular velocities", "angular velocity, rad/s", turning), ("Velocities", "velocity, m/s", moving),
     )  # fmt: skip
-    plots = [Panel(_title(title, part), unit, states=tuple(part[:MOST])) for title, unit, part in panels if part]
-    if controls:
-        plots.append(Panel(_title("Controls", controls), "control", controls=tuple(controls[:MOST])))
+    plots = [
+        Panel(words, unit, states=curves)
+        for title, unit, part in panels
+        for words, curves in small_multiples(title, part)
+    ]
+    plots += [Panel(words, "control", controls=curves) for words, curves in small_multiples("Controls", controls)]
     readouts = [*((i, label, "m") for i, label in lengths), *((i, label, "rad") for i, label in angles)]
     shown = tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS])
     return Appearance(
@@ -82,8 +86,14 @@ def _belts(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(name for body in carrying if (name := body.get("name")))
 
 
-def _title(title: str, curves: Curves) -> str:
-    return title if len(curves) <= MOST else f"{title}, the first {MOST} of {len(curves)}"
+def small_multiples(title: str, curves: Curves) -> list[tuple[str, tuple[tuple[int, str], ...]]]:
+    """Titles and curves of as few panels as can hold them all, none with more than can be told apart."""
+    panels = -(-len(curves) // MOST)
+    ends = [round(k * len(curves) / panels) for k in range(panels + 1)] if panels else []
+    parts = list(itertools.pairwise(ends))
+    if len(parts) == 1:
+        return [(title, tuple(curves))]
+    return [(f"{title}, {a + 1} to {b} of {len(curves)}", tuple(curves[a:b])) for a, b in parts]
 
 
 def _view(mechanism: Mechanism) -> tuple[float, float]:

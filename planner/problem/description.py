@@ -24,6 +24,7 @@ from planner.model.mjcf.facts import (
     joint_records,
     moving_mass,
 )
+from planner.model.mjcf.left_out import LeftOut
 from planner.model.mjcf.opened import Opened
 from planner.model.mjcf.read import read_opened
 from planner.model.mjcf.refuse import KINDS, unmodelled
@@ -174,7 +175,10 @@ def _joints(number: int) -> str:
 def _left_out(file: Opened, mechanism: Mechanism | None) -> list[str]:
     """What acts in the file and not in the plan."""
     if mechanism is None:
-        return [one.phrase for one in [*unmodelled(file.survey.model), *contact_refusals(file.survey)]]
+        found = LeftOut(tuple(unmodelled(file.survey.model))).phrases
+        return [*found, *(one.phrase for one in contact_refusals(file.survey))]
     pairs, known = len(file.survey.pairs), mechanism.contacts or mechanism.body_contacts
     untold = [f"contacts of all {pairs} pairs of shapes that may touch"] if pairs and not known else []
-    return [*untold, *(phrase for phrase in mechanism.ignored if phrase != "contacts")]
+    refused = tuple(one for one in unmodelled(file.survey.model) if one.phrase in mechanism.ignored)
+    told = {"contacts", *(one.phrase for one in refused)}
+    return [*untold, *LeftOut(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]

@@ -7,20 +7,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.facts import Record, coupled_joints, free_bases, overlaps
-from planner.problem.troubles import holding
+from planner.problem.troubles import holding, within
 
 _WAY = 0.15  # of a joint's range
 _WAY_ON_FEET = 0.05  # of one that stands on the ground, which may tip over
 _TURN, _SLIDE = 0.5, 0.15  # rad, and in sizes of the machine: the way of a joint without a range
 _INSIDE = 0.05  # of a range: how far a start is kept from its ends
 _TO_THE_MIDDLE = (0.0, 0.25, 0.5, 0.75)  # parts of the way there that are tried for a start
-_SMALLER = (1.0, 0.5, 0.25, 0.1)  # parts of the way that are tried, until one touches nothing
+_SMALLER = (1.0, 0.5, 0.25)  # parts of the way that are tried, until one touches nothing
 _ON_THE_WAY = 4  # poses that are looked at
 _PEAK_SPEED, _PEAK_FORCE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # of the quintic, in way / T and way / T^2
 _SHARE = 0.3  # of the limits of speeds and forces that the move is to take
+_NEWTON, _FLAT = 20, 1e-9  # steps to a place of rest; directions that are flatter than the steepest by this stay
+_NEAR, _ROUND = 1.0, 1e-9  # rad or m from the start, at most; what is less has not moved
 _SHORTEST, _LONGEST = 1.0, 20.0  # s
 _TIPPING = 2.0  # s, at least, where joints that nothing drives have to be balanced
 
@@ -41,9 +43,11 @@ def first_move(model: Any, mechanism: Mechanism, joints: list[Record]) -> FirstM
     moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
              if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
     driven = [j for j in driven_joints(mechanism) if j not in coupled_joints(model)]
-    standing = _undriven_base(mechanism)
+    standing = bool(free_bases(model))
     ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
     goal = _allowed(model, mechanism, joints, start, ways)
+    if not standing:
+        goal = _with_balance(mechanism, start, goal)
     return FirstMove(keyframe, start, {} if keyframe else moved, goal, _duration(mechanism, start, goal))
 
 
@@ -92,18 +96,20 @@ def _allowed(
     model: Any, mechanism: Mechanism, joints: list[Record], start: np.ndarray, ways: dict[int, float]
 ) -> dict[int, float]:
     """Goals on the side of each joint's range that has more room, as far as nothing new touches on the way."""
+    loose = bool(free_bases(model))
     before = {frozenset(one.bodies) for one in overlaps(model, start)}
     best: dict[int, float] = {}
+    full = {j: _goal(joints[j], start, way) for j, way in ways.items()}
     for part in _SMALLER:
         for turned in (1.0, -1.0):
             goal = {j: _goal(joints[j], start, part * turned * way) for j, way in ways.items()}
             poses = [_between(joints, start, goal, s / _ON_THE_WAY) for s in range(1, _ON_THE_WAY + 1)]
             touches = any({frozenset(one.bodies) for one in overlaps(model, pose)} - before for pose in poses)
-            if not touches and _holds(mechanism, poses[-1]):
+            if not touches and (loose or _holds(mechanism, poses[-1])):
                 return goal
             if not touches:
                 best = best or goal
-    return best or goal
+    return best or full
 
 
 def _goal(joint: Record, start: np.ndarray, way: float) -> float:
@@ -126,21 +132,40 @@ def _between(joints: list[Record], start: np.ndarray, goal: dict[int, float], s:
 
 
 def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
-    """Whether the actuators can hold a pose (nq,), where nothing else has to."""
-    if mechanism.nu == 0 or _undriven_base(mechanism):
-        return True
+    """Whether the actuators can hold a pose (nq,)."""
     actuators = mechanism.actuators
     u, force = holding(mechanism, pose)
-    low, high = actuators.control_range.T
-    least, most = actuators.force_range.T
-    return bool(np.all((low <= u) & (u <= high) & (least <= force) & (force <= most)))
+    held = within(u, *actuators.control_range.T) & within(force, *actuators.force_range.T)
+    return bool(np.all(held))
 
 
-def _undriven_base(mechanism: Mechanism) -> bool:
-    """Whether the first link of a tree is free, or one of several that no actuator moves."""
-    roots = np.flatnonzero(mechanism.parent < 0)
-    driven = np.any(mechanism.actuators.moment != 0.0, axis=0)
-    return mechanism.nu > 0 and not np.any(driven[roots])
+def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> dict[int, float]:
+    """The goal with the joints that nothing drives where gravity and springs let them rest, by Newton's method.
+
+    Only hinges and slides; the goal itself where there is no such place near the start.
+    """
+    reached = np.any(mechanism.actuators.moment != 0.0, axis=0)
+    loose = np.flatnonzero(~reached)
+    if mechanism.nu == 0 or not len(loose) or not np.all(mechanism.kind[loose] == SCREW):
+        return goal
+    pose, still = start.copy(), np.zeros(mechanism.nv)
+    number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
+    for j, end in goal.items():
+        pose[mechanism.q_address[mechanism.joint_links[j].start]] = end
+    places = mechanism.q_address[loose]
+    for _ in range(_NEWTON):
+        pull = bias(mechanism, pose, still)[loose]
+        slope = bias_derivatives(mechanism, pose, still)[0][np.ix_(loose, loose)]
+        pose[places] -= np.linalg.lstsq(slope, pull, rcond=_FLAT)[0]
+    way = np.abs(pose - start)[places]
+    if not (np.abs(bias(mechanism, pose, still)[loose]) <= 1e-9 * _scale(mechanism)).all() or way.max() > _NEAR:
+        return goal
+    return goal | {number[int(i)]: _exact(float(pose[mechanism.q_address[i]])) for i in loose[way > _ROUND]}
+
+
+def _scale(mechanism: Mechanism) -> float:
+    """The weight of all that moves, N: moments are compared with it too, so lengths count as about a metre."""
+    return float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity)) or 1.0
 
 
 def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> float:
@@ -166,7 +191,13 @@ def _strongest(mechanism: Mechanism) -> np.ndarray:
     force = np.where(motors, np.abs(actuators.gain) * control, np.inf)
     force = np.minimum(force, np.abs(actuators.force_range).max(axis=1, initial=0.0))
     moment = np.abs(actuators.moment)
-    return np.where(moment > 0.0, moment * force[:, None], 0.0).sum(axis=0) if len(force) else np.zeros(mechanism.nv)
+    each = np.multiply(moment, force[:, None], out=np.zeros_like(moment), where=moment > 0.0)
+    return each.sum(axis=0)
+
+
+def _exact(value: float) -> float:
+    """A position in so many digits that it is a place to rest."""
+    return float(f"{value:.9g}")
 
 
 def _short(value: float) -> float:

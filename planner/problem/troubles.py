@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +16,8 @@ from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground,
 _LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff
 _MENDED = 1e-2  # of that median: the armature that is proposed
 _SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
+_DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as degrees
+_ROUNDING = 1e-9  # of a control or force, and of 1
 _SPARE = 1.5  # times what holds: the range that is proposed
 _MOST = 4  # of a kind that are told one by one
 
@@ -28,7 +33,7 @@ def troubles_of(
     model: Any, mechanism: Mechanism | None, joints: list[Record], keyframes: dict[str, np.ndarray]
 ) -> list[Trouble]:
     """What looks wrong in a compiled model: in a fixed order, the most serious first."""
-    found = [*_actuation(model, joints), *_surroundings(model), *_light(joints)]
+    found = [*_actuation(model, joints), *_surroundings(model), *_narrow(joints), *_light(joints)]
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
     for name, qpos in keyframes.items():
         found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
@@ -66,6 +71,15 @@ def _surroundings(model: Any) -> list[Trouble]:
     return found
 
 
+def _narrow(joints: list[Record]) -> list[Trouble]:
+    """Ranges that were meant in radians and are read as degrees, as MuJoCo does unless it is told."""
+    widths = [joint["range"][1] - joint["range"][0] for joint in joints if joint["unit"] == "rad" and joint["range"]]
+    if not widths or max(widths) > _DEGREES:
+        return []
+    words = f"no hinge may turn by more than {max(widths):.3g} rad, as if its range in radians were read as degrees"
+    return [Trouble(words, '<compiler angle="radian"/>, if that is so')]
+
+
 def _light(joints: list[Record]) -> list[Trouble]:
     """Joints about which next to nothing turns, against the others of their kind."""
     found: list[Trouble] = []
@@ -90,22 +104,22 @@ def _outside(joints: list[Record], qpos: np.ndarray, whose: str, mend: Any) -> l
             continue
         (low, high), q = joint["range"], float(qpos[joint["position"]])
         if not low - 1e-9 <= q <= high + 1e-9:
-            within = min(max(q, low), high)
+            nearest = min(max(q, low), high)
             found.append(Trouble(
                 f"{whose} has {joint['label']} at {q:.4g} {joint['unit']}, outside of its range {low:.4g} to "
                 f"{high:.4g}",
-                mend(joint, within),
+                mend(joint, nearest),
             ))  # fmt: skip
     return [*found[:_MOST], *_more(found[_MOST:])]
 
 
-def _to_start(joint: Record, within: float) -> str:
+def _to_start(joint: Record, nearest: float) -> str:
     name = joint["name"]
-    return f"start = {{ {name} = {within:.4g} }}" if name else f"{within:.4g} for it in the list of start"
+    return f"start = {{ {toml_key(name)} = {nearest:.4g} }}" if name else f"{nearest:.4g} for it in the list of start"
 
 
-def _to_key(joint: Record, within: float) -> str:
-    return f"{within:.4g} for it in the keyframe's qpos, or another start"
+def _to_key(joint: Record, nearest: float) -> str:
+    return f"{nearest:.4g} for it in the keyframe's qpos, or another start"
 
 
 def _more(rest: list[Trouble]) -> list[Trouble]:
@@ -134,7 +148,7 @@ def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[Trouble]:
         actuators.names, *needed, actuators.control_range, actuators.force_range, strict=True
     ):
         for value, (low, high), attribute in ((u, controls, "ctrlrange"), (force, forces, "forcerange")):
-            if low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
+            if within(value, low, high):
                 continue
             wide = min(low, _SPARE * value), max(high, _SPARE * value)
             found.append(Trouble(
@@ -159,6 +173,17 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
     controlled = (actuators.dynamics != INTEGRATOR) & (actuators.gain != 0.0)
     own = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths
     return np.where(controlled, (force - own) / np.where(actuators.gain == 0.0, 1.0, actuators.gain), 0.0), force
+
+
+def within(values: Any, low: Any, high: Any) -> Any:
+    """Whether values are within their ranges but for rounding; arrays of one shape, or numbers."""
+    room = _ROUNDING * np.maximum(np.abs(values), 1.0)
+    return (low - room <= values) & (values <= high + room)
+
+
+def toml_key(name: str) -> str:
+    """A name as a key of a TOML table."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _few(names: list[str]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,9 @@ from planner.cases.problem_file.keys import KEYS
 from planner.model.mjcf.opened import Opened
 from planner.problem.description import Description
 from planner.problem.first_move import FirstMove, driven_joints, first_move
+from planner.problem.troubles import toml_key
 
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_SMALL, _PART = 0.05, 0.05  # rad or m: the tolerance is written for a shorter way, as this part of it
 _WIDE = 100  # characters of a line
 
 
@@ -60,6 +60,9 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
     lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
     lines += _line("dt", "0.01", KEYS["dt"])
+    way = max(abs(end - move.start[known.joints[j]["position"]]) for j, end in move.goal.items())
+    if way < _SMALL:
+        lines += _line("tolerance", f"{_PART * way:.2g}", "how far from the goal passes, rad or m: a part of the way")
     if known.name:
         lines += _line("title", json.dumps(known.name), KEYS["title"])
     lines += [
@@ -102,12 +105,8 @@ def _goal(move: FirstMove, known: Description, named: bool) -> list[str]:
 
 
 def _table(positions: dict[int, float], known: Description) -> str:
-    pairs = [f"{_key(known.joints[j]['name'])} = {value:g}" for j, value in positions.items()]
+    pairs = [f"{toml_key(known.joints[j]['name'])} = {value:.9g}" for j, value in positions.items()]
     return "{ " + ", ".join(pairs) + " }"
-
-
-def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name)
 
 
 def _numbers(values: np.ndarray) -> str:

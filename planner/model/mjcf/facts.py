@@ -11,6 +11,7 @@ from planner.model.mjcf.refuse import actuator_disabled
 from planner.model.mjcf.survey import disabled, named
 
 Record = dict[str, Any]
+_UPRIGHT = 0.7  # vertical part of a slide that gravity pulls down
 
 
 def joint_records(model: Any) -> list[Record]:
@@ -152,9 +153,19 @@ def has_ground(model: Any) -> bool:
 
 
 def free_bases(model: Any) -> list[str]:
-    """Names of the bodies that hang on nothing."""
-    free = np.flatnonzero(model.jnt_type == int(load_mujoco().mjtJoint.mjJNT_FREE))
-    return [named(model, "body", int(model.jnt_bodyid[j])) for j in free]
+    """Names of the bodies that nothing holds up: on a free joint, or on an upright slide without spring or actuator."""
+    kinds, names = load_mujoco().mjtJoint, []
+    for j in range(model.njnt):
+        body = int(model.jnt_bodyid[j])
+        upright = model.jnt_type[j] == kinds.mjJNT_SLIDE and abs(model.jnt_axis[j, 2]) > _UPRIGHT
+        held = model.jnt_stiffness[j] > 0.0 or any(
+            _word(load_mujoco().mjtTrn, kind) in ("joint", "jointinparent") and target == j
+            for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+        )
+        loose = upright and not held and model.body_weldid[model.body_parentid[body]] == 0
+        if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and named(model, "body", body) not in names:
+            names.append(named(model, "body", body))
+    return names
 
 
 def gravity_of(model: Any) -> np.ndarray:

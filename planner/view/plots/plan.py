@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
-from planner.problem.default_appearance import appearance_of
+from planner.problem.default_appearance import appearance_of, small_multiples
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
@@ -46,7 +46,9 @@ if TYPE_CHECKING:
 
 STANCE = "#ece7dc"
 
-_MOST_CURVES = len(HUES)  # curves in one panel that can be told apart
+_BESIDE = 3  # curves, above which their names stand beside the panel and not in it
+_PAST_AXIS = 1.17  # where they stand beside a right-hand axis, in widths of the panel
+_LONGEST = 22  # characters of a name there
 _ASTRAY = 1.5  # how far a replay that runs away may widen an axis, in parts of the range of the other curves
 
 
@@ -99,14 +101,16 @@ def _panels(plan: Plan) -> tuple[Panel, ...]:
     """The panels that the plan's appearance lists; for a plan without any, its states by unit and its controls."""
     if own := appearance_of(plan.problem).plots:
         return own
-    nx, nu = plan.xs.shape[1], min(plan.us.shape[1], _MOST_CURVES)
+    nx, nu = plan.xs.shape[1], plan.us.shape[1]
     known = coordinates_of(plan.problem.dynamics) if plan.problem is not None else ()
     states = known if len(known) == nx else tuple(Coordinate(f"x[{index}]", "") for index in range(nx))
     panels = []
     for unit in dict.fromkeys(one.unit for one in states):
-        of_unit = [(index, one.name) for index, one in enumerate(states) if one.unit == unit][:_MOST_CURVES]
-        panels.append(Panel(f"States, {unit}" if unit else "States", unit or "x", states=tuple(of_unit)))
-    return (*panels, Panel("Controls", "u", controls=tuple((index, f"u[{index}]") for index in range(nu))))
+        of_unit = [(index, one.name) for index, one in enumerate(states) if one.unit == unit]
+        for title, curves in small_multiples(f"States, {unit}" if unit else "States", of_unit):
+            panels.append(Panel(title, unit or "x", states=curves))
+    inputs = small_multiples("Controls", [(index, f"u[{index}]") for index in range(nu)])
+    return (*panels, *(Panel(title, "u", controls=curves) for title, curves in inputs))
 
 
 def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
@@ -138,7 +142,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     if panel.states and panel.controls:
         right = right_axis(axes, ", ".join(label for _, label in panel.controls))
 
-    room = 0.18 if len(curves) > 1 else 0.05  # for the names
+    room = 0.18 if 1 < len(curves) <= _BESIDE else 0.05  # for the names
     _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
     if right is not None:
         _keep_in_view(right, [curve for curve in curves if curve.held], room)
@@ -154,7 +158,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
         )  # fmt: skip
         (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
     if len(curves) > 1:
-        _name_curves(right or axes, [curve.label for curve in curves])
+        _name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
         axes.set_xlabel("time (s)")
         return [axes]
@@ -251,15 +255,17 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
     legend_below(figure, handles)
 
 
-def _name_curves(axes: Axes, labels: list[str]) -> None:
+def _name_curves(axes: Axes, labels: list[str], beside: float) -> None:
     """Draw a legend by colour: each curve's plan and replay share a hue."""
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=dark, lw=2.0) for (dark, _, _), _ in zip(cycle(HUES), labels, strict=False)]
-    legend = axes.legend(
-        handles, labels, fontsize=8, loc="upper left", ncols=min(len(labels), 3), framealpha=0.85,
-        edgecolor="none", borderpad=0.3, handlelength=1.4,
-    )  # fmt: skip
+    style: dict[str, Any] = {"framealpha": 0.85, "edgecolor": "none", "borderpad": 0.3, "handlelength": 1.4}
+    if len(labels) > _BESIDE:
+        names = [label if len(label) <= _LONGEST else f"{label[:9]}…{label[-12:]}" for label in labels]
+        legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(beside, 0.5), **style)
+    else:
+        legend = axes.legend(handles, labels, fontsize=8, loc="upper left", ncols=len(labels), **style)
     legend.set_zorder(5)
 
 

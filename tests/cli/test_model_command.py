@@ -1,0 +1,69 @@
+"""planner model FILE: tables, JSON, a problem file that runs, and one sentence for what cannot be described."""
+
+import json
+
+import pytest
+from commands import refused, run
+
+from planner.base.gl import backend
+
+TEXT = """<mujoco model="lift"><worldbody>
+  <body name="car"><joint name="rise" type="slide" axis="0 0 1" range="0 2" limited="true" damping="1"/>
+    <geom name="car" type="box" size=".2 .2 .2" mass="3"/></body></worldbody>
+  <actuator><motor name="winch" joint="rise" ctrlrange="-60 60"/></actuator>
+  <keyframe><key name="down" qpos=".1"/><key name="up" qpos="1.9"/></keyframe></mujoco>"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "lift.xml").write_text(TEXT)
+    return tmp_path
+
+
+def test_the_tables_say_what_the_machine_is(folder):
+    done = run("model", "lift.xml", "--no-picture", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    for words in ("1 degree of freedom", "rise", "slide", "0 to 2 m", "winch", "motor", "-60 to 60", "keyframes", "up"):
+        assert words in done.stdout
+    assert "armature" not in done.stdout  # a column in which there is nothing
+    assert [path.name for path in folder.iterdir()] == ["lift.xml"]
+
+
+def test_json_has_the_same(folder):
+    done = run("model", "lift.xml", "--no-picture", "--json", cwd=folder)
+    document = json.loads(done.stdout)
+    assert document["joints"][0]["range"] == [0.0, 2.0]
+    assert document["keyframes"] == ["down", "up"]
+    assert (document["problems"], document["picture"], document["exit_code"]) == ([], None, 0)
+
+
+def test_the_written_problem_runs_and_is_not_overwritten(folder):
+    done = run("model", "lift.xml", "--no-picture", "--write", "first.toml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    text = (folder / "first.toml").read_text()
+    assert 'start = "down"' in text
+    ran = run("solve", "first.toml", cwd=folder)
+    assert ran.returncode in (0, 1), ran.stderr  # converged or not, the file is understood
+    assert (folder / "plan.npz").is_file()
+    again = run("model", "lift.xml", "--no-picture", "--write", "first.toml", cwd=folder)
+    refused(again, "first.toml is there already")
+    assert (folder / "first.toml").read_text() == text
+
+
+def test_what_cannot_be_described_is_one_sentence(folder):
+    (folder / "bad.xml").write_text("<mujoco><worldbody><body/></mujoco>")
+    (folder / "empty.xml").write_text("<mujoco><worldbody/></mujoco>")
+    refused(run("model", "bad.xml", cwd=folder), "bad.xml")
+    refused(run("model", "empty.xml", cwd=folder), "no joints")
+    refused(run("model", "nowhere.xml", cwd=folder), "nowhere.xml")
+    refused(run("model", "lift.xml", "--out", "", cwd=folder), "--out is empty")
+    refused(run("model", "lift.xml", "--write", "first.txt", cwd=folder), ".toml")
+    refused(run("model", cwd=folder), "FILE")
+
+
+@pytest.mark.render
+@pytest.mark.skipif(backend() is None, reason="no OpenGL")
+def test_its_keyframes_are_drawn_into_the_folder(folder):
+    done = run("model", "lift.xml", "--out", "pictures", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "pictures" / "poses.png").stat().st_size > 1000

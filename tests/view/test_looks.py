@@ -1,0 +1,126 @@
+"""Other people's machines are drawn so that they can be seen: the right shapes, sticks, a floor, all joints."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner.base.gl import load_mujoco
+from planner.model.mechanism import Mechanism
+from planner.problem.appearance import Appearance
+from planner.problem.default_appearance import MOST, small_multiples
+from planner.view.render.film import Film
+from planner.view.render.looks import drawn
+from planner.view.render.setting import visible_model
+from planner.view.render.sticks import Sticks
+from planner.view.render.video import render_poses
+
+ARM = """<mujoco><worldbody>{world}<body name="upper" pos="0 0 .5"><joint name="a" axis="0 1 0"/>{upper}
+  <body name="fore" pos="0 0 .4"><joint name="b" axis="0 1 0"/>{fore}</body></body></worldbody></mujoco>"""
+BOX = '<geom name="{}" type="box" size="{size} {size} .2" pos="0 0 .2" mass="1" group="{}" {}/>'
+MASS = '<inertial pos="0 0 .2" mass="1" diaginertia=".01 .01 .01"/>'
+SEEN, SOLID = 'contype="0" conaffinity="0" rgba=".9 .9 .9 1"', 'rgba="0 .5 0 1"'
+
+
+def box(name, group, options, size=0.05):
+    return BOX.format(name, group, options, size=size)
+
+
+def film(poses=((0.0, 0.0),), scenery=(), **parts):
+    text = ARM.format(**{"world": "", "upper": MASS, "fore": MASS} | parts)
+    mechanism = Mechanism.from_mjcf(text, contacts="off")
+    made = Film.of_poses(mechanism, {str(k): np.array(pose) for k, pose in enumerate(poses)})
+    made = replace(made, mjcf=text, appearance=Appearance(title="", scenery=scenery))
+    return made, visible_model(made)
+
+
+def shown(model):
+    return {model.geom(i).name for i in np.flatnonzero(drawn(model))} - {"planner floor"}
+
+
+def floor_of(model):
+    """Where our floor is, None where it is hidden."""
+    mujoco, floor = load_mujoco(), model.geom("planner floor").id
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return float(data.geom_xpos[floor, 2]) if drawn(model)[floor] else None
+
+
+@pytest.mark.parametrize(("seen", "solid"), [(1, 0), (0, 3), (0, 0), (2, 4)])
+def test_shapes_that_collide_are_hidden_where_others_are_to_be_seen_whatever_their_groups(seen, solid):
+    both = box("mesh", seen, SEEN) + box("proxy", solid, SOLID)
+    assert shown(film(upper=both, fore=box("tip", 0, SOLID))[1]) == {"mesh", "tip"}
+
+
+def test_an_ornament_hides_nothing():
+    """Eyes do not collide either, but they are not the head."""
+    assert shown(film(upper=box("eye", 0, SEEN, size=0.01).replace(".2", ".01") + box("head", 0, SOLID))[1]) == {
+        "eye", "head",
+    }  # fmt: skip
+
+
+def test_where_colliding_shapes_have_a_group_of_their_own_no_link_shows_one_beside_others():
+    upper = box("mesh", 1, SEEN) + box("proxy", 0, SOLID)
+    fore = box("screw", 1, SEEN, size=0.01).replace(".2", ".01") + box("hull", 0, SOLID)
+    assert shown(film(upper=upper, fore=fore)[1]) == {"mesh", "screw"}
+
+
+def test_a_link_whose_shapes_are_all_in_hidden_groups_is_seen():
+    assert shown(film(upper=box("hull", 3, SOLID), fore=box("tip", 0, SOLID))[1]) == {"hull", "tip"}
+
+
+def test_what_nobody_painted_gets_two_colours_and_what_somebody_did_stays():
+    plain = film(upper=box("one", 0, ""), fore=box("two", 0, ""))[1]
+    one, two = (plain.geom(name).rgba for name in ("one", "two"))
+    assert np.abs(one - two).max() > 0.2
+    painted = film(upper=box("one", 0, ""), fore=box("two", 0, 'rgba="1 0 0 1"'))[1]
+    np.testing.assert_allclose(painted.geom("one").rgba, [0.5, 0.5, 0.5, 1.0])
+
+
+def test_links_without_shapes_are_sticks_from_joint_to_joint():
+    """The last one is as long as a rod with its centre of mass: twice 0.2 m."""
+    _, model = film()
+    mujoco = load_mujoco()
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.0, np.pi / 2]
+    mujoco.mj_kinematics(model, data)
+    ends = Sticks(model).ends(data).reshape(-1, 2, 3)
+    np.testing.assert_allclose(ends[0], [[0, 0, 0.5], [0, 0, 0.9]], atol=1e-12)
+    np.testing.assert_allclose(ends[1], [[0, 0, 0.9], [0.4, 0, 0.9]], atol=1e-12)
+    assert len(Sticks(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
+
+
+def test_the_floor_is_just_under_the_lowest_pose_and_only_where_there_is_none():
+    made = {"upper": box("a", 0, SEEN), "fore": box("b", 0, SEEN)}
+    hanging = floor_of(film(poses=((0.0, 0.0), (np.pi, 0.0)), **made)[1])
+    assert hanging is not None
+    assert -0.32 < hanging < -0.3  # 0.8 m below a joint at 0.5 m, and a little
+    standing = floor_of(film(**made)[1])
+    assert standing is not None
+    assert 0.49 < standing < 0.5
+    plane = '<geom type="plane" size="{}" rgba=".2 .2 .2 {}"/>'
+    assert floor_of(film(world=plane.format("0 0 1", 1), **made)[1]) is None
+    assert floor_of(film(world=plane.format("0 0 1", 0), **made)[1]) is not None  # one that cannot be seen
+    assert floor_of(film(world=plane.format(".1 .1 1", 1), **made)[1]) is not None  # a tile
+    wall = plane.format("0 0 1", 1).replace("<geom", '<geom zaxis="1 0 0"')
+    assert floor_of(film(world=wall, **made)[1]) is not None
+
+
+@pytest.mark.render
+def test_keyframes_are_drawn_side_by_side_with_their_names(tmp_path):
+    from PIL import Image
+
+    mechanism = Mechanism.from_mjcf(ARM.format(world="", upper=box("a", 0, SEEN), fore=box("b", 0, SEEN)))
+    poses = {"up": np.zeros(2), "bent": np.array([0.5, 1.0])}
+    picture = np.asarray(Image.open(render_poses(mechanism, poses, tmp_path / "p.png", width=320, height=120)))
+    assert picture.shape == (120, 320, 3)
+    halves = picture[:90, :158].astype(int), picture[:90, 162:].astype(int)
+    assert np.sum(np.abs(halves[0] - halves[1]).max(axis=-1) > 40) > 100  # another pose, seen by the same camera
+
+
+def test_panels_hold_every_curve_and_none_too_many():
+    for number in (0, 1, 8, 9, 23, 64):
+        panels = small_multiples("Angles", [(i, f"joint {i}") for i in range(number)])
+        assert [index for _, curves in panels for index, _ in curves] == list(range(number))
+        assert all(0 < len(curves) <= MOST for _, curves in panels)
+    assert [title for title, _ in small_multiples("Angles", [(0, "a"), (1, "b")])] == ["Angles"]
