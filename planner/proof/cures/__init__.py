@@ -10,7 +10,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
-from planner.proof.cures.limits import within_limits
+from planner.proof.cures.limits import wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
 from planner.proof.cures.stage import shorter_stage
 from planner.proof.cures.touching import out_of_touch
@@ -20,7 +20,7 @@ __all__ = ["Cure", "cures"]
 
 _CAUSES = (
     first_guess, out_of_touch, within_limits, more_time, without_ignored, more_iterations, shorter_stage,
-    larger_weights, other_guesses,
+    wider_margin, larger_weights, other_guesses,
 )  # fmt: skip
 
 

@@ -13,10 +13,6 @@ from planner.problem.problem import Problem
 FILE = "problem-file"  # the recipe of a problem.toml
 ITERATIONS = "max_iterations"
 FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems
-_ARGUMENTS = {
-    "dt": "RigidBodyDynamics(..., dt={})", "integrator": "RigidBodyDynamics(..., integrator={})",
-    "tolerance": "Problem(..., tolerance={})",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -76,14 +72,17 @@ def _written(problem: Problem, key: str, value: Any) -> str:
         return f"--horizon {round(problem.duration / value)}"
     if problem.case is not None and key.split(".")[-1] in problem.parameters:
         return f"--{key.split('.')[-1].replace('_', '-')} {value}"
+    dynamics = type(problem.dynamics).__name__
     if key == "duration":
-        return f"RigidBodyDynamics(..., dt={value / problem.N:.6g})"
+        return f"{dynamics}(..., dt={value / problem.N:.6g})"
+    if key in ("dt", "integrator"):
+        return f"{dynamics}(..., {key}={value!r})"
     table, _, name = key.rpartition(".")
     if table == "limits":
         return f"Limits({name}={value!r})"
     if table == "weights":
         return f"TrackingCost.joints({name}={value!r})"
-    return _ARGUMENTS.get(key, f"{key} = {{}}").format(repr(value))
+    return f"{key} = {value!r}"
 
 
 def _toml(value: Any) -> str:
