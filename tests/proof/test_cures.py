@@ -180,7 +180,7 @@ def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
     wall = '<geom name="wall" type="box" size="0.05 0.5 0.5" pos="-0.06 0 0.75"/>'
     model = {"gravity": 0, "world": wall, "collides": ""}
     problem = arm(tmp_path, goal="[-1.5707963, 0.0]", contacts='"off"', model=model)
-    value, said = passes_with(problem, "goal", "weights.velocity")
+    value, said = passes_with(problem, "goal", "weights")
     assert "geom 'wall' and geom 'upper' are 0.02 m in each other" in said
     assert np.abs(np.array(value) - [-1.5707963, 0.0]).max() < 0.2
 

@@ -42,7 +42,9 @@ def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     """A margin that is wider by what joints are beyond their ranges, between the knots or in MuJoCo."""
     if proof is None or not _stops_matter(proof) or not _knows_ranges(problem):
         return []
-    run, limits = proof.replay, problem.limits
+    run, limits, ranges = proof.replay, problem.limits, problem.ranges
+    if limits is None or ranges is None or np.any(ranges.beyond(plan.xs) > limits.tolerance):
+        return []  # its own knots are outside: that is the solve's
     states = np.concatenate([run.qpos, run.qvel, run.act], axis=1)
     found = [*_planned(run), *joints_in(run.compiled.model, states, stopped_dofs(plan))]
     worst = max(found, key=lambda one: one.beyond.max(), default=None)
