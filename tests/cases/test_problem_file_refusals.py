@@ -89,7 +89,10 @@ def test_weights_are_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("content", "fragments"),
     [
-        (CART.replace("<motor", "<!-- <motor").replace('"slider"/></act', '"slider"/> --></act'), ("no actuators", 'prescribed = ["slider", "pole"]')),
+        (
+            CART.replace("<motor", "<!-- <motor").replace('"slider"/></act', '"slider"/> --></act'),
+            ("no actuators", 'prescribed = ["slider", "pole"]'),
+        ),
         (CART.replace('mass="0.2"', 'mass="0"').replace('diaginertia="0.01 0.01 0.01"', ""), ("mass",)),
         ('<!DOCTYPE m [<!ENTITY a "aaaa">]>' + CART, ("entities",)),
         (CART.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'), ("gone.xml",)),

@@ -227,6 +227,45 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
         assert proof.your_file.measured[1].passed
 
 
+def test_a_way_that_swings_out_of_a_range(tmp_path):
+    # least effort lets gravity swing the elbow by more than 3 rad
+    problem = arm(tmp_path, model={"elbow": 'limited="true" range="-1 1.5"'})
+    value, said = passes_with(without_limits(problem), "weights")
+    assert set(value) == {"velocity", "final_position", "final_velocity"}
+    assert "elbow swings" in said
+
+
+def test_what_was_ignored_and_matters(tmp_path):
+    loss = 'frictionloss="3"'
+    problem = arm(tmp_path, ignore='["frictionloss"]', model={"shoulder": loss, "elbow": loss})
+    first = cures(*tried(problem))[0]
+    assert (first.key, first.value) == ("ignore", [])
+    assert "leaves out frictionloss" in first.sentence
+
+
+def test_a_floor_that_was_taken_away(tmp_path):
+    text = """
+    <mujoco>
+      <worldbody>
+        <geom name="floor" type="plane" size="1 1 0.1"/>
+        <body pos="0 0 0.35">
+          <joint name="height" type="slide" axis="0 0 1"/>
+          <geom type="sphere" size="0.1"/>
+          <body pos="0 0 -0.1">
+            <joint name="leg" type="slide" axis="0 0 1"/>
+            <geom name="foot" type="sphere" size="0.05" pos="0 0 -0.15"/>
+          </body>
+        </body>
+      </worldbody>
+      <actuator><motor name="push" joint="leg"/></actuator>
+    </mujoco>
+    """
+    problem = file(tmp_path, text, {"goal": "[0.0, -0.05]", "contacts": '"off"', "duration": "0.5"})
+    first = cures(*tried(problem))[0]
+    assert (first.key, first.value) == ("contacts", "ground")
+    assert "geom 'floor' and geom 'foot' touch" in first.sentence
+
+
 def test_the_table_of_a_file_is_copied_and_given_what_is_missing():
     table = {"weights": {"effort": 1.0}, "dt": 0.01}
     cured = Cure("limits.margin", 0.02, "").applied(table)

@@ -69,7 +69,7 @@ def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:
     """Some of a plan's poses, the last one among them."""
     assert plan.twin is not None  # out_of_touch() asked
     knots = plan.twin.sim_of(plan.xs)[:: -max(1, plan.N // _ALONG), : mechanism.nq]
-    return [q for q in knots if np.isfinite(q).all()]
+    return [q for q in knots[::-1] if np.isfinite(q).all()]
 
 
 def _as_given(problem: Problem, mechanism: Mechanism, goal: np.ndarray, free: np.ndarray) -> Any:
