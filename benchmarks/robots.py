@@ -59,6 +59,7 @@ class Row:
     load: float | None = None
     plan: float | None = None
     verdict_seconds: float | None = None
+    cure: str = ""  # the first that a FAIL names
 
 
 def tried(machine: Machine, packages: Path, limit: float = LIMIT) -> Row:
@@ -115,6 +116,7 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
     row.message = _line(plan["message"] if proof is None else proof["reason"])
     if row.verdict == "PASS" and not plan["success"]:
         row.verdict, row.message = "FAIL", _line(plan["message"])
+    row.cure = next((_line(one["sentence"]) for one in document.get("cures", ())), "")
     return row
 
 
@@ -138,6 +140,7 @@ def _seconds(value: float | None) -> str:
 
 def _cells(row: Row, most: int) -> list[str]:
     message = row.message if len(row.message) <= most else f"{row.message[: most - 3]}..."
+    message += f" To pass: {row.cure}" if row.cure else ""
     return [row.package, row.machine, row.kind, str(row.joints or ""), row.verdict, _seconds(row.load),
             _seconds(row.plan), _seconds(row.verdict_seconds), message.replace("|", "/")]  # fmt: skip
 

@@ -89,7 +89,10 @@ def test_weights_are_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("content", "fragments"),
     [
-        (CART.replace("<motor", "<!-- <motor").replace('"slider"/></act', '"slider"/> --></act'), ("no actuators",)),
+        (
+            CART.replace("<motor", "<!-- <motor").replace('"slider"/></act', '"slider"/> --></act'),
+            ("no actuators", 'prescribed = ["slider", "pole"]'),
+        ),
         (CART.replace('mass="0.2"', 'mass="0"').replace('diaginertia="0.01 0.01 0.01"', ""), ("mass",)),
         ('<!DOCTYPE m [<!ENTITY a "aaaa">]>' + CART, ("entities",)),
         (CART.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'), ("gone.xml",)),
@@ -121,9 +124,10 @@ STAYING = {"start": "[0.5, 0.2]", "goal": "[0.55, 0.2]"}
 
 
 def test_a_start_within_tolerance_of_the_goal_is_refused(tmp_path):
-    """The file says how near they are, so a smaller tolerance is easily chosen."""
+    """The message says how near they are, and a tolerance with which the file is a problem."""
     near = {**STAYING, "goal": "[0.504, 0.2]"}  # 4 mm, where 5 mm is the least tolerance
-    refuse(write(tmp_path, **near), "within the tolerance 0.005 m", "largest difference 0.004", "smaller tolerance")
+    refuse(write(tmp_path, **near), "within the tolerance 0.005 m", "largest difference 0.004", "tolerance = 0.0004")
+    assert load(write(tmp_path, **near, tolerance="0.0004")).problem.N == 20
     refuse(write(tmp_path, **STAYING, tolerance="0.051"), "within the tolerance 0.051 m", "at slider")
     assert load(write(tmp_path, **STAYING, tolerance="0.049")).problem.N == 20
 

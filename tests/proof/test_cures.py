@@ -1,11 +1,15 @@
 """cures(): what a FAIL says to write is computed, and with it the plan passes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import planner
 from planner.cases.problem_file import load, of_table
-from planner.proof.cures import cures
+from planner.proof.cures import Cure, cures
+from planner.proof.cures.cure import rounded_up
+from planner.proof.cures.stage import rounded_step
 
 ARM = """
 <mujoco>
@@ -43,26 +47,33 @@ POLE = """
       </body>
     </body>
   </worldbody>
-  <actuator><motor name="push" joint="slider" {motor}/></actuator>
+  <actuator><motor name="push" joint="slider"/></actuator>
 </mujoco>
 """
 
 
-def file(folder, model, *tables, **keys):
-    """A problem file of a model's text, with lines of TOML by key and more tables."""
+MARGIN = {"margin": 0.0} if "margin" in planner.Limits.__dataclass_fields__ else {}
+WEIGHTS = {"effort": 1.0, "final_position": 1000.0, "final_velocity": 1000.0, "position": 0.0, "velocity": 0.0}
+
+
+def file(folder, model, keys, weights=None, limits=None):
+    """A problem file of a model's text, with TOML by key."""
     (folder / "machine.xml").write_text(model, encoding="utf-8")
     keys = {"model": '"machine.xml"', "start": "[0.0, 0.0]", "duration": "1.0", "dt": "0.01"} | keys
-    text = "\n".join([*(f"{key} = {value}" for key, value in keys.items()), *tables])
-    (folder / "problem.toml").write_text(text, encoding="utf-8")
+    lines = [f"{key} = {value}" for key, value in keys.items()]
+    for name, table in (("weights", WEIGHTS | (weights or {})), ("limits", limits)):
+        lines += [f"[{name}]", *(f"{key} = {value}" for key, value in table.items())] if table else []
+    (folder / "problem.toml").write_text("\n".join(lines), encoding="utf-8")
     return load(folder / "problem.toml").problem
 
 
-def arm(folder, *tables, goal="[-0.5, 0.8]", model=None, **keys):
-    return file(folder, ARM.format(**USUAL | (model or {})), *tables, goal=goal, **keys)
+def arm(folder, *, weights=None, limits=None, goal="[-0.5, 0.8]", model=None, **keys):
+    return file(folder, ARM.format(**USUAL | (model or {})), {"goal": goal} | keys, weights, limits)
 
 
-def pole(folder, *tables, slider="", motor="", **keys):
-    return file(folder, POLE.format(slider=slider, motor=motor), *tables, goal="[0.5, 0.0]", **keys)
+def without_limits(problem):
+    """A problem that does not know the limits of its file."""
+    return replace(problem, limits=None)
 
 
 def tried(problem, **options):
@@ -91,14 +102,14 @@ def passes_with(problem, *keys):
 
 
 def test_a_goal_that_is_asked_for_too_little(tmp_path):
-    value, said = passes_with(arm(tmp_path, "[weights]", "final_position = 20"), "weights.final_position")
+    value, said = passes_with(arm(tmp_path, weights={"final_position": 20}), "weights.final_position")
     assert value > 20.0
     assert "rad" in said
     assert f"weights.final_position = {value}" in said
 
 
 def test_a_weight_by_joint_stays_one_by_joint(tmp_path):
-    problem = arm(tmp_path, "[weights]", "final_position = { shoulder = 20.0, elbow = 1e4 }")
+    problem = arm(tmp_path, weights={"final_position": "{ shoulder = 20.0, elbow = 1e4 }"})
     value, _ = passes_with(problem, "weights.final_position")
     assert value["elbow"] == 1e4
     assert value["shoulder"] > 20.0
@@ -117,17 +128,17 @@ def test_an_integrator_of_first_order(tmp_path):
 
 def test_a_range_that_the_plan_does_not_know(tmp_path):
     # the cart goes back before it goes forward, or the pole falls
-    value, said = passes_with(
-        pole(tmp_path, "[weights]", "final_position = 1e5", "final_velocity = 1e5", duration="2.0",
-             slider='limited="true" range="-0.02 1"'), "limits.position"
-    )  # fmt: skip
+    model = POLE.format(slider='limited="true" range="-0.02 1"')
+    weights = {"final_position": 1e5, "final_velocity": 1e5}
+    problem = file(tmp_path, model, {"goal": "[0.5, 0.0]", "duration": "2.0"}, weights)
+    value, said = passes_with(without_limits(problem), "limits.position")
     assert value == "model"
     assert "slider" in said
 
 
 def test_a_clamp_that_the_plan_does_not_know(tmp_path):
     problem = arm(tmp_path, model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.6 0.6"'})
-    value, said = passes_with(problem, "limits.control")
+    value, said = passes_with(without_limits(problem), "limits.control")
     assert value == "model"
     assert "of -0.6 to 0.6" in said
 
@@ -135,8 +146,7 @@ def test_a_clamp_that_the_plan_does_not_know(tmp_path):
 def test_too_little_time_for_a_motor(tmp_path):
     problem = arm(
         tmp_path,
-        "[limits]",
-        'control = "model"',
+        limits={"control": '"model"'},
         model={"gravity": 0, "motor": 'ctrllimited="true" ctrlrange="-0.4 0.4"'},
     )
     value, said = passes_with(problem, "duration")
@@ -147,7 +157,7 @@ def test_too_little_time_for_a_motor(tmp_path):
 
 
 def test_too_little_time_for_a_speed(tmp_path):
-    problem = arm(tmp_path, "[limits]", "velocity = 0.7", model={"gravity": 0})
+    problem = arm(tmp_path, limits={"velocity": 0.7}, model={"gravity": 0})
     value, said = passes_with(problem, "duration")
     # 15/8 of the mean speed of 0.8 rad in 1 s, and 0.9 of 0.7 rad/s
     assert value == pytest.approx(15.0 / 8.0 * 0.8 / 0.63, rel=0.1)
@@ -156,7 +166,7 @@ def test_too_little_time_for_a_speed(tmp_path):
 
 def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     problem = arm(
-        tmp_path, "[limits]", 'control = "model"', model={"motor": 'ctrllimited="true" ctrlrange="-1 1"'}
+        tmp_path, limits={"control": '"model"'}, model={"motor": 'ctrllimited="true" ctrlrange="-1 1"'}
     )  # fmt: skip
     plan, proof = tried(problem)
     assert not proof.passed
@@ -170,7 +180,7 @@ def test_a_goal_in_a_wall_and_a_way_that_is_longer_than_straight(tmp_path):
     wall = '<geom name="wall" type="box" size="0.05 0.5 0.5" pos="-0.06 0 0.75"/>'
     model = {"gravity": 0, "world": wall, "collides": ""}
     problem = arm(tmp_path, goal="[-1.5707963, 0.0]", contacts='"off"', model=model)
-    value, said = passes_with(problem, "goal", "weights.velocity")
+    value, said = passes_with(problem, "goal", "weights")
     assert "geom 'wall' and geom 'upper' are 0.02 m in each other" in said
     assert np.abs(np.array(value) - [-1.5707963, 0.0]).max() < 0.2
 
@@ -187,3 +197,90 @@ def test_a_solve_that_was_stopped_early(tmp_path):
 
 def test_a_plan_that_passes_needs_no_cure(tmp_path):
     assert cures(*tried(arm(tmp_path))) == ()
+
+
+def test_a_stage_that_is_too_long_for_a_fast_rate():
+    # x' = 1000 x: four terms of e^100 in each of ten stages run away
+    fast = planner.FunctionDynamics(lambda x, u: 1000.0 * x + u, 1, 1, 0.1)
+    problem = planner.Problem(fast, planner.TrackingCost.reach([0.0], 100, final=1.0, effort=1.0), [1.0])
+    plan, proof = tried(problem)
+    assert proof is None
+    first = cures(plan)[0]
+    assert (first.key, first.value) == ("dt", 0.001)
+    assert first.sentence.startswith("`FunctionDynamics(..., dt=0.001)`: the fastest rate")
+
+
+def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
+    # knots of 0.25 s keep the range, the motion between them does not
+    model = POLE.format(slider='limited="true" range="-0.02 1"')
+    weights = {"final_position": 1e5, "final_velocity": 1e5}
+    keys = {"goal": "[0.5, 0.0]", "duration": "2.0", "dt": "0.25"}
+    problem = file(tmp_path, model, keys, weights, {"position": '"model"'} | MARGIN)
+    plan, proof = tried(problem)
+    stage, margin = cures(plan, proof)
+    assert (stage.key, margin.key) == ("dt", "limits.margin")
+    beyond = -0.02 - plan.between_knots(20)[:, 0].min()
+    assert 1.4 * beyond < margin.value < 10.0 * beyond
+    assert tried(of_table(stage.applied(problem.parameters), problem.twin))[1].passed
+    if MARGIN:
+        _, proof = tried(of_table(margin.applied(problem.parameters), problem.twin))
+        assert proof.your_file.measured[1].passed
+
+
+def test_a_way_that_swings_out_of_a_range(tmp_path):
+    # least effort lets gravity swing the elbow by more than 3 rad
+    problem = arm(tmp_path, model={"elbow": 'limited="true" range="-1 1.5"'})
+    value, said = passes_with(without_limits(problem), "weights")
+    assert set(value) == {"velocity", "final_position", "final_velocity"}
+    assert "elbow swings" in said
+
+
+def test_what_was_ignored_and_matters(tmp_path):
+    loss = 'frictionloss="3"'
+    problem = arm(tmp_path, ignore='["frictionloss"]', model={"shoulder": loss, "elbow": loss})
+    first = cures(*tried(problem))[0]
+    assert (first.key, first.value) == ("ignore", [])
+    assert "leaves out frictionloss" in first.sentence
+
+
+def test_a_floor_that_was_taken_away(tmp_path):
+    text = """
+    <mujoco>
+      <worldbody>
+        <geom name="floor" type="plane" size="1 1 0.1"/>
+        <body pos="0 0 0.35">
+          <joint name="height" type="slide" axis="0 0 1"/>
+          <geom type="sphere" size="0.1"/>
+          <body pos="0 0 -0.1">
+            <joint name="leg" type="slide" axis="0 0 1"/>
+            <geom name="foot" type="sphere" size="0.05" pos="0 0 -0.15"/>
+          </body>
+        </body>
+      </worldbody>
+      <actuator><motor name="push" joint="leg"/></actuator>
+    </mujoco>
+    """
+    problem = file(tmp_path, text, {"goal": "[0.0, -0.05]", "contacts": '"off"', "duration": "0.5"})
+    first = cures(*tried(problem))[0]
+    assert (first.key, first.value) == ("contacts", "ground")
+    assert "geom 'floor' and geom 'foot' touch" in first.sentence
+
+
+def test_the_table_of_a_file_is_copied_and_given_what_is_missing():
+    table = {"weights": {"effort": 1.0}, "dt": 0.01}
+    cured = Cure("limits.margin", 0.02, "").applied(table)
+    assert cured == table | {"limits": {"margin": 0.02}}
+    assert Cure("weights.effort", 2.0, "").applied(table)["weights"] == {"effort": 2.0}
+    assert table == {"weights": {"effort": 1.0}, "dt": 0.01}
+    assert Cure("goal", None, "").applied(table) == table
+
+
+def test_steps_are_those_that_people_write():
+    assert [rounded_step(2.0, most) for most in (0.013, 0.0049, 0.3, 2e-4)] == [0.01, 0.004, 0.25, 2e-4]
+    # 0.7 s holds no whole number of 0.2 or of 0.25
+    assert rounded_step(0.7, 0.3) == 0.1
+    assert rounded_step(1.0 / 3.0, 0.1) == pytest.approx(1.0 / 12.0)
+
+
+def test_numbers_are_rounded_up():
+    assert [rounded_up(value) for value in (0.0123, 20.0, 961.0, 0.0)] == [0.02, 20.0, 1000.0, 0.0]

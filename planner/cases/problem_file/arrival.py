@@ -24,8 +24,8 @@ def check_departure(problem: Problem) -> None:
     if ways[largest.name] > 0.0 and all(ways[goal.name] <= goal.tolerance for goal in goals):
         raise PlannerError(
             f"the start is already within the tolerance {largest.tolerance:g} {largest.unit} of the goal (largest "
-            f"difference {ways[largest.name]:.3g} at {largest.name}), expected a smaller tolerance: a plan that does "
-            "nothing would pass."
+            f"difference {ways[largest.name]:.3g} at {largest.name}), expected a smaller one, e.g. "
+            f"tolerance = {0.1 * ways[largest.name]:.1g}: a plan that does nothing would pass."
         )
     if ways[largest.name] == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")

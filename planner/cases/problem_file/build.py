@@ -29,6 +29,7 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -175,7 +176,11 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     mechanism = opened(contacts=contacts)
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
-        raise ModelError(f"{name} has no actuators, expected at least one, or prescribed joints: nothing is planned.")
+        joints = json.dumps([joint for joint in mechanism.joint_names if joint], ensure_ascii=False)
+        raise ModelError(
+            f"{name} has no actuators, expected at least one, or joints whose accelerations are planned: "
+            f"prescribed = {joints}."
+        )
     return mechanism
 
 

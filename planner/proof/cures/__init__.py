@@ -6,22 +6,26 @@ their effects: a motor that is too weak makes the end miss its goal, a joint bey
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 from planner.problem.plan import Plan, Status
 from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
-from planner.proof.cures.limits import within_limits
+from planner.proof.cures.limits import wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
 from planner.proof.cures.stage import shorter_stage
+from planner.proof.cures.straight import shorter_way
 from planner.proof.cures.touching import out_of_touch
 from planner.proof.verdict import Proof
 
 __all__ = ["Cure", "cures"]
 
 _CAUSES = (
-    first_guess, out_of_touch, within_limits, more_time, without_ignored, more_iterations, shorter_stage,
-    larger_weights, other_guesses,
+    first_guess, out_of_touch, more_time, shorter_way, within_limits, without_ignored, more_iterations, shorter_stage,
+    wider_margin, larger_weights, other_guesses,
 )  # fmt: skip
+_found: WeakKeyDictionary[Plan, tuple[str, tuple[Cure, ...]]] = WeakKeyDictionary()  # by the reason of the FAIL
 
 
 def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
@@ -36,10 +40,14 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
         return ()
     if plan.problem is None or plan.problem.periodic is not None:
         return ()
+    reason = "" if proof is None else proof.reason
+    if plan in _found and _found[plan][0] == reason:
+        return _found[plan][1]
     found: dict[str, Cure] = {}
     for cause in _CAUSES:
         for cure in cause(plan, plan.problem, proof):
             found.setdefault(cure.key, cure)
         if any(cure.value is None for cure in found.values()):  # what follows is its effect
             break
-    return tuple(found.values())
+    _found[plan] = reason, tuple(found.values())
+    return _found[plan][1]

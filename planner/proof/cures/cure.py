@@ -12,11 +12,8 @@ from planner.problem.problem import Problem
 
 FILE = "problem-file"  # the recipe of a problem.toml
 ITERATIONS = "max_iterations"
+TABLES = ("weights", "limits")
 FLAGS = (ITERATIONS, "starts")  # of solve() and the command line, for all problems
-_ARGUMENTS = {
-    "dt": "RigidBodyDynamics(..., dt={})", "integrator": "RigidBodyDynamics(..., integrator={})",
-    "tolerance": "Problem(..., tolerance={})",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -24,7 +21,8 @@ class Cure:
     """What to write, and why.
 
     Attributes:
-        key: As a problem.toml has it, with dots for its tables: "limits.margin". "max_iterations" is a flag of the
+        key: As a problem.toml has it, with dots for its tables: "limits.margin"; or a whole table of TABLES, of which
+            some keys are to be written. "max_iterations" is a flag of the
             command line and an argument of solve().
         value: What to write there, a JSON value; None where no value helps, and the sentence says why.
         sentence: How to write it, and the measured reason.
@@ -51,13 +49,16 @@ class Cure:
             part = inside.get(name)
             inside[name] = part = part if isinstance(part, dict) else {}
             inside = part
-        inside[last] = copy.deepcopy(self.value)
+        value = copy.deepcopy(self.value)
+        inside[last] = {**inside.get(last, {}), **value} if self.key in TABLES else value
         return table
 
 
 def cure(problem: Problem, key: str, value: Any, why: str) -> Cure:
     """A cure of a problem, told in the words of where the problem comes from: its file, a command line or Python."""
-    return Cure(key, value, f"`{_written(problem, key, value)}`: {why}")
+    parts = {f"{key}.{name}": part for name, part in value.items()} if key in TABLES else {key: value}
+    written = ", ".join(f"`{_written(problem, name, part)}`" for name, part in parts.items())
+    return Cure(key, value, f"{written}: {why}")
 
 
 def no_cure(key: str, why: str) -> Cure:
@@ -76,14 +77,17 @@ def _written(problem: Problem, key: str, value: Any) -> str:
         return f"--horizon {round(problem.duration / value)}"
     if problem.case is not None and key.split(".")[-1] in problem.parameters:
         return f"--{key.split('.')[-1].replace('_', '-')} {value}"
+    dynamics = type(problem.dynamics).__name__
     if key == "duration":
-        return f"RigidBodyDynamics(..., dt={value / problem.N:.6g})"
+        return f"{dynamics}(..., dt={value / problem.N:.6g})"
+    if key in ("dt", "integrator"):
+        return f"{dynamics}(..., {key}={value!r})"
     table, _, name = key.rpartition(".")
     if table == "limits":
         return f"Limits({name}={value!r})"
     if table == "weights":
         return f"TrackingCost.joints({name}={value!r})"
-    return _ARGUMENTS.get(key, f"{key} = {{}}").format(repr(value))
+    return f"{key} = {value!r}"
 
 
 def _toml(value: Any) -> str:

@@ -1,11 +1,11 @@
 """A motion for which there is too little time: what its actuators would need, by inverse dynamics.
 
-The way from the start to the goal is taken as a polynomial of fifth order, from rest to rest, whose forces
+The forces of the smooth motion from start to goal (cures.smooth) in a duration T,
 
-    tau(s; T) = M qdd / T^2 + (Coriolis) / T^2 + (damping) / T + gravity and springs
+    tau(s; T) = M qdd / T^2 + (Coriolis) / T^2 + (damping) / T + gravity and springs,
 
-fall with the duration T until gravity alone is left. The shortest T with all forces, controls and velocities within
-their ranges is found by bisection. It is known where every joint is a hinge or a slide and has an actuator.
+fall with T until gravity alone is left. The shortest T with all forces, controls and velocities within their ranges is
+found by bisection.
 """
 
 from __future__ import annotations
@@ -14,22 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.algorithms import rnea
 from planner.model.coordinates import coordinates_of
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.problem.at_bounds import control_at_bound, control_name, state_outside
-from planner.problem.costs.tracking import tracking_of
-from planner.problem.guess import quintic
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, no_cure
+from planner.proof.cures.smooth import Smooth, machine_of, smooth_motion
 from planner.proof.verdict import Proof
 
 LONGEST = 10.0  # times the duration
 KEPT = 0.9  # of a range: a plan that has not all of it to use needs some to correct
 LONGER = 1.5  # times the duration, where no smooth motion is known
-_POINTS = 100
 _STEPS = 30  # of the bisection
 
 
@@ -45,13 +41,13 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     """The duration in which a smooth motion fits, for a plan that has not met its goal or its limits."""
     if problem.limits is None or not _short_of_force(plan, problem, proof):
         return []
-    machine = _driven_everywhere(problem)
+    machine = machine_of(problem)
     if machine is None:
         return _of_bounds(plan, problem)
     duration = problem.duration
     now, longest = (_need(problem, machine, T) for T in (duration, LONGEST * duration))
-    if now.load <= KEPT:
-        return _of_bounds(plan, problem)
+    if now.load <= KEPT:  # there is time enough for a smooth motion
+        return []
     if longest.load > 1.0:
         why = f"No duration lets the actuators hold the way to the goal: even in {LONGEST * duration:.3g} s"
         return [no_cure("goal", f"{why} {longest.sentence}.")]
@@ -80,47 +76,27 @@ def _of_bounds(plan: Plan, problem: Problem) -> list[Cure]:
     return [cure(problem, "duration", _whole(problem, LONGER), f"in {problem.duration:.3g} s {said}")] if said else []
 
 
-def _driven_everywhere(problem: Problem) -> Mechanism | None:
-    """The mechanism, where a smooth motion from rest to rest has its forces by inverse dynamics; else None."""
-    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
-    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.prescribed or cost is None:
-        return None
-    machine = dynamics.mechanism
-    moving = slice(machine.nq, machine.nq + machine.nv)
-    ends = np.concatenate([problem.x0[moving], cost.x_ref[-1][moving]])
-    whole = np.all(machine.kind == SCREW) and not np.any(machine.actuators.dynamics != DIRECT)
-    if not whole or machine.contacts or machine.body_contacts or np.any(ends):
-        return None
-    return machine if np.linalg.matrix_rank(machine.actuators.moment) == machine.nv else None
-
-
 def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:
     """The largest load along the smooth motion in this duration."""
-    cost = tracking_of(problem.cost)
-    assert cost is not None  # _driven_everywhere() asked
-    start, goal = problem.x0[: machine.nq], cost.x_ref[-1][: machine.nq]
-    q, qd, qdd = quintic(start, goal, duration, _POINTS)
-    needs = [*_of_forces(problem, machine, q, qd, rnea(machine, q, qd, qdd)), *_of_velocities(problem, machine, qd)]
+    motion = smooth_motion(problem, machine, duration)
+    needs = [*_of_forces(problem, machine, motion), *_of_velocities(problem, machine, motion.qd)]
     return max(needs, key=lambda one: one.load, default=_Need(0.0, ""))
 
 
-def _of_forces(problem: Problem, machine: Mechanism, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> list[_Need]:
+def _of_forces(problem: Problem, machine: Mechanism, motion: Smooth) -> list[_Need]:
     """Of every actuator: its force beside what forcerange, actuatorfrcrange and the bounds of its control leave."""
-    acts = machine.actuators
-    forces = np.linalg.lstsq(acts.moment.T, tau.T, rcond=None)[0].T
-    lengths, speeds = q @ acts.moment.T, qd @ acts.moment.T
-    bias = acts.bias[:, 0] + acts.bias[:, 1] * lengths + acts.bias[:, 2] * speeds
-    needs = []
+    acts, needs = machine.actuators, []
     for a in range(machine.nu):
-        lower, upper = (np.full(len(q), side) for side in acts.force_range[a])
+        lower, upper = (np.full(len(motion.q), side) for side in acts.force_range[a])
         if problem.bounds is not None and acts.gain[a] != 0.0:
             ends = np.array([problem.bounds[0][:, a].max(), problem.bounds[1][:, a].min()]) * acts.gain[a]
-            lower, upper = np.maximum(lower, ends.min() + bias[:, a]), np.minimum(upper, ends.max() + bias[:, a])
+            lower = np.maximum(lower, ends.min() + motion.bias[:, a])
+            upper = np.minimum(upper, ends.max() + motion.bias[:, a])
         alone = np.flatnonzero(acts.moment[a])
         if len(alone) == 1 and np.count_nonzero(acts.moment[:, alone[0]]) == 1:
             ends = machine.joint_force_range[alone[0]] / acts.moment[a, alone[0]]
             lower, upper = np.maximum(lower, ends.min()), np.minimum(upper, ends.max())
-        needs.append(_of_force(problem, a, forces[:, a], lower, upper, _unit(machine, a)))
+        needs.append(_of_force(problem, a, motion.forces[:, a], lower, upper, _unit(machine, a)))
     return needs
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from planner.model.mjcf.survey import disabled
-from planner.problem.limits import MODEL
+from planner.model.coordinates import ANGLE
+from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, rounded_up
@@ -15,37 +17,51 @@ from planner.proof.replays.replaying import Replay, stopped_dofs
 from planner.proof.verdict import Proof
 
 ASIDE = 1.5  # times what a joint was beyond its range
+SHARE, LEAST = 0.01, 0.01  # of a range, and rad: the margin that Limits keep by default
 
 
 def within_limits(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
-    """The limits that the plan is to know, or a wider margin where it knows them."""
+    """The limits that the plan is to know and does not."""
     if proof is None:
         return []
-    return [*_joints(plan, problem, proof), *_efforts(plan, problem, proof.replay)]
+    return [*_joints(problem, proof), *_efforts(plan, problem, proof.replay)]
 
 
-def _joints(plan: Plan, problem: Problem, proof: Proof) -> list[Cure]:
+def _joints(problem: Problem, proof: Proof) -> list[Cure]:
+    if not _stops_matter(proof) or _knows_ranges(problem):
+        return []
     run = proof.replay
-    if not _fails(proof, "unknown_stops") and not _fails_range(proof):
+    found = [one for one in _planned(run) if one.beyond.max() > OVERLAP * np.ptp(one.range)]
+    if not found:
         return []
-    stopped, model = stopped_dofs(plan), run.compiled.model
-    if disabled(model, "constraint", "limit"):
+    worst = max(found, key=lambda one: one.beyond.max() / np.ptp(one.range))
+    return [cure(problem, "limits.position", MODEL, f"the plan does not know that {_excess(worst, run.t)}")]
+
+
+def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """A margin that is wider by what joints are beyond their ranges, between the knots or in MuJoCo."""
+    if proof is None or not _stops_matter(proof) or not _knows_ranges(problem):
         return []
-    limits = problem.limits
-    unknown = limits is None or limits.position is None
-    own = list(joints_in(model, run.twin.sim_of(run.plan_xs), stopped))
-    found = [one for one in own if one.beyond.max() > OVERLAP * np.ptp(one.range)]
-    if unknown and found:
-        worst = max(found, key=lambda one: one.beyond.max() / np.ptp(one.range))
-        return [cure(problem, "limits.position", MODEL, f"the plan does not know that {_excess(worst, run.t)}")]
+    run, limits, ranges = proof.replay, problem.limits, problem.ranges
+    if limits is None or ranges is None or np.any(ranges.beyond(plan.xs) > limits.tolerance):
+        return []  # its own knots are outside: that is the solve's
     states = np.concatenate([run.qpos, run.qvel, run.act], axis=1)
-    replayed = list(joints_in(model, states, stopped))
-    worst = max(own + replayed, key=lambda one: one.beyond.max(), default=None)
+    found = [*_planned(run), *joints_in(run.compiled.model, states, stopped_dofs(plan))]
+    worst = max(found, key=lambda one: one.beyond.max(), default=None)
     if worst is None or worst.beyond.max() <= 0.0 or not np.isfinite(states).all():
         return []
-    margin = getattr(limits, "margin", None)
-    value = rounded_up((margin if isinstance(margin, (int, float)) else 0.0) + ASIDE * float(worst.beyond.max()))
+    value = rounded_up(_margin(limits, worst) + ASIDE * float(worst.beyond.max()))
     return [cure(problem, "limits.margin", value, f"{_excess(worst, run.t)}, between the knots or in MuJoCo")]
+
+
+def _margin(limits: Limits | None, one: Excess) -> float:
+    """How far plans stay off the ends of a range now."""
+    given = getattr(limits, "margin", 0.0)
+    if isinstance(given, Mapping):
+        given = next((value for name, value in given.items() if repr(name) in one.name), None)
+    if given is None:  # the default of Limits
+        given = max(SHARE * float(np.ptp(one.range)), LEAST if one.unit == ANGLE else 0.0)
+    return float(given)
 
 
 def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[Cure]:
@@ -72,12 +88,16 @@ def _excess(one: Excess, t: np.ndarray) -> str:
     return f"{one.name} goes {one.beyond.max():.3g} {one.unit} beyond {side:.4g} {one.unit} at t = {when:.3g} s"
 
 
-def _fails(proof: Proof, name: str) -> bool:
-    return any(one.name == name for one in proof.your_file.failures)
+def _knows_ranges(problem: Problem) -> bool:
+    return problem.limits is not None and problem.limits.position is not None
 
 
-def _fails_range(proof: Proof) -> bool:
-    judged = (proof.refined_open_loop, proof.refined_feedback)
-    return proof.mode is None and any(
-        one.name == "position_range_violation" for section in judged for one in section.failures
-    )
+def _planned(run: Replay) -> list[Excess]:
+    return list(joints_in(run.compiled.model, run.twin.sim_of(run.plan_xs), stopped_dofs(run.plan)))
+
+
+def _stops_matter(proof: Proof) -> bool:
+    """Whether a step fails because a joint is beyond its range."""
+    judged = (proof.refined_open_loop, proof.refined_feedback) if proof.mode is None else ()
+    failures = [one.name for section in (proof.your_file, *judged) for one in section.failures]
+    return "unknown_stops" in failures or "position_range_violation" in failures

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.model.space import space_of
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
@@ -18,6 +17,7 @@ from planner.solvers.slq import DECREASE
 STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
 MOST_TIMES = 30.0  # more iterations
 STARTS = 8
+_SHORT = 1e-4  # of a stage
 _FEW = 8  # lines of a history from which no trend is read
 _GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
 
@@ -41,17 +41,18 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]
 def fastest_rate(problem: Problem) -> float:
     """The largest eigenvalue of the dynamics linearised at the start, 1/s; infinite where there is none.
 
-    A stage of h = 1e-6 dt gives exp(h J) = I + h J to first order.
+    The stage that the eigenvalues are taken from is so short that it is exp(h J) nearly.
     """
     dynamics = problem.dynamics
     with_step = getattr(dynamics, "with_step", None)
     if not callable(with_step):
         return 0.0
-    h = 1e-6 * dynamics.dt
+    h = _SHORT * dynamics.dt
     finer: Any = with_step(h, getattr(dynamics, "integrator", None))
     A, _ = finer.linearize(np.stack([problem.x0, problem.x0]), problem.first_guess[:1])
-    J = (A[0] - np.eye(space_of(dynamics).ndx)) / h
-    return float(np.abs(np.linalg.eigvals(J)).max()) if np.isfinite(J).all() else math.inf
+    if not np.isfinite(A).all():
+        return math.inf
+    return float(np.abs(np.log(np.linalg.eigvals(A[0]).astype(complex))).max() / h)
 
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:

@@ -16,6 +16,7 @@ from planner.proof.verdict import Proof
 
 SAFE = 0.5  # of what passes: the error that is aimed at
 MOST = 16  # times shorter: beyond, something else is wrong
+_SLACK = 1.001  # a stage that is a tenth of a percent too long is not too long
 _MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of steps that people write
 
 
@@ -29,7 +30,8 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
     ratio = proof.errors.ratio("feedback")
     share = float(proof.errors.measured["feedback"].max())
     predicted = float(proof.errors.predicted["feedback"].max())
-    if not (predicted > 1.0 or (share > 1.0 and ratio is not None and ratio <= FACTOR) or _cost_is_off(proof)):
+    as_predicted = ratio is not None and ratio <= FACTOR
+    if not (predicted > 1.0 or (as_predicted and max(share, _cost_share(proof)) > 1.0)):
         return []
     if integrator in FIRST_ORDER:
         why = f"with {integrator} plan and MuJoCo part by {_of(share)} what passes, an error of first order"
@@ -52,7 +54,7 @@ def rounded_step(duration: float, most: float) -> float:
         for mantissa in _MANTISSAS:
             step = float(f"{mantissa * scale:.3g}")
             stages = duration / step
-            if step <= most * (1.0 + 1e-9) and abs(round(stages) - stages) < 1e-9 * stages:
+            if step <= most * _SLACK and abs(round(stages) - stages) < 1e-9 * stages:
                 return step
     return duration / math.ceil(duration / most)
 
@@ -72,7 +74,3 @@ def _cost_share(proof: Proof) -> float:
     """The largest error of the cost over its bound, with the gains."""
     return max((one.value / one.bound for one in proof.refined_feedback.measured
                 if one.name == "cost_error" and one.bound), default=0.0)  # fmt: skip
-
-
-def _cost_is_off(proof: Proof) -> bool:
-    return _cost_share(proof) > 1.0

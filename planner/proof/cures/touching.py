@@ -14,7 +14,8 @@ from planner.model.mjcf.survey import named
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.cures.cure import FILE, Cure, cure, no_cure, rounded_up
+from planner.proof.cures.cure import FILE, Cure, cure, no_cure
+from planner.proof.cures.straight import straightened
 from planner.proof.left_out import lacking
 from planner.proof.verdict import Proof
 from planner.proof.your_file import GRAZE, as_given
@@ -24,7 +25,6 @@ _STEPS = 30  # to move them apart
 _LONGEST = 0.1  # rad or m, of a step
 _FAR = 0.5  # rad or m: a goal that must move so far is another goal
 _ALONG = 40  # poses on the straight way
-_STRAIGHT = 10.0  # times the effort: what velocities must cost so that the way becomes straight
 _SLIGHT = 1e-5  # rad or m, of differences
 
 
@@ -41,7 +41,8 @@ def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
         return []
     start, goal = (twin.sim_of(x)[: mechanism.nq] for x in (problem.x0, cost.x_ref[-1]))
     shapes.at_start = set(shapes.depths(start))
-    floor = [pair for pair in _along(shapes, start, goal, plan) if shapes.is_ground(pair)]
+    met = {pair: None for q in (start, *_knots(plan, mechanism)) for pair in shapes.touching(q)}
+    floor = [pair for pair in met if shapes.is_ground(pair)]
     if floor and problem.case == FILE and problem.parameters.get("contacts") == "off" and shapes.floats:
         why = f'{shapes.names(floor[0])} touch, and contacts = "off" takes the ground away'
         return [cure(problem, "contacts", "ground", why)]
@@ -53,28 +54,22 @@ def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
         if free is None or problem.case != FILE:
             return [no_cure("goal", f"Another `goal` is needed: {why}.")]
         return [cure(problem, "goal", _as_given(problem, mechanism, goal, free), why)]
-    if not any(shapes.depths(q) for q in shapes.straight(start, goal)) and not np.any(_velocities(problem)):
-        effort = problem.cost.value(plan.xs, plan.us) - cost.final_cost(plan.xs[-1])
-        speeds = 0.5 * float(np.sum(plan.xs[:-1, mechanism.nq : mechanism.nq + mechanism.nv] ** 2)) * plan.dt
-        weight = rounded_up(_STRAIGHT * effort / max(speeds, 1e-12))
-        why = "the shapes touch on the way, start and goal are free and so is the straight way between them"
-        return [cure(problem, "weights.velocity", weight, why)]
-    return [no_cure("contacts", "The shapes touch on the way: a goal in between leads around them.")]
+    touching = {pair: None for q in _knots(plan, mechanism) for pair in shapes.depths(q)}
+    if not touching:
+        return []  # what overlaps at the start
+    on_the_way = f"{shapes.names(next(iter(touching)))} touch on the way"
+    if not any(shapes.depths(q) for q in shapes.straight(start, goal)):
+        why = f"{on_the_way}, start and goal are free and so is the straight way between them"
+        if found := straightened(problem, why):
+            return found
+    return [no_cure("goal", f"{on_the_way}, the straight one too: plan to a `goal` in between, and on from there.")]
 
 
-def _velocities(problem: Problem) -> np.ndarray:
-    """Weights of velocities on the way."""
-    cost = tracking_of(problem.cost)
-    assert cost is not None  # out_of_touch() asked
-    return np.diagonal(cost.Q[0])[cost.ndx // 2 :]
-
-
-def _along(shapes: _Shapes, start: np.ndarray, goal: np.ndarray, plan: Plan) -> list[tuple[int, int]]:
-    """Pairs that touch at the start, the goal or a knot of the plan."""
+def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:
+    """Some of a plan's poses, the last one among them."""
     assert plan.twin is not None  # out_of_touch() asked
-    knots = plan.twin.sim_of(plan.xs)[:: max(1, plan.N // _ALONG), : len(start)]
-    met = {pair: None for q in (start, *knots, goal) if np.isfinite(q).all() for pair in shapes.touching(q)}
-    return list(met)
+    knots = plan.twin.sim_of(plan.xs)[:: -max(1, plan.N // _ALONG), : mechanism.nq]
+    return [q for q in knots[::-1] if np.isfinite(q).all()]
 
 
 def _as_given(problem: Problem, mechanism: Mechanism, goal: np.ndarray, free: np.ndarray) -> Any:
