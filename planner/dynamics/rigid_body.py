@@ -38,7 +38,8 @@ class RigidBodyDynamics:
             nothing.
 
     Raises:
-        PlannerError: dt is not positive, no such integrator or joint, or nothing drives the mechanism.
+        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, or a prescribed
+            joint is coupled.
     """
 
     def __init__(
