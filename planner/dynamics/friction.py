@@ -63,5 +63,5 @@ def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.n
             there = qdd + part * step
             return float(step @ (M @ there - tau - friction_forces(mechanism, qd, there)[0]))
 
-        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else brentq(uphill, 0.0, 1.0))
+        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else float(brentq(uphill, 0.0, 1.0)))  # type: ignore[arg-type]
     return qdd

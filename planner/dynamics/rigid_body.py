@@ -44,8 +44,8 @@ class RigidBodyDynamics:
             planner.dynamics.stiffness). The control is held over all of them.
 
     Raises:
-        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, or substeps of
-            another integrator than RK4.
+        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, substeps of another
+            integrator than RK4, or a prescribed joint is coupled.
     """
 
     def __init__(

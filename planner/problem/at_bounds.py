@@ -26,7 +26,7 @@ def control_at_bound(problem: Problem, us: np.ndarray) -> str:
     """The control that is most often at a bound along us (N, nu), and in how many stages; "" where none is often."""
     if problem.bounds is None:
         return ""
-    lower, upper = problem.bounds
+    lower, upper = problem.bounds.lower, problem.bounds.upper
     with np.errstate(invalid="ignore"):
         near = _NEAR * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)

@@ -100,7 +100,7 @@ def default_cost(
         PlannerError: As TrackingCost.joints.
     """
     x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
-    chosen = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
+    chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
     return TrackingCost.joints(dynamics, goal, horizon, **chosen | weights)
 
 

@@ -47,7 +47,7 @@ def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
     for n in range(problem.N):
         us[n] = control(n, xs[n])
         if problem.bounds is not None:
-            us[n] = np.clip(us[n], problem.bounds[0][n], problem.bounds[1][n])
+            us[n] = problem.bounds.clip(n, us[n], xs[n])
         xs[n + 1] = problem.dynamics.step(xs[n : n + 1], us[n : n + 1])[0]
         if runs_away(xs[[0, n + 1]]).any() or not np.isfinite(us[n]).all():
             return None

@@ -89,7 +89,7 @@ def _of_forces(problem: Problem, machine: Mechanism, motion: Smooth) -> list[_Ne
     for a in range(machine.nu):
         lower, upper = (np.full(len(motion.q), side) for side in acts.force_range[a])
         if problem.bounds is not None and acts.gain[a] != 0.0:
-            ends = np.array([problem.bounds[0][:, a].max(), problem.bounds[1][:, a].min()]) * acts.gain[a]
+            ends = np.array([problem.bounds.lower[:, a].max(), problem.bounds.upper[:, a].min()]) * acts.gain[a]
             lower = np.maximum(lower, ends.min() + motion.bias[:, a])
             upper = np.minimum(upper, ends.max() + motion.bias[:, a])
         alone = np.flatnonzero(acts.moment[a])
