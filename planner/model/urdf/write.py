@@ -36,7 +36,8 @@ def mjcf_of(
     """
     joints, idle = without_idle(robot, based(robot, base))
     if all(joint.kind == "fixed" for joint in joints):
-        floats = ': base = "free" lets it float' if base is None else ""
+        heavy = any(link.inertial is not None and link.inertial.mass for link in robot.links.values())
+        floats = ': base = "free" lets it float' if base is None and heavy else ""
         raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
     anchored = set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
     bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
