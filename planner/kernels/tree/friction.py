@@ -7,8 +7,8 @@ for
 
 a force and an armature, for which the recursion finds the next a. The accelerations are the minimum of a convex
 function whose gradient is T - f, T = M a + bias - tau being the force that friction would have to give; T is linear in
-a, so the way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers, so that a
-state's acceleration does not depend on the states beside it.
+a, so the way to the next a is cut where the function is least on it. Lanes that have met the law keep their numbers, so
+that a state's acceleration does not depend on the states beside it.
 """
 
 from __future__ import annotations

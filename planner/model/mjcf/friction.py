@@ -18,7 +18,7 @@ _LEAST = 1e-15  # MuJoCo's mjMINVAL
 _DEFAULT = 0.02  # s, MuJoCo's time constant where solref has numbers of both formats
 
 
-def joint_friction(model: Any) -> dict[str, np.ndarray]:
+def joint_friction(model: Any) -> dict[str, Any]:
     """Loss (nv,), N m or N, inertia (nv,), kg m^2 or kg, and rate (nv,), 1/s, of friction; zeros for none."""
     ends = np.clip(model.dof_solimp[:, :2], LEAST_IMPEDANCE, MOST_IMPEDANCE)
     flat = (ends[:, 0] == ends[:, 1]) | (model.dof_solimp[:, 2] <= _LEAST)

@@ -70,7 +70,9 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
     if len(ours.tendons) != len(theirs.tendons):
         yield f"{len(theirs.tendons)} fixed tendons act, the plan has {len(ours.tendons)}"
     for one, other in zip(ours.tendons, theirs.tendons, strict=False):
-        wrong = [word for word in _OF_TENDONS if not _same(*(np.array(getattr(t, word)) for t in (one, other)))]
+        wrong = [
+            word for word in _OF_TENDONS if not _same(np.array(getattr(one, word)), np.array(getattr(other, word)))
+        ]
         yield from (f"{word.replace('_', ' ')} of tendon {one.name!r}" for word in wrong)
     for ball, (_, dof) in enumerate(ours.quaternions):
         for term, (one, other) in balls.items():

@@ -142,7 +142,14 @@ def _ours(mechanism: Mechanism, dynamics: RigidBodyDynamics | None, xs: np.ndarr
     rest, bias, back = (value - held for value in (rest, bias, back))
     if mechanism.nu:
         own = None if dynamics is None else dynamics.mechanism
-        if own is None or own.contacts or own.body_contacts or own.stops or np.any(own.friction_loss):
+        if (
+            dynamics is None
+            or own is None
+            or own.contacts
+            or own.body_contacts
+            or own.stops
+            or np.any(own.friction_loss)
+        ):
             dynamics = RigidBodyDynamics(replace(mechanism, contacts=(), body_contacts=(), stops=()), 0.01)
         _, acceleration, activation = np.split(dynamics.rates(xs, us), [mechanism.nv, 2 * mechanism.nv], axis=1)
     else:  # nothing drives it, so there is nothing to plan
