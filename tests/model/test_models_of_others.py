@@ -28,7 +28,8 @@ pytestmark = pytest.mark.skipif(
 )
 
 WHOLE = [
-    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm finger", "dm hopper", "dm humanoid", "dm humanoid_CMU", "dm pendulum",
+    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm finger", "dm hopper", "dm humanoid", "dm humanoid_CMU",
+    "dm pendulum",
     "dm point_mass", "dm reacher", "dm walker", "gym ant", "gym half_cheetah", "gym hopper", "gym humanoid",
     "gym humanoidstandup", "gym inverted_double_pendulum", "gym inverted_pendulum", "gym point", "gym pusher",
     "gym pusher_v5", "gym reacher", "gym walker2d", "gym walker2d_v5",

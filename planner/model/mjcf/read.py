@@ -215,7 +215,7 @@ def _masses(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     return {"mass": mass, "com": com, "inertia": inertia}
 
 
-def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, np.ndarray]:
+def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     """The mass of every link that gravity compensation carries, and its first moment."""
     mass, moment = np.zeros(model.nv), np.zeros((model.nv, 3))
     for body in () if no_compensation(model) else np.flatnonzero((model.body_gravcomp != 0.0) & (links >= 0)):
