@@ -13,7 +13,7 @@ M a + bias = tau + f(a).
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from planner.model.mechanism import Mechanism
 
@@ -63,5 +63,5 @@ def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.n
             there = qdd + part * step
             return float(step @ (M @ there - tau - friction_forces(mechanism, qd, there)[0]))
 
-        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else float(brentq(uphill, 0.0, 1.0)))  # type: ignore[arg-type]
+        qdd = qdd + step * (1.0 if uphill(1.0) <= 0.0 else root_scalar(uphill, bracket=(0.0, 1.0)).root)
     return qdd

@@ -19,7 +19,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
 SHARE = 0.01  # of a range of motion
-WITH_CONTACT = 0.05  # the same where the plan has contacts or stops, which it smooths and MuJoCo does not
+SMOOTHED = 0.05  # the same where the plan smooths what MuJoCo does not: contacts, stops, friction loss
 OF_LARGEST = 0.1  # of the largest range of the same unit, for what hardly moves
 LEAST_RANGE = 1e-3  # rad, m, rad/s, m/s, for a machine that stands still
 COST_BOUND = 1.0  # %
@@ -33,7 +33,7 @@ WORDS = {
 
 def path_bounds(plan: Plan) -> np.ndarray:
     """(ndx,) the largest error of each coordinate that passes, in its unit."""
-    return (WITH_CONTACT if touches(plan.problem) else SHARE) * ranges_of_motion(plan)
+    return (SMOOTHED if has_kinks(plan.problem) else SHARE) * ranges_of_motion(plan)
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 WHOLE = [
-    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm hopper", "dm humanoid", "dm humanoid_CMU",
+    "dm acrobot", "dm cartpole", "dm cheetah", "dm dog", "dm finger", "dm hopper", "dm humanoid", "dm humanoid_CMU",
     "dm manipulator", "dm pendulum", "dm point_mass", "dm quadruped", "dm reacher", "dm stacker", "dm walker",
     "gym ant", "gym half_cheetah", "gym hopper", "gym humanoid",
     "gym humanoidstandup", "gym inverted_double_pendulum", "gym inverted_pendulum", "gym point", "gym pusher",
@@ -38,8 +38,7 @@ WHOLE = [
 # What takes out of a file what is not modelled, and words of the sentence that refuses it.
 REFUSED = {
     "dm ball_in_cup": (("tendon",), "limit of tendon 'string'"),
-    "dm finger": (("frictionloss",), "frictionloss of joint 'hinge'"),
-    "dm fish": (("fluid", "tendon"), "fluid density, stiffness of tendon 'fins_sym'"),
+    "dm fish": (("fluid",), "fluid density"),
     "dm swimmer": (("fluid",), "fluid density"),
     "gym swimmer": (("fluid",), "fluid density, fluid viscosity"),
 }

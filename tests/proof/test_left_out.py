@@ -22,7 +22,7 @@ MODEL = """
 """
 OUT = ("frictionloss", "equality", "fluid", "gravcomp", "polynomial")
 REST = (
-    "friction loss of 2 joints", "polynomial damping of 1 joint", "gravity compensation of 1 body", "fluid density",
+    "friction loss of 2 joints", "gravity compensation of 1 body", "polynomial damping of 1 joint", "fluid density",
     "2 equalities",
 )  # fmt: skip
 

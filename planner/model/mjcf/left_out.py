@@ -81,7 +81,7 @@ def left_out(
     else:
         given = compile_model(original, assets)
         kept = set(modelled(own))
-        elements = (*unmodelled(given), *(one for one in modelled(given) if one not in kept))
+        elements = (*(one for one in modelled(given) if one not in kept), *unmodelled(given))
     pairs = pairs_by_name(given)
     unknown = [pair for key, pair in pairs.items() if key not in known]
     names = tuple(" and ".join(named(given, "geom", geom) for geom in pair) for pair in unknown)
