@@ -71,7 +71,10 @@ def tried(machine: Machine, packages: Path, limit: float = LIMIT) -> Row:
         except Exception as error:  # a file that MuJoCo cannot read is a row, too
             return Row(*_words(machine), None, "no problem", _line(str(error)))
         (folder / "problem.toml").write_text(text)
-        return _run(machine, folder, limit)
+        row = _run(machine, folder, limit)
+        for place in (packages, folder):  # a table is to be the same everywhere
+            row.message = row.message.replace(f"{place}/", "")
+        return row
 
 
 def _run(machine: Machine, folder: Path, limit: float) -> Row:
