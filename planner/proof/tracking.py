@@ -19,8 +19,9 @@ from planner.proof.replays.replaying import Replay
 from planner.proof.scales import (
     COST_BOUND,
     SHARE,
-    WITH_CONTACT,
+    SMOOTHED,
     by_unit,
+    has_kinks,
     judged_cost,
     limit_violations,
     path_bounds,
@@ -47,15 +48,15 @@ def tracking(run: Replay, problem: Problem) -> Section:
 
 def path_errors(run: Replay, problem: Problem) -> tuple[Measured, ...]:
     """The errors at the end and over the path by unit, each of the coordinate that is nearest to its bound."""
-    error, bounds, measured, smoothed = np.abs(run.error), path_bounds(run.plan), [], touches(problem)
-    share = f"{100.0 * (WITH_CONTACT if smoothed else SHARE):g} %"
+    error, bounds, measured, smoothed = np.abs(run.error), path_bounds(run.plan), [], has_kinks(problem)
+    share = f"{100.0 * (SMOOTHED if smoothed else SHARE):g} %"
     for part, along in (("end", error[-1:]), ("path", error)):
         for word, unit, which, names in by_unit(problem):
             most = along[:, which].max(axis=0)
             worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
-            jumps = part == "path" and smoothed and unit.endswith("/s")
+            jumps = part == "path" and touches(problem) and unit.endswith("/s")
             why = "velocities jump at contacts: not judged" if jumps else f"the bound is {share} of its range of motion"
             note = f"of {names[worst]}{when}; {why}"
             measured.append(Measured(f"{part}_{word}_error", value, unit, None if jumps else bound, note))
