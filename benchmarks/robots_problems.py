@@ -7,6 +7,8 @@
     duration  1.5 s for arms, 2 s for underactuated machines, 1 s for the others
 
 A joint that an equality ties to another one goes where that takes it. Joints that nothing drives end where they began.
+Where shapes would meet on the straight line that are apart at the start, the way is halved, up to three times: nobody
+asks an arm to go into its own base.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 DURATION = {"arm": 1.5, "hand": 1.0, "legged": 1.0, "underactuated": 2.0}
 SHARE = {"arm": 0.15, "hand": 0.15, "legged": 0.03}  # of a range
 UNLIMITED = 0.5  # rad or m
+HALVINGS, LINE = 3, 11
 FLOOR = '<geom name="corpus floor" type="plane" size="0 0 0.05" pos="0 0 {:.9g}"/>'
 
 
@@ -44,13 +47,32 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
         if model.jnt_limited[j]:
             start[i] = np.clip(start[i], *model.jnt_range[j])
     start = _tied(model, start)
-    goal, driven = start.copy(), _driven(model, start)
+    way, driven = np.zeros_like(start), _driven(model, start)
     for i, j in place.items():
         if driven[model.jnt_dofadr[j]]:
-            limits = model.jnt_range[j] if model.jnt_limited[j] else None
-            goal[i] += _way(start[i], limits, kind)
+            way[i] = _way(start[i], model.jnt_range[j] if model.jnt_limited[j] else None, kind)
+    for _ in range(HALVINGS):
+        if not _meets(model, start, way):
+            break
+        way *= 0.5
+    goal = start + way
     unchanged = bool(first) and np.array_equal(start, model.key_qpos[0])
     return (f'"{first}"' if unchanged else _numbers(start)), _numbers(_tied(model, goal))
+
+
+def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray) -> bool:
+    """Whether shapes touch on the straight line that do not at its start; a floor is no matter of the way."""
+    data, known = mujoco.MjData(model), None
+    for part in np.linspace(0.0, 1.0, LINE):
+        data.qpos[:] = _tied(model, start + part * way)
+        mujoco.mj_fwdPosition(model, data)
+        planes = model.geom_type[data.contact.geom] == mujoco.mjtGeom.mjGEOM_PLANE
+        touching = {frozenset(pair) for pair in data.contact.geom[~planes.any(axis=1)].tolist()}
+        if known is None:
+            known = touching
+        elif touching - known:
+            return True
+    return False
 
 
 def _of_urdf(file: Path, kind: str) -> tuple[str, str]:

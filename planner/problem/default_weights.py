@@ -26,7 +26,7 @@ from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import LEAST
+from planner.problem.goals import LEAST, least_share
 from planner.problem.guess import holding_controls
 
 LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
@@ -67,7 +67,8 @@ def default_weights(
     reach = reaches_all(dynamics)
     if reach and not effort_alone:
         velocity = 1.0 / speed**2
-    position, rate = _tolerances(mechanism, units, tolerance)
+    share = least_share(zip(way.tolist(), units, strict=False))
+    position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
     weights = {
         "effort": effort, "control": control, "velocity": velocity, "final_position": POSITION / position**2,
         "final_velocity": VELOCITY / rate**2,
@@ -154,13 +155,11 @@ def _limit(mechanism: Mechanism, a: int, servo: bool) -> float:
 
 
 def _tolerances(
-    mechanism: Mechanism, units: list[str], tolerance: float | Mapping[str, float] | None
+    mechanism: Mechanism, usual: list[float], tolerance: float | Mapping[str, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of positions and velocities (nv,): those that are asked for, where finite; never more than a proof's least."""
-    names = [one.name for one in coordinates_of_mechanism(mechanism)]
-    usual = np.array([LEAST[unit] for unit in units])
-    asked = usual.copy()
-    for i, (name, unit) in enumerate(zip(names[: len(units)], units, strict=True)):
+    coordinates, asked = coordinates_of_mechanism(mechanism), np.array(usual)
+    for i, (name, unit) in enumerate(coordinates[: len(usual)]):
         kind = "velocity" if unit.endswith("/s") else "position"
         given = tolerance.get(name, tolerance.get(kind)) if isinstance(tolerance, Mapping) else tolerance
         if given is not None:

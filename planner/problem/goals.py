@@ -2,12 +2,13 @@
 
 Every term of a cost with a final weight asks for something: a TrackingCost for joint positions and velocities, a
 FrameCost for a place of the hand. A goal passes within the problem's `tolerance`, else within 2 % of its way (of a
-velocity: of its peak along the plan), but never less than LEAST: nobody measures a robot better than that by eye.
+velocity: of its peak along the plan), but never less than LEAST: nobody measures a robot better than that by eye. Of a
+motion so small that doing nothing would pass, LEAST is less in proportion: a tenth of the way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,11 +54,12 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
     """
     wanted = wanted_of(problem)
     asked = _asked(problem.tolerance, [one.name for one in wanted])
-    goals = []
+    ways = [(float(one.missed(problem.x0[None])[0]), one.unit) for one in wanted]
+    goals, share = [], least_share(ways)
     for one in wanted:
         kind = KINDS[one.unit.endswith("/s")]
         given = asked.get(one.name, asked.get(kind))
-        tolerance = _usual(one, problem.x0, xs) if given is None else given
+        tolerance = _usual(one, problem.x0, xs, share) if given is None else given
         goals.append(Goal(one.name, one.unit, tolerance, one.missed))
     return tuple(goals)
 
@@ -93,12 +95,18 @@ def _nothing(_: Any) -> tuple[Wanted, ...]:
     return ()
 
 
-def _usual(one: Wanted, x0: np.ndarray, xs: np.ndarray | None) -> float:
+def least_share(ways: Iterable[tuple[float, str]]) -> float:
+    """The share of LEAST that goals with these ways, and units, have: less than 1 where doing nothing would pass."""
+    largest = max((way / LEAST[unit] for way, unit in ways if unit in LEAST and np.isfinite(way)), default=0.0)
+    return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
+
+
+def _usual(one: Wanted, x0: np.ndarray, xs: np.ndarray | None, share: float) -> float:
     """The tolerance of a goal for which the problem states none."""
     of_path = one.unit not in ("rad", "m")  # an unknown unit may be a velocity
     states = x0[None] if xs is None or not of_path else np.concatenate([x0[None], xs])
     scale = float(np.max(one.missed(states), initial=0.0, where=np.isfinite(one.missed(states))))
-    return max(SHARE * scale, LEAST.get(one.unit, 1e-6))
+    return max(SHARE * scale, share * LEAST.get(one.unit, 1e-6))
 
 
 def _asked(tolerance: Any, names: list[str]) -> dict[str, float]:

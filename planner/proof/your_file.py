@@ -27,7 +27,7 @@ from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven, in_order
 from planner.model.mjcf.left_out import names_of
-from planner.model.mjcf.overlaps import GRAZE, overlapping, without_pairs
+from planner.model.mjcf.overlaps import overlapping, without_pairs
 from planner.model.mjcf.refuse import unmodelled
 from planner.model.mjcf.survey import compile_model, named
 from planner.model.twin import Twin
@@ -48,6 +48,7 @@ OPEN_LOOP_MISSES = "open_loop_goals_missed"
 MOST_NAMED = 3  # pairs, joints or actuators in a sentence
 RUBS = 1e-3  # of the machine's weight: shapes that are flush and press with less do not matter
 FELT = 0.02  # of a control's largest value: more than that is what the gains must not need to add
+GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
 DEEPER = 1e-3, 0.1  # m (as GRAZE) or part of the depth at the start: how much deeper shapes may go that overlap there
 
 

@@ -6,6 +6,7 @@ these pairs are left out of the user's file and named; each shape goes on to tou
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Collection
 from typing import Any
@@ -19,21 +20,24 @@ from planner.model.mjcf.contact_edits import elements_of_geoms
 from planner.model.mjcf.survey import Survey
 from planner.model.mjcf.text import written
 
-GRAZE = 1e-6  # of a machine of 1 m or more, m: shapes that are drawn flush overlap by rounding
+FLUSH = 1e-4  # of a machine of 1 m or more, m: shapes that are drawn flush touch as soon as anything moves
 GeomPair = frozenset[int]
 
 
 def overlapping(model: Any, qpos: np.ndarray) -> list[GeomPair]:
-    """The pairs of geoms that overlap at qpos, but for what would fall without the contact."""
+    """The pairs of geoms that overlap or lie flush at qpos, but for what would fall without the contact."""
     mujoco, falling = load_mujoco(), falling_trees(Survey(model))
-    data, least = mujoco.MjData(model), GRAZE * min(1.0, float(model.stat.extent))
+    model = copy.copy(model)
+    model.geom_margin += FLUSH * min(1.0, float(model.stat.extent))
+    model.pair_margin += FLUSH * min(1.0, float(model.stat.extent))
+    data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
     found: dict[GeomPair, None] = {}
     for c in range(data.ncon):
         contact = data.contact[c]
         geoms = [int(geom) for geom in contact.geom]
-        if min(geoms) < 0 or contact.includemargin - contact.dist <= least:
+        if min(geoms) < 0 or contact.includemargin < contact.dist:
             continue
         roots = set(model.body_rootid[model.geom_bodyid[geoms]].tolist())
         if len(roots) == 1 or falling.keys().isdisjoint(roots):
