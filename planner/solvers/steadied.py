@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
+from planner.problem.guess import quintic
 from planner.problem.problem import Problem
 from planner.solvers import lq
 
@@ -38,6 +39,12 @@ def steadied(problem: Problem) -> np.ndarray | None:
             if us is not None:
                 return us
     return None
+
+
+def led(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
+    """Controls (N, nu) of gains that lead a machine along the straight line to a goal (nx,); None if it runs away."""
+    with np.errstate(all="ignore"):
+        return _written_down(problem, _leading(problem, goal))
 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
@@ -88,6 +95,26 @@ def _holding(problem: Problem) -> Control:
     space, x = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     u, K = _regulator(problem, x)
     return lambda n, now: u + K @ space.difference(now, x)
+
+
+def _leading(problem: Problem, goal: np.ndarray) -> Control:
+    """Gains about a place that goes from the start to the goal, fast in the middle, taken anew on the way."""
+    space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
+    way = space.difference(_at_rest(problem, goal), start)
+    places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    u, K = np.zeros(0), np.zeros(0)
+
+    def control(n: int, now: np.ndarray) -> np.ndarray:
+        nonlocal u, K
+        place = space.integrate(start, places[n] * way)
+        if n % _AGAIN == 0:
+            u, K = _regulator(problem, place)
+        if mechanism is not None:
+            place[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
+        return u + K @ space.difference(now, place)
+
+    return control
 
 
 def _braking(problem: Problem) -> Control:

@@ -41,6 +41,7 @@ from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_departure
+from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
 from planner.cases.problem_file.step import with_step
@@ -58,7 +59,6 @@ from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_choice import MODES
-from planner.model.mjcf.driven import driven_dofs
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
@@ -66,7 +66,6 @@ from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights
-from planner.problem.guess import holding_controls, straight_line
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
@@ -219,11 +218,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
-        us=_first_guess(table["guess"], dynamics, x0, goal, N),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
         tolerance=table["tolerance"], decrease_tolerance=DECREASE,
     )  # fmt: skip
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
@@ -249,32 +248,6 @@ def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
     if not isinstance(names, list):
         raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)
-
-
-def _first_guess(
-    guess: str, dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int
-) -> np.ndarray | None:
-    """Controls (N, nu) of the table's kind of guess; None for zero."""
-    if guess == "zero":
-        return None
-    line = None
-    if guess in ("line", "auto") and not dynamics.prescribed:
-        line = straight_line(dynamics.mechanism, x0, goal, N * dynamics.dt, N)
-    if line is None and guess == "line":
-        raise PlannerError(
-            "guess is 'line', expected 'hold' or 'zero': a line is for machines of hinges and slides that are at rest "
-            "at both ends, whose actuators reach every joint, without contacts."
-        )
-    return np.tile(_holding(dynamics, x0), (N, 1)) if line is None else line
-
-
-def _holding(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
-    """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
-    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
-    moment = mechanism.actuators.moment.copy()
-    moment[:, driven] = 0.0  # actuators do nothing there
-    free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
-    return np.concatenate([holding_controls(free, x0), np.zeros(len(driven))])
 
 
 def _states_of(mechanism: Mechanism) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
+from planner.cases.problem_file.guess import GUESSES
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
 from planner.dynamics.rigid_body import MOST_SUBSTEPS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
@@ -87,7 +88,7 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
         "seed": count("seed", table["seed"], least=0),
         "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
         "substeps": _substeps(table["substeps"]),
-        "guess": choice("guess", table["guess"], ("auto", "line", "hold", "zero")),
+        "guess": choice("guess", table["guess"], GUESSES),
     }  # fmt: skip
     if not isinstance(table["title"], str):
         raise PlannerError(f"title is {shown(table['title'])}, expected a text.")

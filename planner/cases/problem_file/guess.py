@@ -1,0 +1,68 @@
+"""The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
+
+line   the straight line in joint space by inverse dynamics, for machines whose actuators reach every joint
+led    gains of a regulator that is led along that line, for any other machine
+hold   what holds the start against gravity, as far as the actuators can
+zero   nothing
+auto   line where there is one, else led where that ends nearer to the goal than hold does, else hold
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.model.mjcf.driven import driven_dofs
+from planner.problem.guess import holding_controls, rolled, straight_line
+from planner.problem.problem import Problem
+from planner.solvers.steadied import led
+
+GUESSES = ("auto", "line", "led", "hold", "zero")
+
+
+def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | None:
+    """Controls (N, nu) of a kind that lead towards a goal (nx,); None for zero.
+
+    Raises:
+        PlannerError: There is no line, or what is led runs away.
+    """
+    if kind == "zero":
+        return None
+    dynamics: Any = problem.dynamics  # of a mechanism
+    if kind in ("line", "auto") and not dynamics.prescribed:
+        line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+        if line is not None:
+            return line
+    if kind == "line":
+        raise PlannerError(
+            "guess is 'line', expected 'led', 'hold' or 'zero': a line is for machines of hinges and slides that are "
+            "at rest at both ends, whose actuators reach every joint, without contacts."
+        )
+    hold = np.tile(_holding(problem), (problem.N, 1))
+    found = None if kind == "hold" else led(problem, goal)
+    if found is None and kind == "led":
+        raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
+    if found is None or (kind == "auto" and not _price(problem, found) < _price(problem, hold)):
+        return hold
+    return found
+
+
+def _price(problem: Problem, us: np.ndarray) -> float:
+    """The cost of a rollout; infinite where it runs away."""
+    with np.errstate(all="ignore"):
+        us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
+        cost = problem.cost.value(rolled(problem.dynamics, problem.x0, us), us)
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _holding(problem: Problem) -> np.ndarray:
+    """Controls (nu,) that hold the start as far as they can; prescribed joints are held by an acceleration of zero."""
+    dynamics: Any = problem.dynamics
+    mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
+    moment = mechanism.actuators.moment.copy()
+    moment[:, driven] = 0.0  # actuators do nothing there
+    free = replace(mechanism, actuators=replace(mechanism.actuators, moment=moment))
+    return np.concatenate([holding_controls(free, problem.x0), np.zeros(len(driven))])
