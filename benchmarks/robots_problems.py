@@ -55,7 +55,7 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
         if not _meets(model, start, way):
             break
         way *= 0.5
-    goal = start + way
+    goal = _tied(model, start + way)
     unchanged = bool(first) and np.array_equal(start, model.key_qpos[0])
     return (f'"{first}"' if unchanged else _numbers(start)), _numbers(_tied(model, goal))
 

@@ -13,7 +13,7 @@ from planner.dynamics.rigid_body import MOST_SUBSTEPS
 from planner.dynamics.stiffness import REACH, Fastest, fastest, reason, substeps_of
 from planner.model.mechanism import Mechanism
 
-USUAL = 0.01  # s
+USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
 AUTO = "auto"
 
 
@@ -25,7 +25,7 @@ def with_step(
     The table's own substeps stay "auto": a finer stage needs fewer.
 
     The states (nx,), with home, are where the machine's fastest motion is looked for. A stage is 0.01 s, or what 16
-    substeps can follow, or a little less: a whole number of stages is the duration.
+    substeps can follow, or a little less: a whole number of stages is the duration. It is never below SHORTEST.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
@@ -37,8 +37,8 @@ def with_step(
     reasons, dt, substeps = {}, table["dt"], table["substeps"]
     if dt == AUTO:
         duration = number("duration", table["duration"], above=0.0)
-        most = MOST_SUBSTEPS if substeps == AUTO else substeps
-        longest = min(USUAL, most * REACH / found.rate) if found.rate > 0.0 and isinstance(most, int) else USUAL
+        most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
+        longest = min(USUAL, max(most * REACH / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
         dt = duration / max(math.ceil(duration / longest * (1.0 - 1e-9)), 1)
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"

@@ -126,9 +126,9 @@ def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
     more = f" and {len(found) - MOST_PHRASES} more" if len(found) > MOST_PHRASES else ""
-    options = [repr(kind) for kind in kinds if kind in KINDS]
-    ways = [f"ignore=({', '.join(options)}{',' if len(options) == 1 else ''})"] if options else []
-    ways += [f"contacts={chosen(survey).mode!r}"] if "contacts" in kinds else []
+    options = [f'"{kind}"' for kind in kinds if kind in KINDS]
+    ways = [f"ignore = [{', '.join(options)}]"] if options else []
+    ways += [f'contacts = "{chosen(survey).mode}"'] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
     what = ", ".join(refusal.phrase for refusal in found[:MOST_PHRASES]) + more
     if firm:
