@@ -1,7 +1,9 @@
 """Scales of the errors of a replay: what one per cent is, of a coordinate's motion and of a cost.
 
 A coordinate's error is judged beside its own range of motion along the plan. A coordinate that hardly moves is judged
-beside a tenth of the largest range of its unit, since a simulator's error comes from the machine's whole motion.
+beside a tenth of the largest range of its unit, since a simulator's error comes from the machine's whole motion. A
+length of a machine that stands is judged beside the depth over which the plan smooths its contacts: what holds the
+machine up is the plan's own law only to a share of that.
 """
 
 from __future__ import annotations
@@ -37,12 +39,15 @@ def path_bounds(plan: Plan) -> np.ndarray:
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
-    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
+    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit, or a ramp."""
     assert plan.problem is not None  # its dynamics know the units
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
-    return np.maximum(np.maximum(own, OF_LARGEST * largest), LEAST_RANGE)
+    mechanism = getattr(plan.problem.dynamics, "mechanism", None)
+    ramps = [contact.law.ramp for contact in mechanism.contacts] if mechanism is not None else []
+    least = np.where(units == LENGTH, max([LEAST_RANGE, *ramps]), LEAST_RANGE)
+    return np.maximum(np.maximum(own, OF_LARGEST * largest), least)
 
 
 def touches(problem: Problem | None) -> bool:

@@ -8,10 +8,10 @@ import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
-from planner.dynamics.statics import clearance, lowered, settled, undriven
+from planner.dynamics.statics import lowered, settled
 from planner.model.mechanism import Mechanism
 
-IN_THE_AIR = 0.05  # m above the ground: who writes a height puts feet down to some centimetres
+FAR = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
 SAME = 1e-6  # m or rad: poses at rest are found as exactly as forces balance
 
 
@@ -33,9 +33,8 @@ def on_ground(
         return _settled("start", start, mechanism), _settled("goal", goal, mechanism), ()
     if settle is False or table["contacts"] != "ground" or not mechanism.contacts:
         return start, goal, ()
-    given = _gives_height(table["start"], mechanism)
-    start, note = _put_down("start", start, mechanism, given)
-    goal, other = _put_down("goal", goal, mechanism, given or _gives_height(table["goal"], mechanism))
+    start, note = _put_down("start", start, mechanism)
+    goal, other = _put_down("goal", goal, mechanism)
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME:
         goal = start.copy()
     return start, goal, tuple(filter(None, (note, other)))
@@ -48,24 +47,14 @@ def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
         raise PlannerError(f"settle of {name}: {error}") from None
 
 
-def _put_down(name: str, x: np.ndarray, mechanism: Mechanism, gives_height: bool) -> tuple[np.ndarray, str]:
+def _put_down(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np.ndarray, str]:
     """The state on the ground, or as it is, and a sentence about it; "" where there is nothing to say."""
     if np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]):
         return x, f"{name} is not put on the ground, since it moves."
-    height = clearance(mechanism, x)
-    if gives_height and height > IN_THE_AIR:
-        return x, f"{name} stays {height:.3g} m above the ground; settle = true puts it down."
     try:
         there = settled(mechanism, x)
     except PlannerError as error:
         return lowered(mechanism, x), f"{name} is put on the ground, where it does not balance by itself: {error}"
     way = float(np.abs(mechanism.space.difference(there, x)).max())
-    return there, f"{name} is put on the ground, {way:.2g} m or rad from what was asked." if way > IN_THE_AIR else ""
-
-
-def _gives_height(value: Any, mechanism: Mechanism) -> bool:
-    """Whether a start or goal of a problem file says where the machine is: by a keyframe, numbers, or its root."""
-    if not isinstance(value, dict):
-        return True
-    free = set(np.flatnonzero(undriven(mechanism).any(axis=1)).tolist())
-    return any(not free.isdisjoint(range(*mechanism.joint(joint).indices(mechanism.nv))) for joint in value)
+    said = f"{name} is put on the ground, {way:.2g} m or rad from what was asked; settle = false leaves it there."
+    return there, said if way > FAR else ""
