@@ -135,6 +135,10 @@ def _with_floor(file: Path, folder: Path) -> Path:
     worldbody = root.find("worldbody")
     assert worldbody is not None
     worldbody.append(ElementTree.fromstring(FLOOR.format(_lowest(file))))
+    option = root.find("option")
+    option = ElementTree.SubElement(root, "option") if option is None else option
+    if [float(part) for part in option.get("gravity", "0 0 -9.81").split()] == [0.0, 0.0, 0.0]:
+        option.attrib.pop("gravity")  # its package gives it with the floor
     scene = folder / f"{file.parent.name}_{file.name}"
     scene.write_text(ElementTree.tostring(root, encoding="unicode"))
     return scene

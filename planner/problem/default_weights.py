@@ -6,6 +6,8 @@ Every weight makes its term a number without unit that is about 1:
                     machine and moves its inertia over the way in half of the time
     velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
                     only of machines whose actuators reach every joint: another one needs its swing
+    position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
+                    their gains must hold a pose all along; none for others, which find their own way
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
     final_velocity  10 / tolerance^2
 
@@ -31,6 +33,7 @@ from planner.problem.guess import holding_controls
 
 LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
 LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
+KEPT = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
 
@@ -39,7 +42,7 @@ SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means no
 class DefaultWeights:
     """Weights by the arguments of TrackingCost.joints, and the reason of each in a sentence."""
 
-    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), velocity, final_position and final_velocity (nv,)
+    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,)
     reasons: dict[str, str]
 
 
@@ -65,13 +68,15 @@ def default_weights(
     effort, control, known = _effort(dynamics, x0, goal, duration, way)
     velocity = np.zeros(nv)
     reach = reaches_all(dynamics)
-    if reach and not effort_alone:
+    stands = bool(mechanism.contacts)
+    if (reach or stands) and not effort_alone:
         velocity = 1.0 / speed**2
     share = least_share(zip(way.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
     weights = {
-        "effort": effort, "control": control, "velocity": velocity, "final_position": POSITION / position**2,
-        "final_velocity": VELOCITY / rate**2,
+        "effort": effort, "control": control, "velocity": velocity,
+        "position": 1.0 / (KEPT * position) ** 2 * (stands and not effort_alone),
+        "final_position": POSITION / position**2, "final_velocity": VELOCITY / rate**2,
     }  # fmt: skip
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
@@ -79,6 +84,8 @@ def default_weights(
         "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
                     "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
                     "must be free",
+        "position": f"1 / ({KEPT:g} tolerances)^2 beside the straight line: the machine stands on the ground"
+                    if stands and not effort_alone else "none on the way",
         "final_position": f"{POSITION:g} / tolerance^2", "final_velocity": f"{VELOCITY:g} / tolerance^2",
     })  # fmt: skip
 
@@ -102,7 +109,24 @@ def default_cost(
     """
     x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
     chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
+    if dynamics.mechanism.contacts:
+        chosen["reference"] = straight_reference(dynamics, x0, goal, horizon)
     return TrackingCost.joints(dynamics, goal, horizon, **chosen | weights)
+
+
+def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
+    """The states (N+1, nx) of the straight line from x0 to a goal, both (nx,), from rest to rest in N stages."""
+    mechanism, space = dynamics.mechanism, dynamics.space
+    nq, nv = mechanism.nq, mechanism.nv
+    rest = [x.copy() for x in (x0, goal)]
+    for x in rest:
+        x[nq : nq + nv] = 0.0
+    way, s = space.difference(rest[1], rest[0]), np.arange(N + 1) / N
+    places = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
+    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), places[:, None] * way)
+    xs[:, nq : nq + nv] = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] * way[:nv] / (N * dynamics.dt)
+    xs[0], xs[N] = x0, goal
+    return xs
 
 
 def reaches_all(dynamics: RigidBodyDynamics) -> bool:

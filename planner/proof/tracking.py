@@ -75,7 +75,7 @@ def cost_error(run: Replay, problem: Problem) -> Measured:
         note += "; what the end costs is judged as the goal"
     if scale > abs(planned):
         note += f"; relative to {scale:.3g}, what errors at their bounds cost"
-    return Measured("cost_error", error, "%", COST_BOUND, note)
+    return Measured("cost_error", error, "%", 100.0 * SMOOTHED if has_kinks(problem) else COST_BOUND, note)
 
 
 def _controls(run: Replay) -> np.ndarray | None:

@@ -65,12 +65,13 @@ from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.default_weights import default_weights
+from planner.problem.default_weights import default_weights, straight_reference
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
+GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 1e-3  # rad or m: what a simulator with soft equalities may leave of them in a keyframe
@@ -214,13 +215,17 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if notes:
         reasons["settle"] = " ".join(notes)
     table = _resolved(table, dynamics, x0, goal, reasons)
-    cost = TrackingCost.joints(dynamics, goal, N, **table[RESOLVED]["weights"])
+    line = (
+        straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
+    )
+    cost = TrackingCost.joints(dynamics, goal, N, reference=line, **table[RESOLVED]["weights"])
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
         tolerance=table["tolerance"], decrease_tolerance=DECREASE,
+        gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)

@@ -23,6 +23,8 @@ from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.survey import Pair, Survey, disabled, named
 
 MODES = ("auto", "avoid", "ground", "model", "off")
+SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 LEVEL = 0.8  # of gravity, across a plane that carries
 _STEEP = 1e-6  # of gravity, along a slide that is not level
 
@@ -78,7 +80,8 @@ def ground_pairs(survey: Survey) -> list[Pair]:
 
 def law_of_ground(survey: Survey, pair: Pair) -> ContactLaw:
     """The law for the mass of what stands on the ground in a pair."""
-    return ContactLaw.resting(_mass(survey, pair), gravity=float(np.linalg.norm(survey.model.opt.gravity)))
+    gravity = float(np.linalg.norm(survey.model.opt.gravity))
+    return ContactLaw.resting(_mass(survey, pair), gravity=gravity, sink=SINK, damping_ratio=DAMPING)
 
 
 def _mass(survey: Survey, pair: Pair) -> float:
