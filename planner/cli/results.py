@@ -131,6 +131,9 @@ def show_plan(plan: Plan, seconds: float | None, console: Console) -> None:
         console.say(f"start {plan.start} of {len(plan.starts)} is the best; {converged} converged")
     if not plan.success:
         console.say(plan.message)
+    for key in ("first_guess", "not_finite"):  # what became of a guess that ran away
+        if key in plan.options:
+            console.say(f"{key.replace('_', ' ')}: {plan.options[key]}")
 
 
 def show_proof(proof: Proof, console: Console) -> None:

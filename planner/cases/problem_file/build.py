@@ -74,7 +74,7 @@ NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
-SOFT = 1e-3  # rad or m: what a simulator with soft equalities may leave of them in a keyframe
+SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
 
 class ProblemFile(NamedTuple):
@@ -266,8 +266,8 @@ def _states_of(mechanism: Mechanism) -> str:
 def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
     """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed.
 
-    Coordinates that follow others are where these put them: a table need not name them, and a keyframe that a soft
-    simulator has left is nearly there.
+    Coordinates that follow others are where these put them: a table need not name them, and numbers, or a keyframe
+    that a soft simulator has left, are nearly there.
     """
     nq, nv = mechanism.nq, mechanism.nv
     x, given, most = base.copy(), set(), CLOSED
@@ -280,7 +280,7 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
         if len(value) not in (nq, nq + nv, len(x)):
             raise PlannerError(f"{name} has {len(value)} numbers, expected {_states_of(mechanism)}.")
         x[nq:] = 0.0
-        x[: len(value)] = array(name, value, ("n",))
+        x[: len(value)], most = array(name, value, ("n",)), SOFT
     elif isinstance(value, dict):
         for joint, position in value.items():
             links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
@@ -294,4 +294,4 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     if isinstance(value, dict):
         x = closed_state(mechanism, x, given)
     check_closed(name, x, mechanism, most)
-    return states(name, closed_state(mechanism, x) if isinstance(value, str) else x, mechanism.space, ())
+    return states(name, x if isinstance(value, dict) else closed_state(mechanism, x), mechanism.space, ())
