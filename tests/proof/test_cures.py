@@ -7,6 +7,7 @@ import pytest
 
 import planner
 from planner.cases.problem_file import load, of_table
+from planner.cases.problem_file.keys import RESOLVED
 from planner.proof.cures import Cure, cures
 from planner.proof.cures.cure import rounded_up
 from planner.proof.cures.stage import rounded_step
@@ -82,6 +83,12 @@ def tried(problem, **options):
     return plan, proof
 
 
+def cured(problem, cure):
+    """The problem with a cure written into the table of its file; what was chosen by itself is chosen again."""
+    table = {name: value for name, value in problem.parameters.items() if name != RESOLVED}
+    return of_table(cure.applied(table), problem.twin)
+
+
 def passes_with(problem, *keys):
     """That a plan passes with cures of these keys, one after the other; returns the first value and sentence."""
     given = []
@@ -93,7 +100,7 @@ def passes_with(problem, *keys):
         assert found[0].key == key, (found[0].sentence, proof and proof.reason)
         assert found[0].sentence.startswith("`"), found[0].sentence
         given.append(found[0])
-        problem = of_table(found[0].applied(problem.parameters), problem.twin)
+        problem = cured(problem, found[0])
     plan, proof = tried(problem)
     assert proof is not None
     assert proof.passed, (given[-1].sentence, proof.reason)
@@ -221,9 +228,9 @@ def test_a_margin_grows_by_what_a_joint_was_beyond_it(tmp_path):
     assert (stage.key, margin.key) == ("dt", "limits.margin")
     beyond = -0.02 - plan.between_knots(20)[:, 0].min()
     assert 1.4 * beyond < margin.value < 10.0 * beyond
-    assert tried(of_table(stage.applied(problem.parameters), problem.twin))[1].passed
+    assert tried(cured(problem, stage))[1].passed
     if MARGIN:
-        _, proof = tried(of_table(margin.applied(problem.parameters), problem.twin))
+        _, proof = tried(cured(problem, margin))
         assert proof.your_file.measured[1].passed
 
 

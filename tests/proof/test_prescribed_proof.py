@@ -215,7 +215,11 @@ def test_a_problem_file_names_prescribed_joints(tmp_path, capsys):
     (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
     keys = 'model = "cart.xml"\nstart = [0, 0, 0]\ngoal = { cart = 0.5 }\nduration = 1.2\n'
     path = tmp_path / "cart.toml"
-    path.write_text(keys + 'prescribed = ["cart"]\n[weights]\neffort = 0.01\n', encoding="utf-8")
+    prescribed = keys + 'prescribed = ["cart"]\n[weights]\neffort = 0.01\n'
+    path.write_text(prescribed, encoding="utf-8")
+    with pytest.raises(PlannerError, match=r'the goal has cart at 0\.5 m, .* limits\.position = \{ cart = "off" \}'):
+        load(path)
+    path.write_text(prescribed + '[limits]\nposition = { cart = "off" }\n', encoding="utf-8")
     problem = load(path).problem
     assert problem.dynamics.prescribed == ("cart",)
     assert [label for _, label in problem.appearance.plots[-1].controls] == ["servo", "motor", "acceleration of cart"]
