@@ -118,6 +118,15 @@ def test_a_wrong_mass_fails_parity(cart):
     assert planner.parity(cart.problem, cart.twin.mjcf).passed  # motors and all
 
 
+def test_friction_loss_that_the_plan_lacks_fails_parity(cart):
+    rubs = CART.replace('name="hip"', 'name="hip" frictionloss="0.05"')
+    section = planner.parity(cart.problem, rubs)
+    assert [one.name for one in section.failures] == ["friction_loss_error"]
+    assert "friction loss at joint 'hip' is 0.05, the plan has 0" in section.failures[0].note
+    m = Mechanism.from_mjcf(rubs)
+    assert driven_parity(m, ("cart",), compile_model(twin_of(m, ("cart",)).mjcf), 64, 1e-10, 0).passed
+
+
 def test_a_wrong_gear_of_the_motors_fails(cart):
     text = edited(cart.twin.mjcf, {"actuator/motor[@joint='cart']": {"gear": repr(1.001 * HEAVY)}})
     section = planner.parity(cart.problem, text)
