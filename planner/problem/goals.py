@@ -22,6 +22,7 @@ from planner.problem.problem import Problem
 
 SHARE = 0.02  # of the way, or of a velocity's peak
 LEAST = {"rad": 0.02, "m": 5e-3, "rad/s": 0.1, "m/s": 0.05}  # by unit; 0 for others
+ROUNDING = 1e-11  # rad or m: a way no longer than that is none, and to stay is the task
 KINDS = ("position", "velocity")
 
 
@@ -97,7 +98,8 @@ def _nothing(_: Any) -> tuple[Wanted, ...]:
 
 def least_share(ways: Iterable[tuple[float, str]]) -> float:
     """The share of LEAST that goals with these ways, and units, have: less than 1 where doing nothing would pass."""
-    largest = max((way / LEAST[unit] for way, unit in ways if unit in LEAST and np.isfinite(way)), default=0.0)
+    known = ((way, unit) for way, unit in ways if unit in LEAST and ROUNDING < way < np.inf)
+    largest = max((way / LEAST[unit] for way, unit in known), default=0.0)
     return 0.1 * largest if 0.0 < largest <= 1.0 else 1.0
 
 

@@ -146,6 +146,8 @@ def test_only_what_final_weights_act_on_must_be_away_from_the_goal(tmp_path):
 def test_to_stay_at_the_goal_is_a_task(tmp_path):
     for goal in ("[0.5, 0.2]", "{ slider = 0.5 }"):
         assert load(write(tmp_path, start="[0.5, 0.2]", goal=goal)).problem.N == 20
+    rounded = load(write(tmp_path, start=f"[{0.1 + 0.2!r}, 0.2]", goal="[0.3, 0.2]")).problem  # 6e-17 m away
+    assert goals_of(rounded)[0].tolerance == 0.005
 
 
 def test_a_goal_that_no_weight_asks_for_is_refused(tmp_path):

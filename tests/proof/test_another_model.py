@@ -91,7 +91,7 @@ def test_no_other_model(plan):
 
 STIFF = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody>
-  <geom name="wall" type="box" size="0.05 0.3 0.3" pos="0.3 0 0.2"/>
+  <geom name="wall" type="box" size="0.05 0.3 0.2" pos="0.3 0 0.3"/>
   <body><joint name="hinge" axis="0 -1 0" damping="0.05" frictionloss="0.2"/>
     <geom name="arm" type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/></body>
 </worldbody><actuator><motor name="motor" joint="hinge"/></actuator></mujoco>

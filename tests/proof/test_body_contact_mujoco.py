@@ -76,7 +76,7 @@ def test_attributes_are_read_back():
     read = [touch.stiffness, touch.damping, touch.slip_damping, touch.friction, touch.ramp]
     np.testing.assert_allclose(read, [STIFFNESS, DAMPING, SLIP, FRICTION, 2e-3], rtol=1e-12)
     with pytest.raises(ModelError, match="solref is a time constant"):
-        Mechanism.from_mjcf(meeting("capsules", solref="0.02 1"))
+        Mechanism.from_mjcf(meeting("capsules", solref="0.02 1"), contacts="model")
 
 
 SCENE = """<mujoco><worldbody>
@@ -115,7 +115,7 @@ def test_other_shapes_are_named(shape):
     more = 1 if shape == "box" else 2  # post, knob and tip; to the tip a box that slides along its top is a belt
     assert m.ignored == (f"contacts of geom 'post' and geom '{shape}' and {more} more pairs",)
     with pytest.raises(ModelError, match=f"capsule and {shape}, expected .* or two spheres or capsules"):
-        Mechanism.from_mjcf(SCENE.format(shape=shape))
+        Mechanism.from_mjcf(SCENE.format(shape=shape), contacts="model")
 
 
 BRICK = """<mujoco><option cone="elliptic" impratio="10"><flag refsafe="disable"/></option><worldbody>

@@ -85,9 +85,22 @@ def test_a_number_that_differs_is_named_with_its_joint(tree, path, attributes, w
 
 
 def test_elements_that_the_mechanism_lacks_are_named(tree):
-    section = planner.parity(tree, edited(tree.mjcf, {".//joint[@name='hip']": {"frictionloss": "0.2"}}))
-    assert [figure.name for figure in section.failures] == ["unmodelled_elements"]
-    assert section.failures[0].note == "frictionloss of joint 'hip'"
+    section = planner.parity(tree, edited(tree.mjcf, {"option": {"density": "1.2"}}))
+    assert "unmodelled_elements" in [figure.name for figure in section.failures]
+    assert section.failures[0].note == "fluid density"
+
+
+@pytest.mark.parametrize("lossy", ["theirs", "ours", "both"])
+def test_friction_loss_that_differs_is_named(tree, lossy):
+    """Whether it is the model's alone, the mechanism's alone, or another number in each."""
+    rubs = edited(tree.mjcf, {".//joint[@name='hip']": {"frictionloss": "0.2"}})
+    other = {"theirs": rubs, "ours": tree.mjcf, "both": rubs.replace('frictionloss="0.2"', 'frictionloss="0.3"')}[lossy]
+    ours = tree if lossy == "theirs" else Mechanism.from_mjcf(rubs)
+    assert planner.parity(ours).passed
+    section = planner.parity(ours, other)
+    assert [figure.name for figure in section.failures] == ["friction_loss_error"]
+    values = {"theirs": "0.2, the plan has 0", "ours": "0, the plan has 0.2", "both": "0.3, the plan has 0.2"}[lossy]
+    assert f"friction loss at joint 'hip' is {values}" in section.failures[0].note
 
 
 def test_limits_are_no_part_of_the_dynamics(tree):

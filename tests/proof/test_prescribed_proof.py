@@ -118,6 +118,15 @@ def test_a_wrong_mass_fails_parity(cart):
     assert planner.parity(cart.problem, cart.twin.mjcf).passed  # motors and all
 
 
+def test_friction_loss_that_the_plan_lacks_fails_parity(cart):
+    rubs = CART.replace('name="hip"', 'name="hip" frictionloss="0.05"')
+    section = planner.parity(cart.problem, rubs)
+    assert [one.name for one in section.failures] == ["friction_loss_error"]
+    assert "friction loss at joint 'hip' is 0.05, the plan has 0" in section.failures[0].note
+    m = Mechanism.from_mjcf(rubs)
+    assert driven_parity(m, ("cart",), compile_model(twin_of(m, ("cart",)).mjcf), 64, 1e-10, 0).passed
+
+
 def test_a_wrong_gear_of_the_motors_fails(cart):
     text = edited(cart.twin.mjcf, {"actuator/motor[@joint='cart']": {"gear": repr(1.001 * HEAVY)}})
     section = planner.parity(cart.problem, text)
@@ -215,7 +224,11 @@ def test_a_problem_file_names_prescribed_joints(tmp_path, capsys):
     (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
     keys = 'model = "cart.xml"\nstart = [0, 0, 0]\ngoal = { cart = 0.5 }\nduration = 1.2\n'
     path = tmp_path / "cart.toml"
-    path.write_text(keys + 'prescribed = ["cart"]\n[weights]\neffort = 0.01\n', encoding="utf-8")
+    prescribed = keys + 'prescribed = ["cart"]\n[weights]\neffort = 0.01\n'
+    path.write_text(prescribed, encoding="utf-8")
+    with pytest.raises(PlannerError, match=r'the goal has cart at 0\.5 m, .* limits\.position = \{ cart = "off" \}'):
+        load(path)
+    path.write_text(prescribed + '[limits]\nposition = { cart = "off" }\n', encoding="utf-8")
     problem = load(path).problem
     assert problem.dynamics.prescribed == ("cart",)
     assert [label for _, label in problem.appearance.plots[-1].controls] == ["servo", "motor", "acceleration of cart"]

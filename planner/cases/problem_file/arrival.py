@@ -7,7 +7,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.goals import goals_of
+from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.problem import Problem
 
 
@@ -17,7 +17,7 @@ def check_departure(problem: Problem) -> None:
     assert cost is not None  # a problem file has one
     way = np.abs(space_of(problem.dynamics).difference(x0, cost.x_ref[-1]))
     goals = [goal for goal in goals_of(problem) if np.isfinite(goal.tolerance)]
-    if not goals or not np.any(way):
+    if not goals or not np.any(way > ROUNDING):
         return
     ways = {goal.name: float(goal.missed(x0[None])[0]) for goal in goals}
     largest = max(goals, key=lambda goal: ways[goal.name])

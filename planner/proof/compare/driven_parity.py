@@ -12,7 +12,7 @@ own dynamics at such controls, to rounding. How much that is, is shown beside it
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from planner.model.couplings import Reduction
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.model.mjcf.read import mechanism_of_model
+from planner.proof.compare.differences import differences
 from planner.proof.compare.rigid_parity import coupled_acceleration, random_states, rigid_parity, rounded, unlimited
 from planner.proof.replays.simulation import set_state
 
@@ -51,10 +52,21 @@ def driven_parity(
             "machine."
         )
     model.dof_armature[dofs] = armature[dofs]
+    losses = tuple(_losses(free, mechanism_of_model(model), bound))  # while its constraints are on
     spread = np.where(np.arange(free.nu) < mechanism.nu, 1.0, 1.0 / HEAVY)  # forces of size one
     section = rigid_parity(free, model, None, states, bound, seed, spread)
     model.dof_armature[dofs] = HEAVY
-    return replace(section, measured=(*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed)))
+    measured = (*section.measured, *_driven(mechanism, prescribed, model, states, bound, seed))
+    return replace(section, measured=(*measured, *losses))
+
+
+def _losses(ours: Mechanism, theirs: Mechanism, bound: float) -> Iterator[Measured]:
+    """Friction losses beside each other; their slopes differ, for MuJoCo takes them from the driven model's inertia."""
+    largest = np.maximum(ours.friction_loss, theirs.friction_loss)
+    if np.any(largest):
+        off = np.abs(theirs.friction_loss - ours.friction_loss) / np.where(largest > 0.0, largest, 1.0)
+        note = "" if off.max() <= bound else f"{differences(ours, theirs)}, "
+        yield Measured("friction_loss_error", float(off.max()), "", bound, f"{note}of the loss, relative to it")
 
 
 def _driven(

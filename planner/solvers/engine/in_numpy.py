@@ -131,8 +131,9 @@ class NumpyEngine(Engine):
             _check_jacobians(self._A, self._B, *self._gains)
             self._model = self._quadratized(xs0, us0)
             moves = self._moves(xs0, us0)
-            self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
-            self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
+            with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
+                self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
+                self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(xs0, us0)
         sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second if self._swept else None)
