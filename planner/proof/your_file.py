@@ -82,11 +82,14 @@ def your_file(
     if twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
-        compiled = _without_overlaps(problem, as_given(problem, twin, mjcf))
+        given = as_given(problem, twin, mjcf)
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
-    known = open_loop if open_loop is not None and _same_model(open_loop.twin, compiled.twin) else None
-    run = replay_in(known.compiled if known else compiled, plan, feedback=True)
+    if open_loop is not None and _same_model(open_loop.twin, given.twin):
+        given = open_loop.compiled  # compiled already
+    compiled = _without_overlaps(problem, given)
+    known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
+    run = replay_in(compiled, plan, feedback=True)
     end = known.xs[-1] if known else _end_without_gains(run)
     section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
