@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import planner
 from planner import Mechanism, RigidBodyDynamics, TrackingCost
 from planner.contact import ContactLaw
 from planner.model.mjcf import survey
+from planner.model.mjcf.read import read
 from planner.model.mjcf.text import edited
 from planner.proof.replays.replaying import reached_by_plan
 from planner.proof.steps import prove
@@ -66,6 +68,20 @@ def test_a_model_that_is_edited_compiles_twice(texts, text, options):
     """First to know what the edit must change, then to read what it has become."""
     Mechanism.from_mjcf(text, **options)
     assert len(texts) == len(set(texts)) == 2
+
+
+def test_a_model_with_coarser_meshes_is_not_compiled_once_more_for_other_edits(texts):
+    """The same two times, though both the mesh and the contacts are edited."""
+    n = 1000  # a fan of triangles, whose file is too large for what is only seen
+    rim = [f"v {np.cos(a):.60f} {np.sin(a):.60f} 0" for a in np.linspace(0.0, 1.0, n)]
+    fan = "\n".join(["v 0 0 0", *rim, *(f"f 1 {i} {i + 1}" for i in range(2, n + 1))]).encode()
+    assets = '<asset><mesh name="fan" file="fan.obj" inertia="shell"/></asset>'
+    look = '<geom type="mesh" mesh="fan" contype="0" conaffinity="0"/>'
+    text = ON_FLOOR.replace("<worldbody>", f"{assets}<worldbody>{look}")
+    mechanism = read(text, assets={"fan.obj": fan}, contacts="off")
+    assert list(mechanism.assets) == ["fan.coarse.obj"]
+    assert texts[1:] == [mechanism.mjcf]
+    assert mechanism.mjcf != mechanism.original
 
 
 def test_a_proof_compiles_its_model_once(texts):
