@@ -36,7 +36,11 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
     )
     by_hand = planner.solve(
         planner.Problem(
-            dynamics, cost, crane.home, us=problem.first_guess, limits=planner.Limits.of_model(),
+            dynamics,
+            cost,
+            crane.home,
+            us=problem.first_guess,
+            limits=planner.Limits.of_model(),
             decrease_tolerance=problem.decrease_tolerance,
         )
     )
