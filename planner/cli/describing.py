@@ -90,7 +90,8 @@ def _show(path: str, known: Description, console: Console) -> None:
     _table(console, ("body", "mass, kg", "principal inertias, kg m^2", ""), bodies)
     pairs = known.contacts["pairs"]
     facts = [("gravity", " ".join(f"{g:g}" for g in known.gravity) + " m/s^2")]
-    facts += [("contacts", f"{pairs} pairs of shapes may touch" if pairs else "no shapes may touch")]
+    touching = f"{pairs} pair{'s' * (pairs != 1)} of shapes may touch" if pairs else "no shapes may touch"
+    facts += [("contacts", ": ".join(filter(None, (touching, known.contacts["choice"]))))]
     facts += [("keyframes", ", ".join(known.poses))] if list(known.poses) != [HOME] else []
     facts += [("planned with", _listed(known.planned))] if known.planned else []
     facts += [("left out", _listed(known.left_out))] if known.left_out else []

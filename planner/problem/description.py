@@ -11,16 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import ModelError
-from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contacts import contact_refusals
 from planner.model.mjcf.facts import (
     Record,
     actuator_records,
     body_records,
     free_bases,
     gravity_of,
-    has_ground,
     joint_records,
     moving_mass,
 )
@@ -35,7 +32,7 @@ class Loaded(NamedTuple):
     """A machine that can be planned with, and the keys of a problem file that make it so."""
 
     mechanism: Mechanism | None  # None where nothing makes it so
-    keys: dict[str, Any]  # ignore, contacts, settle: those that differ from their defaults
+    keys: dict[str, Any]  # ignore, where something is refused
     refusal: str  # why the file is refused as it is; "" where it is not
 
 
@@ -48,7 +45,7 @@ class Description:
         joints: One record per joint.
         bodies: One per body that has mass.
         actuators: One per actuator.
-        contacts: Which shapes may touch, and which of them the plan knows.
+        contacts: Which shapes may touch, which of them the plan knows, and the mode and its sentence.
         gravity: m/s^2.
         mass: Of all that moves, kg.
         free_bases: Bodies that hang on nothing.
@@ -87,7 +84,7 @@ class Description:
         }  # fmt: skip
 
 
-_FORCES = ("damping", "armature", "stiffness")
+_FORCES = ("damping", "armature", "stiffness", "friction_loss")
 """Arrays (nv,) of a mechanism that act in the plan."""
 HOME = "home"
 """The name of the pose in which a file without keyframes puts the joints."""
@@ -119,31 +116,21 @@ def describe(file: Opened) -> Description:
 
 
 def load_somehow(file: Opened) -> Loaded:
-    """Load the machine as it is, else without what is not modelled, and its contacts by a law of the ground or not."""
-    model, refusal = file.survey.model, ""
-    kinds = [one for one in KINDS if one in {refused.kind for refused in unmodelled(model)}]
-    ignore = {"ignore": kinds} if kinds else {}
-    law = ContactLaw.resting(moving_mass(model), gravity=float(np.linalg.norm(gravity_of(model))) or 9.81)
-    ground = [(ignore | {"contacts": "ground", "settle": True}, law)] if free_bases(model) and has_ground(model) else []
-    plain = [({}, None), *([(ignore, None)] if ignore else [])]
-    for keys, contacts in [*plain, *ground, (ignore | {"contacts": "off"}, "off")]:
-        options = {} if contacts is None else {"contacts": contacts}
+    """Load the machine as it is, else without what is refused."""
+    kinds, refusal = {one.kind for one in unmodelled(file.survey.model)}, ""
+    for keys in ({}, {"ignore": [kind for kind in KINDS if kind in kinds]}):
         try:
-            mechanism = read_opened(lambda: file, ignore=keys.get("ignore", ()), **options)
+            return Loaded(read_opened(lambda: file, ignore=keys.get("ignore", ())), keys, refusal)
         except ModelError as error:
             refusal = refusal or str(error)
-            continue
-        if keys.get("settle") and not mechanism.contacts:
-            continue
-        return Loaded(mechanism, keys, refusal)
     return Loaded(None, {}, refusal)
 
 
 def _contacts(file: Opened, mechanism: Mechanism | None) -> Record:
     model, pairs = file.survey.model, file.survey.pairs
-    refused = [one.phrase for one in contact_refusals(file.survey)]
     return {
-        "pairs": len(pairs), "refused": refused,
+        "pairs": len(pairs), "mode": "" if mechanism is None else mechanism.contacts_mode,
+        "choice": "" if mechanism is None else mechanism.contacts_choice,
         "shapes": [" and ".join(model.geom(g).name or f"geom number {g}" for g in pair.geoms) for pair in pairs],
         "with_planes": 0 if mechanism is None else len(mechanism.contacts),
         "between_bodies": 0 if mechanism is None else len(mechanism.body_contacts),
@@ -158,14 +145,14 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
         (mechanism.nv, "degree", " of freedom"), (mechanism.nu, "actuator", ""),
         (sum(joint["range"] is not None for joint in joints), "joint range", ""),
         (len(mechanism.stops), "spring", " at ends of joint ranges"),
+        (len(mechanism.couplings), "coupling", " of joints"), (len(mechanism.tendons), "fixed tendon", ""),
         (len(mechanism.contacts), "contact", " with the ground"),
         (len(mechanism.body_contacts), "contact", " between bodies"),
     ]  # fmt: skip
     phrases = [f"{count} {noun}{'s' * (count != 1)}{more}" for count, noun, more in counts if count]
     arrays = [(name.replace("_", " "), np.asarray(getattr(mechanism, name))) for name in _FORCES]
-    return phrases + [
-        f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)
-    ]
+    phrases += [f"{name} of {_joints(int(np.count_nonzero(values)))}" for name, values in arrays if np.any(values)]
+    return [*phrases, *(["gravity compensation"] if np.any(mechanism.lifted_mass) else [])]
 
 
 def _joints(number: int) -> str:
@@ -174,11 +161,11 @@ def _joints(number: int) -> str:
 
 def _left_out(file: Opened, mechanism: Mechanism | None) -> list[str]:
     """What acts in the file and not in the plan."""
+    refused = tuple(unmodelled(file.survey.model))
     if mechanism is None:
-        found = LeftOut(tuple(unmodelled(file.survey.model))).phrases
-        return [*found, *(one.phrase for one in contact_refusals(file.survey))]
-    pairs, known = len(file.survey.pairs), mechanism.contacts or mechanism.body_contacts
-    untold = [f"contacts of all {pairs} pairs of shapes that may touch"] if pairs and not known else []
-    refused = tuple(one for one in unmodelled(file.survey.model) if one.phrase in mechanism.ignored)
+        return list(LeftOut(refused).phrases)
+    pairs = len(file.survey.pairs)
+    contacts = [f"contacts of all {pairs} pairs of shapes that may touch"] if "contacts" in mechanism.ignored else []
+    refused = tuple(one for one in refused if one.phrase in mechanism.ignored)
     told = {"contacts", *(one.phrase for one in refused)}
-    return [*untold, *LeftOut(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]
+    return [*contacts, *LeftOut(refused).phrases, *(phrase for phrase in mechanism.ignored if phrase not in told)]

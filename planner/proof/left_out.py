@@ -20,7 +20,7 @@ def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[st
 
     Args:
         problem: With a twin; without, nothing is left out.
-        compiled: Its twin, where that is compiled already.
+        compiled: Its twin, or the twin in the user's file, where that is compiled already.
 
     Raises:
         ModelError: MuJoCo refuses one of the two texts.
@@ -44,8 +44,9 @@ def lacking(problem: Problem, compiled: CompiledTwin | None = None) -> LeftOut:
         return LeftOut()
     if problem not in _found:
         model = compiled.model if compiled is not None and compiled.twin.mjcf == twin.mjcf else None
+        given = compiled.model if compiled is not None and compiled.twin.mjcf == twin.original else None
         touches = bool(mechanism.contacts or mechanism.body_contacts)
         # The text as it was before joints were driven: what those edits leave out moves nothing.
         start = twin.sim_of(problem.x0)[: mechanism.nq]
-        _found[problem] = compare(twin.original, twin.planned, twin.assets, touches, model, start)
+        _found[problem] = compare(twin.original, twin.planned, twin.assets, touches, model, start, given)
     return _found[problem]

@@ -29,7 +29,7 @@ from planner.model.mjcf.driven import driven, in_order
 from planner.model.mjcf.left_out import names_of
 from planner.model.mjcf.overlaps import overlapping, without_pairs
 from planner.model.mjcf.refuse import unmodelled
-from planner.model.mjcf.survey import compile_model, named
+from planner.model.mjcf.survey import named
 from planner.model.twin import Twin
 from planner.problem.goals import Goal
 from planner.problem.plan import Plan
@@ -82,11 +82,14 @@ def your_file(
     if twin is None:
         return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
     try:
-        compiled = _without_overlaps(problem, as_given(problem, twin, mjcf))
+        given = as_given(problem, twin, mjcf)
     except Undriven as error:
         return Section(TITLE, not_applicable=str(error)), None
-    known = open_loop if open_loop is not None and _same_model(open_loop.twin, compiled.twin) else None
-    run = replay_in(known.compiled if known else compiled, plan, feedback=True)
+    if open_loop is not None and _same_model(open_loop.twin, given.twin):
+        given = open_loop.compiled  # compiled already
+    compiled = _without_overlaps(problem, given)
+    known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
+    run = replay_in(compiled, plan, feedback=True)
     end = known.xs[-1] if known else _end_without_gains(run)
     section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
@@ -121,7 +124,8 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
     if own or not isinstance(mechanism, Mechanism):
         return CompiledTwin(with_model(twin, mjcf))
     given = with_model(twin, mjcf) if mjcf is not None else replace(twin, mjcf=twin.original)
-    model = compile_model(given.mjcf, given.assets)
+    compiled = CompiledTwin(given)
+    model = compiled.model
     unused = [one.index for one in unmodelled(model) if one.kind == "actuator"]
     prescribed = getattr(problem.dynamics, "prescribed", ())
     if prescribed and model.nu - len(unused) == mechanism.nu:  # else they are driven already
@@ -130,7 +134,10 @@ def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> Co
         except ModelError as error:
             raise Undriven(f"the plan prescribes joints that cannot be driven in the file: {error}") from None
         given = replace(given, mjcf=text)
-    return CompiledTwin(_with_idle_states(given, model, unused), unused)
+    used = CompiledTwin(_with_idle_states(given, model, unused), unused)
+    if given.mjcf == compiled.twin.mjcf:
+        used.model = model  # compiled already
+    return used
 
 
 def _without_overlaps(problem: Problem, compiled: CompiledTwin) -> CompiledTwin:

@@ -1,4 +1,4 @@
-"""Start and goal of a problem file are put on the ground, unless they are in the air by their own height."""
+"""Start and goal of a problem file at rest are put on the ground, unless the file says settle = false."""
 
 import numpy as np
 import pytest
@@ -17,6 +17,8 @@ SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0
     <body name="mast"><joint name="mast" axis="0 1 0" damping=".1"/>
       <inertial pos="0 0 .2" mass=".5" diaginertia=".01 .01 .01"/>
     </body></body></worldbody><actuator><motor joint="mast"/></actuator></mujoco>"""
+DOWN = "{} is put on the ground, 0.3 m or rad from what was asked; settle = false leaves it there."
+BOTH = f"{DOWN.format('start')} {DOWN.format('goal')}"
 TABLE = 'model = "sled.xml"\nstart = {start}\ngoal = {goal}\nduration = 0.5\ndt = 0.01\n{more}\n'
 
 
@@ -27,7 +29,7 @@ def loaded(tmp_path, start="{}", goal="{ mast = 0.1 }", more=""):
 
 
 def test_start_and_goal_are_put_down(tmp_path):
-    file = loaded(tmp_path)
+    file = loaded(tmp_path, more='guess = "hold"')
     m = file.problem.dynamics.mechanism
     for x, mast in ((file.problem.x0, 0.0), (file.problem.cost.x_ref[-1], 0.1)):
         forces = contact_forces(m, x[: m.nq], np.zeros(m.nv)).forces
@@ -37,32 +39,32 @@ def test_start_and_goal_are_put_down(tmp_path):
     rates = file.problem.dynamics.rates(file.problem.x0[None], file.problem.first_guess[:1])
     np.testing.assert_allclose(rates, 0.0, atol=1e-6)
     assert file.notes[0].startswith("contacts of 4 pairs with the ground are planned with a law for 2 kg")
-    assert file.notes[1] == "start is put on the ground, 0.3 m or rad from what was asked."
+    assert file.notes[1] == BOTH
     assert file.problem.parameters["contacts"] == "ground"
 
 
 @pytest.mark.parametrize(
     ("start", "more", "height", "note"),
     [
-        ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "", 0.3, "start stays 0.3 m above the ground; settle = true puts it down."),
-        ("{ root = [0, 0, -0.65, 1, 0, 0, 0] }", "", 0.3, "start stays 0.3 m above the ground"),
-        ("{ root = [0, 0, -0.93, 1, 0, 0, 0] }", "", 0.0, ""),  # 2 cm above it
+        ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "", 0.0, BOTH),
+        ("{ root = [0, 0, -0.65, 1, 0, 0, 0] }", "", 0.0, BOTH),
+        ("{ root = [0, 0, -0.93, 1, 0, 0, 0] }", "", 0.0, ""),  # 2 cm above it: nothing to say
         ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "settle = true", 0.0, ""),
         ("{}", "settle = false", 0.3, ""),
+        ("[0, 0, -0.65, 1, 0, 0, 0, 0]", "settle = false", 0.3, ""),
         (
-            "[0, 0, -0.95, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]",
+            "[0, 0, -0.65, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]",
             "",
-            0.0,
-            "start is not put on the ground, since it moves.",
+            0.3,
+            f"start is not put on the ground, since it moves. {DOWN.format('goal')}",
         ),
     ],
 )
-def test_a_height_that_is_written_is_kept(tmp_path, start, more, height, note):
+def test_what_rests_is_put_down_from_any_height_unless_the_file_says_no(tmp_path, start, more, height, note):
     file = loaded(tmp_path, start, more=more)
     # sinks by a quarter of 5 mm
     assert clearance(file.problem.dynamics.mechanism, file.problem.x0) == pytest.approx(height, abs=2.5e-3)
-    assert any(one.startswith(note) for one in file.notes)
-    assert note or len(file.notes) == 1
+    assert [one for one in file.notes if one.startswith("start")] == ([note] if note else [])
 
 
 def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):

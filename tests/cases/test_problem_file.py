@@ -36,7 +36,12 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
     )
     by_hand = planner.solve(
         planner.Problem(
-            dynamics, cost, crane.home, limits=planner.Limits.of_model(), decrease_tolerance=problem.decrease_tolerance
+            dynamics,
+            cost,
+            crane.home,
+            us=problem.first_guess,
+            limits=planner.Limits.of_model(),
+            decrease_tolerance=problem.decrease_tolerance,
         )
     )
     np.testing.assert_array_equal(by_hand.us, plan.us)

@@ -1,13 +1,16 @@
 """How often MuJoCo compiles a model: reading and proving look at one compiled model, each text is compiled once."""
 
+from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import planner
 from planner import Mechanism, RigidBodyDynamics, TrackingCost
 from planner.contact import ContactLaw
 from planner.model.mjcf import survey
+from planner.model.mjcf.read import read
 from planner.model.mjcf.text import edited
 from planner.proof.replays.replaying import reached_by_plan
 from planner.proof.steps import prove
@@ -68,6 +71,20 @@ def test_a_model_that_is_edited_compiles_twice(texts, text, options):
     assert len(texts) == len(set(texts)) == 2
 
 
+def test_a_model_with_coarser_meshes_is_not_compiled_once_more_for_other_edits(texts):
+    """The same two times, though both the mesh and the contacts are edited."""
+    n = 1000  # a fan of triangles, whose file is too large for what is only seen
+    rim = [f"v {np.cos(a):.60f} {np.sin(a):.60f} 0" for a in np.linspace(0.0, 1.0, n)]
+    fan = "\n".join(["v 0 0 0", *rim, *(f"f 1 {i} {i + 1}" for i in range(2, n + 1))]).encode()
+    assets = '<asset><mesh name="fan" file="fan.obj" inertia="shell"/></asset>'
+    look = '<geom type="mesh" mesh="fan" contype="0" conaffinity="0"/>'
+    text = ON_FLOOR.replace("<worldbody>", f"{assets}<worldbody>{look}")
+    mechanism = read(text, assets={"fan.obj": fan}, contacts="off")
+    assert list(mechanism.assets) == ["fan.coarse.obj"]
+    assert texts[1:] == [mechanism.mjcf]
+    assert mechanism.mjcf != mechanism.original
+
+
 def test_a_proof_compiles_its_model_once(texts):
     plan = planner.solve(task(Mechanism.from_mjcf(PLAIN)))
     texts.clear()
@@ -78,12 +95,24 @@ def test_a_proof_compiles_its_model_once(texts):
     assert len(texts) == 1
 
 
-def test_a_proof_in_another_model_compiles_each_text_once(texts):
+def test_a_proof_of_an_edited_file_compiles_the_file_once(texts):
+    plan = planner.solve(task(Mechanism.from_mjcf(RUBBING, ignore=("frictionloss",))))
+    texts.clear()
+    prove(plan, rollouts=0)
+    assert plan.twin is not None
+    assert texts.count(plan.twin.original) == 1
+    assert texts.count(plan.twin.mjcf) == 2  # once more to know what it lacks
+    assert len(texts) == 3
+
+
+def test_a_proof_in_another_model_compiles_no_text_more_than_twice(texts):
+    """Once to take out what the plan leaves out, and once to replay the plan in the model as it is."""
     plan = planner.solve(task(Mechanism.from_mjcf(RUBBING, ignore=("frictionloss",))))
     texts.clear()
     prove(plan, mjcf=edited(RUBBING, {".//joint[@name='hinge']": {"damping": "0.06"}}), rollouts=0)
     # The other model as given, and without the friction that the plan leaves out, as its own two texts tell.
     assert len(set(texts)) == 4
+    assert max(Counter(texts).values()) == 2
 
 
 def test_driving_joints_compiles_the_model_before_and_after(texts):

@@ -49,7 +49,7 @@ each = pytest.mark.parametrize("name", [*WHOLE, *REFUSED])
 def machine(name):
     """The mechanism and MuJoCo's model: of the file itself, unless something had to be taken out of it.
 
-    Without couplings: MuJoCo's constraints are off here, and tests/dynamics/test_coupled_dynamics.py has those.
+    Without couplings and friction loss: MuJoCo's constraints are off here, and tests/dynamics has those.
     """
     ignore = REFUSED[name][0] if name in REFUSED else ()
     mechanism = Mechanism.from_mjcf(path(name), ignore=ignore, contacts="off")
@@ -59,7 +59,7 @@ def machine(name):
         model = mujoco.MjModel.from_xml_path(str(path(name)))
     bits = mujoco.mjtDisableBit
     model.opt.disableflags |= bits.mjDSBL_CONSTRAINT | bits.mjDSBL_EULERDAMP  # contacts, limits; damping as elsewhere
-    return replace(mechanism, couplings=()), model
+    return replace(mechanism, couplings=(), friction_loss=np.zeros(mechanism.nv)), model
 
 
 def drawn(name):
@@ -87,7 +87,7 @@ def test_elements_that_are_not_modelled_are_named(name):
     with pytest.raises(ModelError) as error:
         Mechanism.from_mjcf(path(name), contacts="off")
     assert words in str(error.value)
-    assert f"ignore={ignore!r}" in str(error.value)  # what to do about it
+    assert f'ignore = ["{ignore[0]}"] loads' in str(error.value)  # what to do about it
 
 
 @each

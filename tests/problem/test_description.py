@@ -78,6 +78,42 @@ def test_what_no_plan_can_be_made_with_is_described_too():
         describe(opened("<mujoco><worldbody/></mujoco>"))
 
 
+WEDGE = '<asset><mesh name="wedge" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset>'
+BALL = '<body name="ball" pos="0 2 .3"><freejoint/><geom name="ball" size=".1"/></body>'
+
+
+FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
+STONE = '<geom type="mesh" mesh="wedge" pos="0 0 4"/>'
+
+
+@pytest.mark.parametrize(
+    ("world", "mode"),
+    [("", ""), (FLOOR, "avoid"), (STONE, "avoid"), (f"{FLOOR}{STONE}{BALL}", "ground")],
+    ids=["nothing to touch", "held above a floor", "a mesh", "a ball that falls"],
+)
+def test_any_contacts_are_loaded_without_a_key_and_their_mode_is_told(world, mode):
+    file = arm(world=world, head=WEDGE)
+    known = describe(file)
+    assert known.loaded.mechanism is not None
+    assert (known.loaded.keys, known.loaded.refusal) == ({}, "")
+    assert (known.contacts["mode"], known.contacts["choice"]) == (mode, known.loaded.mechanism.contacts_choice)
+    assert bool(known.contacts["choice"]) == bool(mode)
+    assert known.contacts["with_planes"] == (mode == "ground")
+    untold = [f"contacts of all {len(file.survey.pairs)} pairs of shapes that may touch"]
+    assert (known.left_out == untold) == (mode == "avoid")
+
+
+def test_what_is_refused_is_taken_out_and_what_is_modelled_is_told():
+    tail = """<tendon><fixed name="t" stiffness="1"><joint joint="elbow" coef="1"/></fixed></tendon>
+      <equality><joint joint1="elbow" joint2="shoulder"/><weld body1="fore"/></equality>"""
+    known = describe(arm(more='frictionloss=".1"', tail=tail))
+    assert known.loaded.keys == {"ignore": ["equality"]}
+    assert known.loaded.refusal.startswith('ignore = ["equality"] loads')
+    assert "friction loss of 1 joint" in known.planned
+    assert "1 fixed tendon" in known.planned
+    assert describe(arm(tail=tail.replace('<weld body1="fore"/>', ""))).planned.count("1 coupling of joints") == 1
+
+
 def test_each_problem_comes_with_what_mends_it():
     assert "prescribed" in only(problems(arm(motors="")), "no actuators")
     assert "gravity" in only(problems(arm(head='<option gravity="0 0 0"/>')), "gravity is 0")

@@ -20,8 +20,8 @@ def on_ground(
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Start and goal (nx,) as they are planned, and sentences about what was done to them.
 
-    With settle = "auto" and a law of the ground, what is at rest is put down, from any height that the table does not
-    give: files let machines fall from a little above. A pose that does not balance is put down as it is.
+    With settle = "auto" and a law of the ground, what is at rest is put down from any height, and a sentence says so:
+    files let machines fall from a little above. A pose that does not balance is put down as it is.
 
     Raises:
         PlannerError: settle is none of true, false and "auto"; true, and a pose does not stay on the ground.

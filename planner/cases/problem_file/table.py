@@ -57,9 +57,25 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
         if not isinstance(part, dict):
             raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")
         check_keys(part, keys, f"[{name}] of {where}")
+    if RESOLVED in table:
+        _check_resolved(table[RESOLVED], where)
     if "model" not in table:
         raise PlannerError(f"{where} has no key 'model', expected the name of an MJCF or URDF file.")
     return {**DEFAULTS, **table, "weights": dict(table.get("weights", {}))}
+
+
+def _check_resolved(resolved: dict[str, Any], where: str) -> None:
+    """Refuse what was chosen by itself unless it has tables of weights and of sentences."""
+    for name in ("weights", "reasons"):
+        part = resolved.get(name)
+        if not isinstance(part, dict):
+            raise PlannerError(f"{name} of [{RESOLVED}] is {shown(part)}, expected a table.")
+    check_keys(resolved["weights"], (*WEIGHTS, "control"), f"[{RESOLVED}.weights] of {where}")
+    if "effort" not in resolved["weights"]:
+        raise PlannerError(f"[{RESOLVED}.weights] of {where} has no key 'effort', expected a weight of the controls.")
+    for name, reason in resolved["reasons"].items():
+        if not isinstance(reason, str):
+            raise PlannerError(f"the reason for {shown(name)} is {shown(reason)}, expected a sentence.")
 
 
 def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:

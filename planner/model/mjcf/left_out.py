@@ -67,19 +67,20 @@ class LeftOut:
 
 def left_out(
     original: str, planned: str, assets: dict[str, bytes], contacts: bool = True, compiled: Any = None,
-    start: np.ndarray | None = None,
+    start: np.ndarray | None = None, given: Any = None,
 ) -> LeftOut:  # fmt: skip
     """Compare the text of a file as the user gave it with the text that a plan's mechanism was read from.
 
     `contacts` tells whether the mechanism has any; one may have none though its text has some. `compiled` is the
-    model of a text that was not edited, where there is one already; `start` is MuJoCo's qpos where the plan starts.
+    model of a text that was not edited, where there is one already, and `given` that of the original; `start` is
+    MuJoCo's qpos where the plan starts.
     """
     own = compiled if compiled is not None and not original else compile_model(planned, assets)
     known = pairs_by_name(own) if contacts else {}
     if not original:
         given, elements = own, ()
     else:
-        given = compile_model(original, assets)
+        given = compile_model(original, assets) if given is None else given
         kept = set(modelled(own))
         elements = (*(one for one in modelled(given) if one not in kept), *unmodelled(given))
     pairs = pairs_by_name(given)

@@ -12,12 +12,13 @@ from planner.model.mjcf.text import is_text, model_tree
 
 
 class Opened(NamedTuple):
-    """A file as it was written; only its visual meshes are coarser."""
+    """A file as it was written; only its visual meshes are coarser, on which no fact of the survey depends."""
 
     root: ElementTree.Element  # Not to be changed
     files: dict[str, bytes]  # By the names that the text uses
-    survey: Survey
+    survey: Survey  # Of the file with its own meshes
     name: str  # For a sentence
+    compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
 
 
 def opened(model: str | Path, assets: dict[str, bytes] | None = None, name: str = "") -> Opened:
@@ -29,6 +30,5 @@ def opened(model: str | Path, assets: dict[str, bytes] | None = None, name: str 
     name = name or ("the model" if is_text(model) else f"the model {model}")
     root, files = model_tree(model, assets, stored=assets is not None)
     survey = Survey(compile_model(root, files, name))
-    if coarsen_visual_meshes(root, files, survey.model):
-        survey = Survey(compile_model(root, files, name))
-    return Opened(root, files, survey, name)
+    coarser = coarsen_visual_meshes(root, files, survey.model)
+    return Opened(root, files, survey, name, not coarser)

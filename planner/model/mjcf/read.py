@@ -77,7 +77,7 @@ def read_opened(
         choice("ignore", kind, KINDS)
     law = contacts if isinstance(contacts, ContactLaw) else None
     asked = "law" if law is not None else choice("contacts", _renamed(contacts), MODES)
-    given, files, survey, name = file()
+    given, files, survey, name, compiled = file()
     root = copy.deepcopy(given)
     original = ElementTree.tostring(root, encoding="unicode")
     mode, phrase = chosen(survey, asked) if asked in ("auto", "ground", "avoid", "model") else Choice(asked)
@@ -96,7 +96,8 @@ def read_opened(
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
     if left_out:
         phrases.append(phrase_of(survey.model, left_out))
-    if ElementTree.tostring(root, encoding="unicode") != original:  # the edits may not do what they meant
+    if not compiled or ElementTree.tostring(root, encoding="unicode") != original:
+        # Compiled once for coarser meshes and edits together, which may not do what they meant.
         survey = Survey(compile_model(root, files, name))
         _refuse([*unmodelled(survey.model), *contact_refusals(survey)], name, survey)
     harden(root, survey.model)
