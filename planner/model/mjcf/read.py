@@ -82,7 +82,8 @@ def read_opened(
     original = ElementTree.tostring(root, encoding="unicode")
     mode, phrase = chosen(survey, asked) if asked in ("auto", "ground", "avoid", "model") else Choice(asked)
     if asked == "ground" and mode != "ground":
-        raise ModelError(f"contacts is 'ground', but nothing in {name} falls on a plane or box: contacts='avoid'.")
+        words = f"contacts is 'ground', but nothing in {name} falls on a plane or box"
+        raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     left_out: list[Pair] = []
     if mode in ("law", "ground"):
