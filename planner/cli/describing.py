@@ -9,7 +9,7 @@ from pathlib import Path
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.cases.problem_file.first import write_first_problem
 from planner.cli.console import Console, shown
-from planner.model.mjcf.opened import opened
+from planner.model.urdf.read import opened_model
 from planner.problem.description import HOME, Description, describe
 
 PICTURE = "poses.png"
@@ -22,7 +22,7 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
     """Describe a model, draw its keyframes and write a problem file."""
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
-    file = opened(arguments.model)
+    file = opened_model(arguments.model)
     known = describe(file)
     written = None
     if arguments.write is not None:  # or one sentence, before anything is printed

@@ -212,7 +212,7 @@ def build() -> argparse.ArgumentParser:
     command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
     command(
         "model", "Describe a model of your own: its joints, actuators and contacts, and what looks wrong.",
-        {"model": {"metavar": "FILE", "help": "An MJCF file."},
+        {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
          "--write": _takes("FILE", "Also write a problem file to start from, which runs as it is."),
          "--out": _takes("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
          "--no-picture": _switch("Draw no picture, which needs OpenGL.")},

@@ -11,6 +11,7 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.files import printable, read_text
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.read import read
 from planner.model.mjcf.text import is_text
 from planner.model.urdf.packages import packages_of
@@ -30,7 +31,7 @@ def is_urdf(model: object) -> bool:
 
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
     assets: dict[str, bytes] | None = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
@@ -55,9 +56,28 @@ def read_model(
 
 def read_urdf(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
-    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "on",
+    inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF file or text; see Mechanism.from_urdf."""
+    mjcf, assets, name = _written(model, base, floor, package_path, inertia)
+    return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
+
+
+def opened_model(model: str | Path) -> Opened:
+    """A URDF or MJCF file, compiled.
+
+    Raises:
+        ModelError: It cannot be read, or MuJoCo refuses it.
+    """
+    if not is_urdf(model):
+        return opened(model)
+    return opened(*_written(model, None, False, (), "given"))
+
+
+def _written(
+    model: str | Path, base: str | None, floor: bool, package_path: str | Sequence[str], inertia: str
+) -> tuple[str, dict[str, bytes], str]:
+    """The MJCF that is made of a URDF, its files, and its name for messages."""
     if base is not None:
         choice("base", base, BASES)
     nearest = choice("inertia", inertia, INERTIAS) == "nearest"
@@ -72,7 +92,5 @@ def read_urdf(
         path, name = Path(model), f"the model {printable(model)}"
         text = read_text(path, "the model", raises=ModelError)
     robot = robot_of(text, name)
-    mjcf, assets = mjcf_of(
-        robot, packages_of(path, paths, robot.meshdir), name, base=base, floor=floor, nearest=nearest
-    )
-    return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
+    packages = packages_of(path, paths, robot.meshdir)
+    return *mjcf_of(robot, packages, name, base=base, floor=floor, nearest=nearest), name
