@@ -16,7 +16,7 @@ def test_a_wrong_problem_file_is_refused_in_one_sentence(tmp_path):
     text = (EXAMPLES / "crane.toml").read_text().replace("crane.xml", str(EXAMPLES / "crane.xml"))
     for old, new, fragments in (
         ("trolley = 2.0", "troley = 2.0", ("troley", "Did you mean 'trolley'?")),
-        ('contacts = "off"', 'contacts = "model"', ("crane.xml", "contacts", "contacts='avoid'")),
+        ('contacts = "off"', 'contacts = "model"', ("crane.xml", "contacts", 'contacts = "avoid"')),
         ("dt = 0.02", "dt = -0.02", ("dt is -0.02",)),
         ("duration", "durration", ("durration", "Did you mean 'duration'?")),
     ):

@@ -12,6 +12,7 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_choice import DAMPING, SINK
 from planner.problem.guess import holding_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")
@@ -132,7 +133,7 @@ def written(tmp_path, contacts, more="settle = true"):
 @pytest.mark.parametrize(
     ("contacts", "law"),
     [
-        ('"ground"', ContactLaw.resting(MASS)),
+        ('"ground"', ContactLaw.resting(MASS, sink=SINK, damping_ratio=DAMPING)),
         ("{ sink = 0.01, friction = 0.7 }", ContactLaw.resting(MASS, sink=0.01, friction=0.7)),
         (
             "{ stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 200, friction = 0.5 }",
