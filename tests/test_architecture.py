@@ -30,11 +30,11 @@ MODULES = {module_of(path): path for path in FILES}
 
 
 def imports(path):
-    """Modules that a file imports, wherever in it; the exceptions are Mechanism.from_mjcf and from_urdf."""
+    """Modules that a file imports, wherever in it; the one exception is Mechanism.from_mjcf."""
     skipped = set()
     for node in ast.walk(TREES[path]):
         if isinstance(node, ast.ClassDef) and node.name == "Mechanism":
-            reading = [child for child in node.body if getattr(child, "name", "") in ("from_mjcf", "from_urdf")]
+            reading = [child for child in node.body if getattr(child, "name", "") == "from_mjcf"]
             skipped |= {id(child) for function in reading for child in ast.walk(function)}
     for node in ast.walk(TREES[path]):
         if id(node) in skipped:

@@ -42,6 +42,7 @@ from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.joint_curves import ExponentialTorque, check_curve
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
+from planner.model.urdf.as_mjcf import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
 DIRECT, INTEGRATOR, FILTER = 0, 1, 2
@@ -232,8 +233,9 @@ class Mechanism:
 
     @classmethod
     def from_mjcf(
-        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto"
-    ) -> Mechanism:
+        cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        assets: dict[str, bytes] | None = None, name: str = "",
+    ) -> Mechanism:  # fmt: skip
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
         Args:
@@ -247,6 +249,8 @@ class Mechanism:
                 fits: see `contacts_choice`. A ContactLaw is given to all contacts whose shapes are modelled. What is
                 planned is replayed in the plan's own model; what is left out is said in `ignored`, and judged in the
                 user's file.
+            assets: Files by the names that the text uses for them; then nothing is read from disk.
+            name: Of the model in messages; by default that of its file.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion
@@ -254,7 +258,7 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # read imports Mechanism: the one exception to the order of folders
 
-        return read(model, ignore=ignore, contacts=contacts)
+        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name)
 
     @classmethod
     def from_urdf(
@@ -282,11 +286,8 @@ class Mechanism:
             ModelError: A file that cannot be read or is no tree of links, xacro, an inertia that no body has, a joint
                 that moves no inertia, or what from_mjcf raises.
         """
-        from planner.model.urdf.read import read_urdf  # as above
-
-        return read_urdf(
-            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore, contacts=contacts
-        )
+        mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
+        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with torques that are exponentials of its coordinates, in place of those it has.
