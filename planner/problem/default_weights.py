@@ -33,6 +33,7 @@ from planner.problem.guess import holding_controls
 
 LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
 LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
+MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
 KEPT = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
@@ -115,16 +116,16 @@ def default_cost(
 
 
 def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
-    """The states (N+1, nx) of the straight line from x0 to a goal, both (nx,), from rest to rest in N stages."""
+    """The states (N+1, nx) of the straight line from x0 to a goal, both (nx,), reached after MOVING of the N stages."""
     mechanism, space = dynamics.mechanism, dynamics.space
     nq, nv = mechanism.nq, mechanism.nv
     rest = [x.copy() for x in (x0, goal)]
     for x in rest:
         x[nq : nq + nv] = 0.0
-    way, s = space.difference(rest[1], rest[0]), np.arange(N + 1) / N
+    way, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (MOVING * N), 1.0)
     places = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
     xs = space.integrate(np.tile(rest[0], (N + 1, 1)), places[:, None] * way)
-    xs[:, nq : nq + nv] = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] * way[:nv] / (N * dynamics.dt)
+    xs[:, nq : nq + nv] = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] * way[:nv] / (MOVING * N * dynamics.dt)
     xs[0], xs[N] = x0, goal
     return xs
 

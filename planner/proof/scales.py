@@ -2,8 +2,8 @@
 
 A coordinate's error is judged beside its own range of motion along the plan. A coordinate that hardly moves is judged
 beside a tenth of the largest range of its unit, since a simulator's error comes from the machine's whole motion. A
-length of a machine that stands is judged beside the depth over which the plan smooths its contacts: what holds the
-machine up is the plan's own law only to a share of that.
+length of a machine that stands is judged beside the depth to which the plan's ground lets it sink: what holds the
+machine up is that law only to a share.
 """
 
 from __future__ import annotations
@@ -39,15 +39,23 @@ def path_bounds(plan: Plan) -> np.ndarray:
 
 
 def ranges_of_motion(plan: Plan) -> np.ndarray:
-    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit, or a ramp."""
+    """(ndx,) how far each coordinate moves along the plan; at least a tenth of the largest of its unit."""
     assert plan.problem is not None  # its dynamics know the units
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
     mechanism = getattr(plan.problem.dynamics, "mechanism", None)
-    ramps = [contact.law.ramp for contact in mechanism.contacts] if mechanism is not None else []
-    least = np.where(units == LENGTH, max([LEAST_RANGE, *ramps]), LEAST_RANGE)
+    least = np.where(units == LENGTH, max(LEAST_RANGE, sinking(plan.problem)), LEAST_RANGE)
     return np.maximum(np.maximum(own, OF_LARGEST * largest), least)
+
+
+def sinking(problem: Problem | None) -> float:
+    """How deep a plan's machine sinks into its ground on one contact, m; 0 without contacts."""
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    if mechanism is None or not mechanism.contacts:
+        return 0.0
+    weight = float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
+    return weight / max(contact.law.stiffness for contact in mechanism.contacts)
 
 
 def touches(problem: Problem | None) -> bool:
