@@ -44,7 +44,6 @@ def ranges_of_motion(plan: Plan) -> np.ndarray:
     own = np.ptp(plan.space.difference(plan.xs, plan.xs[0]), axis=0)
     units = np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
     largest = np.array([own[units == unit].max() for unit in units])
-    mechanism = getattr(plan.problem.dynamics, "mechanism", None)
     least = np.where(units == LENGTH, max(LEAST_RANGE, sinking(plan.problem)), LEAST_RANGE)
     return np.maximum(np.maximum(own, OF_LARGEST * largest), least)
 
