@@ -28,11 +28,11 @@ class Ours:
         dynamics = planner.RigidBodyDynamics(self.mechanism, task["dt"], task["integrator"])
         self.joints = self.mechanism.joint_names[task["free"] :]
         x0, us = self.states([task["q0"]], [{}])[0], self.inputs(task["us"])
-        N, velocity = task["N"], {name: task["velocity"] for name in self.joints}
-        end = {name: task["final_velocity"] for name in self.joints}
+        N, velocity = task["N"], dict.fromkeys(self.joints, task["velocity"])
+        end = dict.fromkeys(self.joints, task["final_velocity"])
         cost = planner.TrackingCost.joints(
             dynamics, x0, N, effort=task["effort"], velocity=velocity, final_velocity=end,
-            position={name: task["posture"] for name in self.joints},
+            position=dict.fromkeys(self.joints, task["posture"]),
         )  # fmt: skip
         if task["joint_goal"]:  # the same arm in joint space, for comparison
             cost = planner.TrackingCost.joints(
@@ -50,13 +50,15 @@ class Ours:
                 )
         limits = None
         if task["bounds"] is not None:
-            limits = planner.Limits(control=np.array([task["bounds"][name] for name in self.joints]))
+            most = np.array([task["bounds"][name] for name in self.joints])
+            limits = planner.Limits(control=(-most, most))
         self.problem = planner.Problem(dynamics, cost, x0, us, limits=limits)
         self.stop, self.iterations = task["stop"], 1000
         self.engine = borrow(self.problem)
         self.rewind()
         self.first = self.cost
-        self.stepped = self.iterate().cost
+        outcome = self.iterate()
+        self.stepped, self.step = outcome.cost, outcome.step
 
     def states(self, qs: list[Any], vs: list[Any]) -> np.ndarray:
         """States of positions and velocities by name; a base stands at the origin, at rest."""
@@ -184,7 +186,10 @@ class Theirs:
         self.solver.th_stop, self.iterations = task["stop"], 1000
         self.stepper.solve(self.xs, self.us, 1, True)
         self.stepper.preg = self.stepper.dreg = 0.0
-        self.stepped = self.step_once()
+        self.step, self.stepped = 1.0, self.step_once()
+        while self.stepped is None:  # the longest step that does not run away: one rollout, as few as there can be
+            self.step *= 0.5
+            self.stepped = self.step_once()
 
     def states(self, qs: list[Any], vs: list[Any]) -> np.ndarray:
         """States of positions and velocities by name; a base stands at the origin, at rest."""
@@ -218,20 +223,21 @@ class Theirs:
         self.stepper.setCandidate(self.xs, self.us, True)
 
     def step_once(self) -> float | None:
-        """The cost after one iteration; None where the full step runs away."""
+        """The cost after one iteration; None where the step runs away."""
         import crocoddyl
 
         self.rewind()
         try:
-            return float(self.stepper.cost - self.iterate())
+            improvement = self.iterate()
         except crocoddyl.Exception:
             return None
+        return float(self.stepper.cost - improvement)
 
     def iterate(self) -> float:
-        """Linearise, sweep, try the full step."""
+        """Linearise, sweep, try one step."""
         self.stepper.calcDiff()
         self.stepper.backwardPass()
-        return self.stepper.tryStep(1.0)
+        return self.stepper.tryStep(self.step)
 
     def until(self, enough: float | None) -> None:
         """Solve once, and limit further solves to the iterations that reach a cost."""
@@ -273,7 +279,7 @@ def load(task: Task) -> Answer:
     """Build a task; its cost at the first guess and after an iteration."""
     _cases.clear()
     case = _cases["now"] = (Theirs if THEIRS else Ours)(task)
-    return {"joints": list(case.joints), "cost": case.first, "stepped_cost": case.stepped}
+    return {"joints": list(case.joints), "cost": case.first, "stepped_cost": case.stepped, "step": case.step}
 
 
 def probe(qs: list[Any], vs: list[Any], us: list[Any]) -> Answer:
