@@ -8,6 +8,7 @@ from planner.dynamics.algorithms import mass_matrix as mass_matrix
 from planner.dynamics.algorithms import mass_matrix_derivatives as mass_matrix_derivatives
 from planner.dynamics.algorithms import rnea as rnea
 from planner.dynamics.algorithms import rnea_derivatives as rnea_derivatives
+from planner.dynamics.assembly import assembled as assembled
 from planner.dynamics.contacts import ContactForces as ContactForces
 from planner.dynamics.contacts import body_contact_forces as body_contact_forces
 from planner.dynamics.contacts import contact_forces as contact_forces

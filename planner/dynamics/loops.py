@@ -14,7 +14,7 @@ from planner.model.mechanism import Mechanism
 
 
 def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
+    """Phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
     G = world_poses(mechanism, q)
     parts = [_miss(loop, G) for loop in mechanism.loops]
     parts += [np.array([_follower(mechanism, cam, q) - _polynomial(mechanism, cam, q)[0]]) for cam in mechanism.cams]

@@ -39,8 +39,8 @@ from planner.base.errors import ModelError, PlannerError
 from planner.model.contact.between_bodies import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.loops import Cam, Loop
 from planner.model.joint_curves import ExponentialTorque, check_curve
+from planner.model.loops import Cam, Loop
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.as_mjcf import as_mjcf

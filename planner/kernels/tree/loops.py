@@ -124,7 +124,7 @@ def _constraint_rows(m, q, ws, J, ld):
 
 @inline
 def _lacks(m, q, v, ws, c):
-    """c = Jdot qd + 2 rate phidot + rate^2 phi, and J a of prescribed coordinates, from the links' accelerations."""
+    """C = Jdot qd + 2 rate phidot + rate^2 phi, and J a of prescribed coordinates, from the links' accelerations."""
     rigid, row, rate = integers(m, TREE.loop_rigid), 0, load(floats(m, TREE.loop_rate), 0)
     zero = spread(0.0)
     for k in range(m[TREE.loops]):

@@ -26,10 +26,10 @@ from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pair
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
-from planner.model.mjcf.loops import read_cams, read_loops
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
+from planner.model.mjcf.loops import read_cams, read_loops
 from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
