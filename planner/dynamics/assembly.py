@@ -20,6 +20,7 @@ from planner.model.mechanism import Mechanism
 _CLOSE = 1e-13  # m or rad, of what is left of a miss
 _STEPS = 100  # from far away; near a closed pose five are enough
 _HALVINGS = 20  # of a step that would open the chains further
+_PREFERRED = 10.0  # coordinates with actuators lead where they move the chain at all
 _WEAK = 1e-9  # of the largest singular value: a direction that closes less closes nothing
 
 
@@ -64,6 +65,38 @@ def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     stay = np.array([*given], dtype=int)
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
+
+
+def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Z (nv, n), the directions that couplings and closed chains leave at q (nq,), and n coordinates that lead them.
+
+    In the leading coordinates Z is 1: a velocity on the constraints is Z qd[leading].
+    """
+    reduction = mechanism.reduction
+    G = np.eye(mechanism.nv) if reduction is None else reduction.G
+    leading = np.arange(mechanism.nv) if reduction is None else reduction.independent
+    if not (mechanism.loops or mechanism.cams):
+        return G, leading
+    from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
+
+    N = null_space(jacobian(mechanism, q) @ G, rcond=_WEAK)
+    driven = np.any(mechanism.actuators.moment[:, leading] != 0.0, axis=0)
+    _, _, order = qr(N.T * np.where(driven, _PREFERRED, 1.0), pivoting=True)
+    chosen = np.sort(order[: N.shape[1]])
+    return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]
+
+
+def tangents(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (ndx, n), the directions of states (dq, dv, dact) on the constraints at x (nx,), and where T is 1.
+
+    A deviation dx on the constraints is T dx[places].
+    """
+    Z, leading = directions(mechanism, x[: mechanism.nq])
+    (nv, n), na = Z.shape, mechanism.na
+    T = np.zeros((2 * nv + na, 2 * n + na))
+    T[:nv, :n] = T[nv : 2 * nv, n : 2 * n] = Z
+    T[2 * nv :, 2 * n :] = np.eye(na)
+    return T, np.concatenate([leading, nv + leading, 2 * nv + np.arange(na)])
 
 
 def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float = CLOSED) -> None:

@@ -6,6 +6,8 @@ is analytic as poe is: q, qd and tau may be complex. Rows are those of the loops
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from planner.dynamics.poe import Ad, ad, bias, mass_matrix, twists, world_poses
@@ -38,7 +40,7 @@ def _follower(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> complex:
     return q[mechanism.q_address[cam.follower]] - cam.offsets[0]
 
 
-def _polynomial(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> tuple[complex, complex, complex]:
+def _polynomial(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> tuple[Any, Any, Any]:
     """The value to follow and its first two derivatives by the leader's coordinate."""
     p = np.polynomial.Polynomial(cam.coefficients)
     s = q[mechanism.q_address[cam.leader]] - cam.offsets[1]
@@ -110,7 +112,7 @@ def closed_dynamics(
 
 def _pseudo_inverse(S: np.ndarray) -> np.ndarray:
     """Of a symmetric S (rows, rows) that may be singular; analytic in a small imaginary part."""
-    values, vectors = np.linalg.eigh(S.real)
+    values, vectors = np.linalg.eigh(np.real(S))
     keep = values > 1e-9 * values.max()
     V = vectors[:, keep]
     return V @ np.linalg.solve(V.T @ S @ V, V.T)

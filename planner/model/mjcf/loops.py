@@ -19,10 +19,11 @@ from planner.model.mjcf.survey import named, pose
 
 def closes(model: Any, i: int) -> bool:
     """Whether an equality is one that this file reads."""
-    return _joins(model, i) or _is_cam(model, i)
+    return joins(model, i) or _is_cam(model, i)
 
 
-def _joins(model: Any, i: int) -> bool:
+def joins(model: Any, i: int) -> bool:
+    """Whether an equality holds two places or frames together."""
     kinds = load_mujoco().mjtEq
     return model.eq_type[i] in (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
 
@@ -34,25 +35,27 @@ def _is_cam(model: Any, i: int) -> bool:
 
 def read_loops(model: Any, links: np.ndarray, poses: np.ndarray) -> tuple[Loop, ...]:
     """The loops that act; links (nbody,) and poses (nbody, 4, 4) are those that carry MuJoCo's bodies."""
-    return tuple(_loop(model, i, links, poses) for i in acting(model) if _joins(model, i))
+    return tuple(_loop(model, i, links, poses) for i in acting(model) if joins(model, i))
 
 
 def _loop(model: Any, i: int, links: np.ndarray, poses: np.ndarray) -> Loop:
+    bodies, frames, rigid = joined(model, i)
+    carried = np.array([poses[body] @ T for body, T in zip(bodies, frames, strict=True)])
+    return Loop(named(model, "equality", i), (int(links[bodies[0]]), int(links[bodies[1]])), carried, rigid)
+
+
+def joined(model: Any, i: int) -> tuple[list[int], list[np.ndarray], bool]:
+    """The bodies of a connect or a weld, the frames (4, 4) in them that are held together, and whether rotation is."""
     mujoco = load_mujoco()
-    weld, things, data = model.eq_type[i] == int(mujoco.mjtEq.mjEQ_WELD), (model.eq_obj1id[i], model.eq_obj2id[i]), None
+    weld, things = model.eq_type[i] == int(mujoco.mjtEq.mjEQ_WELD), (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
     if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE):
-        bodies = [int(model.site_bodyid[site]) for site in things]
         frames = [pose(model.site_pos[site], model.site_quat[site]) for site in things]
-    else:
-        bodies, data = [int(body) for body in things], model.eq_data[i]
-        places = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
-        turns = (data[6:10] if weld else np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-        frames = [pose(place, turn) for place, turn in zip(places, turns, strict=True)]
-    return Loop(
-        named(model, "equality", i), (int(links[bodies[0]]), int(links[bodies[1]])),
-        np.array([poses[body] @ T for body, T in zip(bodies, frames, strict=True)]),
-        bool(weld and (data is None or data[10] != 0.0)),
-    )  # fmt: skip
+        return [int(model.site_bodyid[site]) for site in things], frames, bool(weld)
+    data, straight = model.eq_data[i], np.array([1.0, 0.0, 0.0, 0.0])
+    places = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
+    turns = (data[6:10] if weld else straight, straight)
+    frames = [pose(place, turn) for place, turn in zip(places, turns, strict=True)]
+    return [*things], frames, bool(weld and data[10] != 0.0)
 
 
 def read_cams(model: Any) -> tuple[Cam, ...]:
