@@ -3,11 +3,10 @@
 With W in place of M^-1 (kernels.tree.couplings), the accelerations a0 that the tree would have, and c = J a0 + Jdot qd
 + 2 rate phidot + rate^2 phi what they lack of the constraints,
 
-    f = -N c,   qdd = a0 + W J' f,   N = (J W J')^-1
+    f = -N c,   qdd = a0 + W J'f,   N = (J W J')^-1
 
-Equations that say the same twice, as those of a planar machine do, make J W J' singular. With S = J W J' + e 1 the
-forces are N = S^-1 + e S^-1 S^-1: as S^-1 after one step of refinement, so the constraints miss by e^2 only, and of
-redundant forces the smallest ones act.
+Equations that say the same twice, as those of a planar machine do, make J W J' singular. Its elimination leaves out a
+row whose pivot falls below INDEPENDENT of the largest of its kind: its force is zero, and the others keep it too.
 
 The derivatives have, for r1 = M qdd + h - tau - J'f and r2 = J qdd + Jdot qd + ... ,
 
@@ -24,16 +23,16 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, load9, rotated, scaled, store3, sub
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, spread, store
+from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, select, spread, store
 from planner.kernels.tree.couplings import invert_coupled, mass_and_rest
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import CAM_SIZE, JOINED_SIZE, TREE
 from planner.kernels.tree.recursion import ACCELERATION, PLACE, RECORD, SCREW_AXIS, TWIST
-from planner.kernels.tree.sensitivity import YS, Y, Z, invert
+from planner.kernels.tree.sensitivity import YS, Y, Z
 
 POINT, ORIGIN, AXES = 0, 3, 6  # offsets in the numbers of one of two frames that are joined, as `model` lays them out
 FOLLOWER, LEADER, POWERS = 0, 1, 2  # and of a cam
-SINGULAR = 1e-10  # e as a share of the largest diagonal entry of J W J'
+INDEPENDENT = 1e-10  # of the largest diagonal entry of J W J' for places, rotations and cams; rounding leaves 1e-16
 
 
 @inline
@@ -156,11 +155,25 @@ def _lacks(m, q, v, ws, c):
 
 
 @inline
+def _kind(m, row):
+    """0, 1 or 2 for a row of a place, a rotation or a cam."""
+    rigid, first, kind = integers(m, TREE.loop_rigid), 0, 2
+    for k in range(m[TREE.loops]):
+        rows = 6 if load(rigid, k) > 0 else 3
+        if first <= row < first + rows:
+            kind = 0 if row - first < 3 else 1
+        first += rows
+    return kind
+
+
+@inline
 def _projected(m, r, J, W, ld):
-    """WJ = W J' (rows, ld), and N (rows, rows) as the file says; W of prescribed coordinates counts as zero."""
+    """WJ = W J' (rows, ld), and N (rows, rows), the inverse of J W J'; W of prescribed coordinates counts as zero."""
     n, rows, prescribed = m[TREE.nv], m[TREE.loop_rows], integers(m, TREE.prescribed)
-    WJ, N, S = lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_S)
-    largest, zero = spread(0.0), spread(0.0)
+    WJ, N, least = lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_least)
+    zero = spread(0.0)
+    for kind in range(3):
+        store(least, kind, zero)
     for k in range(rows):
         for i in range(n):
             total = zero
@@ -172,19 +185,33 @@ def _projected(m, r, J, W, ld):
             total = zero
             for i in range(n):
                 total += load(J, l * ld + i) * load(WJ, k * ld + i)
-            store(S, k * rows + l, total)
-            store(S, l * rows + k, total)
-        largest = maximum(largest, load(S, k * rows + k))
-    e = SINGULAR * largest
+            store(N, k * rows + l, total)
+            store(N, l * rows + k, total)
+        kind = _kind(m, k)
+        store(least, kind, maximum(load(least, kind), INDEPENDENT * load(N, k * rows + k)))
+    _invert_independent(m, N, rows, least)
+
+
+@inline
+def _invert_independent(m, N, rows, least):
+    """N becomes the inverse of its independent rows and columns, and zero in the others: kernels.tree.sensitivity's."""
     for k in range(rows):
-        store(S, k * rows + k, load(S, k * rows + k) + e)
-    invert(S, rows, rows)
-    for k in range(rows):
-        for l in range(rows):
-            total = zero
-            for i in range(rows):
-                total += load(S, k * rows + i) * load(S, i * rows + l)
-            store(N, k * rows + l, load(S, k * rows + l) + e * total)
+        pivot = load(N, k * rows + k)
+        d = select(load(least, _kind(m, k)), pivot, 1.0 / pivot, 0.0)
+        store(N, k * rows + k, -1.0 * d)
+        for i in range(rows):
+            if i != k:
+                factor = load(N, i * rows + k) * d
+                for j in range(rows):
+                    if j != k:
+                        store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, k * rows + j))
+        for i in range(rows):
+            if i != k:
+                x = load(N, k * rows + i) * d
+                store(N, k * rows + i, x)
+                store(N, i * rows + k, x)
+    for k in range(rows * rows):
+        store(N, k, -1.0 * load(N, k))
 
 
 @part
