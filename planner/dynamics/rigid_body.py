@@ -236,6 +236,11 @@ class RigidBodyDynamics:
                 'hessian="exact" has no second derivatives of coupled joints and this machine has '
                 f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
             )
+        if self.mechanism.loops or self.mechanism.cams:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
+                'hessian="gauss-newton".'
+            )
         if self.mechanism.curves:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of exponential torques and this machine has some, expected '

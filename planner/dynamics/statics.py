@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.assembly import directions
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.rigid_body import RigidBodyDynamics
@@ -139,8 +140,8 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
     edges = [_edges(mechanism.contacts[k]) for k in near]
     columns = [reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))]
     rows, wanted = [np.hstack(columns)], [tau]
-    if mechanism.reduction is not None:  # couplings give what they must
-        rows, wanted = [mechanism.reduction.G.T @ rows[0]], [mechanism.reduction.G.T @ tau]
+    Z = directions(mechanism, q)[0]  # couplings and closed chains give what they must
+    rows, wanted = [Z.T @ rows[0]], [Z.T @ wanted[0]]
     at = nu
     for k, edge in zip(near, edges, strict=True):
         row = np.zeros((3, rows[0].shape[1]))

@@ -40,6 +40,7 @@ from planner.model.contact.between_bodies import BodyContact, check_body_contact
 from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
 from planner.model.couplings import Coupling, Reduction, reduce
 from planner.model.joint_curves import ExponentialTorque, check_curve
+from planner.model.loops import Cam, Loop
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.as_mjcf import as_mjcf
@@ -126,6 +127,8 @@ class Mechanism:
         curves: Torques that are exponentials of coordinates; the file knows nothing of them.
         tendons: Fixed tendons with a force or a range.
         couplings: Equations that are linear in hinge and slide coordinates, kept exactly.
+        loops: Frames that are held together, so that chains close.
+        cams: Joints that follow others by polynomials.
         sites: Frames by name.
         keyframes: State (nx,) by name.
         mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
@@ -180,6 +183,8 @@ class Mechanism:
     curves: tuple[ExponentialTorque, ...] = ()
     tendons: tuple[FixedTendon, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    cams: tuple[Cam, ...] = ()
     contacts_mode: str = ""
     contacts_choice: str = ""
 

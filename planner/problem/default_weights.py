@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
+from planner.dynamics.assembly import directions
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
@@ -134,8 +135,8 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can accelerate every joint as they like."""
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
-    own = np.eye(mechanism.nv)[driven]
-    return bool(np.linalg.matrix_rank(np.vstack([moment, own])) == mechanism.nv)
+    own, Z = np.eye(mechanism.nv)[driven], directions(mechanism, mechanism.qpos0)[0]
+    return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(

@@ -54,8 +54,8 @@ from planner.cases.problem_file.table import (
     with_model_limits,
 )
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.assembly import assembled, check_assembled
 from planner.model.contact.laws import ContactLaw
-from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_choice import MODES
@@ -292,6 +292,6 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = closed_state(mechanism, x, given)
-    check_closed(name, x, mechanism, most)
-    return states(name, x if isinstance(value, dict) else closed_state(mechanism, x), mechanism.space, ())
+        x = assembled(mechanism, x, given)
+    check_assembled(name, x, mechanism, most)
+    return states(name, x if isinstance(value, dict) else assembled(mechanism, x), mechanism.space, ())

@@ -156,14 +156,14 @@ def linearize_dense(m, r, dt, xs, us, F, external):
         _gathered(m, r, xs, us, first, count)
         v = at(x, m[TREE.nq])
         for k in range(r[MEMORY.substeps]):
-            a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * nv)
+            a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * r[MEMORY.stride])
             for i in range(r[MEMORY.stages]):
                 if i == 0:
                     _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
                 else:
                     stage_state(m, r, x, i, a, length)
                     keep_turns(m, r, i)
-                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * nv))
+                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * r[MEMORY.stride]))
                     _stage_derivatives(m, r, i, state, present, width, external)
             if r[MEMORY.integrator] == RK4:
                 _rk4_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))

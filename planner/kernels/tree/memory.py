@@ -12,9 +12,10 @@ from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.recursion import RECORD
 
 MEMORY = Layout(
-    "integrator stages ld columns first block substeps kept",
+    "integrator stages ld columns first block substeps kept stride loop_width",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
-    "by_stage turns direct chained Xa step product heavier pushed before asked rest",
+    "by_stage turns direct chained Xa step product heavier pushed before asked rest "
+    "loop_J loop_WJ loop_N loop_least loop_c loop_D loop_Y",
 )
 
 
@@ -27,15 +28,21 @@ class TreeMemory:
         ld, first = padded(nv), padded(nu)
         columns = first + padded(2 * nv + na) + WIDTH  # products are written four columns at a time
         n = nv if linearizing else 0
-        kept = substeps * stages * nv  # accelerations of a whole stage
+        rows = model.loop_rows
+        stride = nv + rows  # of a stage's accelerations, and the forces of its closed chains behind them
+        kept = substeps * stages * stride  # of a whole stage
+        loop_width = padded(2 * nv)
         block = padded(nv) * (columns - WIDTH)  # of a knot's derivatives, one row an acceleration
         slack = 4 * columns  # tiles read past the end
         lanes = {
             "links": max(nv * RECORD, 2 * nv + nq + na), "x": nq + nv + na, "u": nu, "tau": nv, "scratch": 16,
             "rates": na, "theta": nv,
             "q_stage": nq, "v_stages": 4 * nv, "act_stage": na, "act_rates": 4 * na, "a": kept,
-            "trial_a": N * kept, "M": (nv if model.coupled else n) * ld, "Dq": n * ld, "Dv": n * ld, "held": n * nu,
+            "trial_a": N * kept, "M": (nv if model.coupled or rows else n) * ld, "Dq": n * ld, "Dv": n * ld,
+            "held": n * nu,
             "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv,
+            "loop_J": rows * ld, "loop_WJ": rows * ld, "loop_N": rows * rows, "loop_c": rows,
+            "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
             "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
         self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
@@ -48,6 +55,6 @@ class TreeMemory:
         self._arrays["step"], self._arrays["product"] = lane_array(whole + slack), lane_array(whole + slack)
         sizes = {
             "integrator": integrator, "stages": stages, "ld": ld, "columns": columns, "first": first, "block": block,
-            "substeps": substeps, "kept": kept,
+            "substeps": substeps, "kept": kept, "stride": stride, "loop_width": loop_width,
         }  # fmt: skip
         self.table = MEMORY.table(sizes, self._arrays)

@@ -41,6 +41,7 @@ from planner.kernels.tree.friction import (  # fmt: skip
 )
 from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
+from planner.kernels.tree.loops import accelerate_closed
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
@@ -79,7 +80,7 @@ def add_commutator(m, theta, first, second, factor):
 
 @part
 def accelerations(m, r, q, v, u, act, a, external):
-    """Accelerations a (nv lanes) under inputs u and activations act.
+    """Accelerations a (nv lanes) under inputs u and activations act, and behind them the forces of closed chains.
 
     With `external` None the machine has none of what Model.external names, and its code is left out.
     """
@@ -97,6 +98,9 @@ def accelerations(m, r, q, v, u, act, a, external):
         if m[TREE.losses] > 0:
             _accelerate_with_friction(m, r, q, v, tau, a)
             return
+        if m[TREE.loop_rows] > 0:
+            accelerate_closed(m, r, q, v, tau, a, links, floats(m, TREE.armature), at(a, m[TREE.nv]))
+            return
         if m[TREE.dependents] > 0:
             accelerate_coupled(m, r, tau, a, links, floats(m, TREE.armature))
             return
@@ -111,9 +115,11 @@ def _add_wrenches(m, q, links):
 
 
 @part
-def _accelerate_again(m, r, tau, a, links, armature):
+def _accelerate_again(m, r, q, v, tau, a, links, armature):
     """Accelerations with another armature (nv lanes)."""
-    if m[TREE.dependents] > 0:
+    if m[TREE.loop_rows] > 0:
+        accelerate_closed(m, r, q, v, tau, a, links, armature, at(a, m[TREE.nv]))
+    elif m[TREE.dependents] > 0:
         accelerate_coupled(m, r, tau, a, links, armature)
     else:
         accelerate(m, tau, a, links, armature, False)
@@ -125,7 +131,7 @@ def _accelerate_with_friction(m, r, q, v, tau, a):
     links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
     before, asked = lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
     begin_friction(m, v, tau, armature, force)
-    _accelerate_again(m, r, force, a, links, armature)
+    _accelerate_again(m, r, q, v, force, a, links, armature)
     error = first_error(m, v, tau, a, armature, force, asked)
     for _ in range(MOST_ROUNDS):
         if not any_less(MET, error):
@@ -133,7 +139,7 @@ def _accelerate_with_friction(m, r, q, v, tau, a):
         linearise_friction(m, v, tau, a, armature, force, before)
         move_links(m, q, v, links)
         _add_wrenches(m, q, links)
-        _accelerate_again(m, r, force, a, links, armature)
+        _accelerate_again(m, r, q, v, force, a, links, armature)
         error = next_error(m, v, tau, a, armature, force, before, asked, error)
 
 
@@ -154,17 +160,17 @@ def _stage_state(m, r, x, i, factor, velocity, acceleration):
 @part
 def stage_state(m, r, x, i, a, dt):
     """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
-    nv = m[TREE.nv]
+    nv, stride = m[TREE.nv], r[MEMORY.stride]
     v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     if i == 1:
         for k in range(nv):
             store(v1, k, load(x, m[TREE.nq] + k))
         _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
     elif i == 2:
-        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, nv))
+        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, stride))
         add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
     else:
-        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * nv))
+        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * stride))
     moved(m, x, theta, lanes(r, MEMORY.q_stage))
 
 
@@ -182,19 +188,19 @@ def end_rotation(m, r, x, a, dt):
 @part
 def end_state(m, r, x, a, dt, x_next):
     """Configuration and velocity at the end of an RK4 step, from v_stages; x_next may be x."""
-    nv = m[TREE.nv]
+    nv, stride = m[TREE.nv], r[MEMORY.stride]
     v, v_next = at(x, m[TREE.nq]), at(x_next, m[TREE.nq])
     end_rotation(m, r, x, a, dt)
     moved(m, x, lanes(r, MEMORY.theta), x_next)
     sixth = (1.0 / 6.0) * dt
     for k in range(nv):
-        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
-        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
+        inner = 2.0 * (load(a, stride + k) + load(a, 2 * stride + k))
+        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * stride + k)))
 
 
 @part
 def _step(m, r, x, u, a, dt, x_next, external):
-    """The end x_next of one step of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
+    """The end x_next of one step of length dt (a V4) from x under u; a (stages * stride) keeps the accelerations."""
     nq, nv, na, integrator = m[TREE.nq], m[TREE.nv], m[TREE.na], r[MEMORY.integrator]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.theta)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, MEMORY.act_rates)
@@ -212,7 +218,7 @@ def _step(m, r, x, u, a, dt, x_next, external):
     for i in range(1, 4):
         stage_state(m, r, x, i, a, dt)
         vi, act_i = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.act_stage)
-        accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * nv), external)
+        accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * r[MEMORY.stride]), external)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_state(m, r, x, a, dt, x_next)
     sixth = (1.0 / 6.0) * dt
@@ -228,7 +234,7 @@ def stage(m, r, x, u, a, dt, x_next, external):
     length = (1.0 / substeps) * dt
     _step(m, r, x, u, a, length, x_next, external)
     for i in range(1, substeps):
-        _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * m[TREE.nv]), length, x_next, external)
+        _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * r[MEMORY.stride]), length, x_next, external)
 
 
 @inline

@@ -79,15 +79,14 @@ def _side(model: Any, i: int, thing: int) -> list[tuple[int, float]]:
 
 
 def harden(root: ElementTree.Element, model: Any) -> None:
-    """Make the linear equalities of the text as hard as MuJoCo takes them at any step; `model` is compiled from it.
+    """Make the equalities of the text as hard as MuJoCo takes them at any step; `model` is compiled from it.
 
     MuJoCo raises a time constant to two steps of the simulation, so one that is next to nothing is always those two;
     but with its flag refsafe off it does not, and `set_hard` has to.
     """
     elements = equalities_of(root, model)
     for i in acting(model) if elements else ():
-        if is_linear(model, i):
-            elements[i].attrib.update(HARD)
+        elements[i].attrib.update(HARD)
 
 
 def set_hard(model: Any, timestep: float) -> None:

@@ -29,6 +29,7 @@ from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
+from planner.model.mjcf.loops import read_cams, read_loops
 from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
@@ -189,6 +190,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
+        loops=read_loops(model, links, poses), cams=read_cams(model),
     )  # fmt: skip
 
 

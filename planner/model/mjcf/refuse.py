@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.couplings import acting, is_linear, kind_of
+from planner.model.mjcf.loops import closes
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 from planner.model.mjcf.tendons import fixed
 
@@ -58,7 +59,7 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
     yield from _bodies(model)
     yield from _of_tendons(model, modelled=False)
     for i in acting(model):
-        if not is_linear(model, i):
+        if not (is_linear(model, i) or closes(model, i)):
             yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
     for i in range(len(model.actuator_trntype)):
         yield from _actuators(model, i)

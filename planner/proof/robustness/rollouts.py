@@ -25,6 +25,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
+from planner.dynamics.assembly import tangents
 from planner.model.mechanism import Mechanism
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -149,8 +150,10 @@ class Rollouts:
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
         x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
-        coupled = mechanism.reduction if isinstance(mechanism, Mechanism) else None
-        starts = [errors.start if coupled is None else coupled.along(errors.start) for errors in draws]
+        starts = [errors.start for errors in draws]
+        if isinstance(mechanism, Mechanism):
+            T, places = tangents(mechanism, x0)
+            starts = [T @ start[places] for start in starts]
         return Batch(
             models=[self.nominal.with_errors(errors, self._scratch) for errors in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, start)) for start in starts]),
