@@ -37,11 +37,11 @@ class RigidBodyDynamics:
     Args:
         mechanism: The machine.
         dt: Length of a stage, s.
-        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or "rosenbrock", of second
-            order, for machines whose damping is too fast for RK4 (kernels.tree.rosenbrock).
+        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or "rosenbrock", of
+            second order, for machines whose damping is too fast for RK4 (kernels.tree.rosenbrock).
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators do
             nothing.
-        substeps: Equal steps of RK4 or Rosenbrock in a stage, 1 to 16, for machines whose fastest motions need them (see
+        substeps: Equal steps of these two in a stage, 1 to 16, for machines whose fastest motions need them (see
             planner.dynamics.stiffness). The control is held over all of them.
 
     Raises:

@@ -164,6 +164,7 @@ def _turn_rows(F, width, i, T, J, at_q):
 
 @inline
 def add_unit(F, o, value):
+    """Add a value to entry o."""
     store(F, o, load(F, o) + value)
 
 
@@ -203,6 +204,7 @@ def sum_activations(m, Xa, weight):
 
 @inline
 def begin_activations(m, Xa):
+    """(own, given) of the first stage, and sums of zero."""
     na = m[TREE.na]
     for k in range(na):
         store(Xa, 2 * k, 1.0)

@@ -155,13 +155,13 @@ def _rk4_substep(m, r, x, a, dt, width, knots):
 def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
     """(B | A) of a substep of kernels.tree.rosenbrock, chained to those before; x moves to its end."""
     F, stride, present, k, length = knots
-    nv, ld, columns = m[TREE.nv], r[MEMORY.ld], lanes(r, MEMORY.q_stage)
+    nv, ld, q = m[TREE.nv], r[MEMORY.ld], lanes(r, MEMORY.q_stage)
     begin_implicit(m, r, length)
     _stage_derivatives(m, r, 0, (x, at(x, m[TREE.nq]), a), present, width, external)
     second_stage(m, r, x, a, length)
     keep_turns(m, r, 1)
-    moved(m, x, lanes(r, MEMORY.theta), columns)
-    state = (columns, at(lanes(r, MEMORY.v_stages), nv), at(a, nv))
+    moved(m, x, lanes(r, MEMORY.theta), q)
+    state = (q, at(lanes(r, MEMORY.v_stages), nv), at(a, nv))
     _stage_derivatives(m, r, 1, state, present, width, external)
     behind_matrix(m, r, ld)
     for row in range(nv):

@@ -104,8 +104,10 @@ def rosenbrock(m, r, dt, lane, width, F):
     """The rows F of (B | A) of a step, from D of its two stages, the rotations and the matrix behind, all kept."""
     nv, block, Xa, at_q, ld = m[TREE.nv], r[MEMORY.block], floats(r, MEMORY.Xa), r[MEMORY.first], r[MEMORY.ld]
     at_v, A0 = at_q + nv, floats(r, MEMORY.chained)
-    D1, D2, A1 = at(floats(r, MEMORY.direct), lane * block), at(floats(r, MEMORY.direct), (WIDTH + lane) * block), at(
-        A0, block
+    D1, D2, A1 = (
+        at(floats(r, MEMORY.direct), lane * block),
+        at(floats(r, MEMORY.direct), (WIDTH + lane) * block),
+        at(A0, block),
     )
     behind = at(floats(r, MEMORY.behind_rows), lane * ld * ld)
     begin_activations(m, Xa)

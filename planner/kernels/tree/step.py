@@ -31,7 +31,13 @@ from planner.kernels.tree.accelerations import accelerations
 from planner.kernels.tree.forces import activation_rates
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
-from planner.kernels.tree.rosenbrock import begin_implicit, end_displacement, end_velocity, forget_implicit, second_stage
+from planner.kernels.tree.rosenbrock import (
+    begin_implicit,
+    end_displacement,
+    end_velocity,
+    forget_implicit,
+    second_stage,
+)
 
 
 @inline
