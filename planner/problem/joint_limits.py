@@ -63,6 +63,32 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
     return found
 
 
+def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Mapping[str, Any]) -> tuple[np.ndarray, str]:
+    """A state (nx,) whose joints are outside of the model's ranges by no more than a margin, at their ends instead.
+
+    A stop acts from a little before its end on, by its own margin: what begins or ends there is pushed to where the
+    stop lets go, so that is where it is put. Joints that are coupled stay where they are, and so do those of `limited`,
+    which have a range of their own.
+
+    Returns:
+        The state, and a sentence about it that calls it `what`; "" where nothing was moved.
+    """
+    coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
+    moved, names, most = x.copy(), [], 0.0
+    for i, kept in model_ranges(mechanism, None).items():
+        name, address = mechanism.joint_of(i), int(mechanism.q_address[i])
+        end = min(max(x[address], kept.least), kept.most)
+        way = abs(end - x[address])
+        if 0.0 < way <= _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
+            moved[address] = end
+            names.append(name)
+            most = max(most, float(way))
+    if not names:
+        return x, ""
+    others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return moved, f"the {what} has {names[0]}{others} in a stop and is put where the stop lets go, {most:.2g} away."
+
+
 def check_margin(mechanism: Mechanism, margin: Any) -> None:
     """Raise a PlannerError where a margin is neither a number nor a table of numbers by joint."""
     if isinstance(margin, Mapping):

@@ -92,13 +92,14 @@ def order(problem: Problem, run: Replay) -> Order:
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     own = getattr(problem.dynamics, "substeps", 1)
-    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(LEVELS)]
+    first = 3 if integrator == IMPLICIT else LEVELS  # its order is not judged, and 16 substeps are fine already
+    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(first)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     with np.errstate(all="ignore"):
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        most = len(levels) if refined_only else MOST_LEVELS
+        most = len(levels) if refined_only or first < LEVELS else MOST_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MOST_STEPS
             and observed is not None and observed < nominal - ORDER_BOUND
