@@ -241,7 +241,7 @@ def _off_stops(
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Start and goal off the stops whose ranges hold, and sentences about it."""
     kept = (table.get("limits") or {}).get("position")
-    if not (kept == "model" or isinstance(kept, dict)):
+    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
         return x0, goal, ()
     limited = kept if isinstance(kept, dict) else {}
     (x0, first), (goal, second) = (
