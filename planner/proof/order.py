@@ -22,11 +22,13 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of
 from planner.proof.replays.replaying import Replay
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, judged_cost, shares_of_bounds
 
-NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, IMPLICIT: 2.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
 LEVELS = 5  # steps h ... h/16, h being a stage or, of a stage of several substeps, one of these
 MOST_LEVELS = 7  # while errors are so large that no order shows
@@ -90,13 +92,14 @@ def order(problem: Problem, run: Replay) -> Order:
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     own = getattr(problem.dynamics, "substeps", 1)
-    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(LEVELS)]
+    first = 3 if integrator == IMPLICIT else LEVELS  # its order is not judged, and 16 substeps are fine already
+    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(first)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
     with np.errstate(all="ignore"):
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        most = len(levels) if refined_only else MOST_LEVELS
+        most = len(levels) if refined_only or first < LEVELS else MOST_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MOST_STEPS
             and observed is not None and observed < nominal - ORDER_BOUND
@@ -110,6 +113,7 @@ def order(problem: Problem, run: Replay) -> Order:
     why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
     coupled = getattr(getattr(problem.dynamics, "mechanism", None), "couplings", ())
     why = why or ("MuJoCo's equalities are soft, by the square of its step" if coupled else "")
+    why = why or ("damping is faster than these steps, which hides the order" if kind == IMPLICIT else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     why = why or _bends(getattr(problem.dynamics, "mechanism", None))
     why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
@@ -165,7 +169,7 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tup
     if integrator == "rk4" and substeps == run.substeps and sound:  # that replay itself, to the last bit
         xs = run.xs[::substeps]
         return xs[-1], problem.cost.value(xs, plan.us)
-    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space)
+    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics))
     assert advance is not None  # every integrator of NOMINAL has one
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0

@@ -9,11 +9,13 @@ not the transcription's. Here they are asked again for what is missing. And so i
 are closed: MuJoCo's equalities are soft, so here its accelerations are those of its own M and forces with the
 equalities kept exactly.
 
-A plan's stage of several substeps is as many steps here.
+A plan's stage of several substeps is as many steps here. The method that takes damping implicitly is that of
+replays.implicit_steps.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -30,6 +32,8 @@ from planner.problem.problem import Problem
 from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.simulation import set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
@@ -67,7 +71,8 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     substeps = getattr(problem.dynamics, "substeps", 1)
     constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams)
     dt, driven = problem.dynamics.dt / substeps, driven_dofs(problem.dynamics)
-    found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None)
+    damping = damping_of(problem.dynamics)
+    found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
@@ -106,12 +111,13 @@ def rounding_amplification(A: np.ndarray) -> float:
 
 def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = (),
-    constrained: Mechanism | None = None,
+    constrained: Mechanism | None = None, damping: np.ndarray | None = None,
 ) -> tuple[str, Stage] | None:  # fmt: skip
     """One stage of dt in MuJoCo: its method in words, and the function (x, u) -> x at its end; None for none.
 
     The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding. The
-    equalities of a constrained mechanism are kept exactly, and its other constraints do not act.
+    equalities of a constrained mechanism are kept exactly, and its other constraints do not act. `damping` is what an
+    implicit method takes so.
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -163,6 +169,16 @@ def stage_function(
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
     if constrained is not None:
         own["semi-implicit-euler"], named = velocity_first, {}
+    if integrator == IMPLICIT and damping is not None and not len(driven):
+        exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
+        move = implicit_step(model, dt, damping, acceleration=exact)
+
+        def implicit(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+            begin(x, u)
+            move(data)
+            return twin.x_of(state_of(data))
+
+        return ACCELERATIONS, implicit
     if integrator in named:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step
@@ -171,12 +187,14 @@ def stage_function(
     return None
 
 
-def advancing(integrator: str, step: float, model: Any, twin: Twin, space: StateSpace) -> Advance | None:
+def advancing(
+    integrator: str, step: float, model: Any, twin: Twin, space: StateSpace, damping: np.ndarray | None = None
+) -> Advance | None:
     """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None for none.
 
     MuJoCo's own integrators run on: the simulator may have more states than the plan.
     """
-    found = stage_function(integrator, step, model, twin, space)
+    found = stage_function(integrator, step, model, twin, space, damping=damping)
     if found is None:
         return None
     mujoco, (how, stage) = load_mujoco(), found

@@ -66,13 +66,14 @@ from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, straight_reference
+from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "settle", "stops", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -206,6 +207,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
+    x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     prescribed = _prescribed(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
@@ -214,6 +216,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if notes:
         reasons["settle"] = " ".join(notes)
+    if stops:
+        reasons["stops"] = " ".join(stops)
     table = _resolved(table, dynamics, x0, goal, reasons)
     line = (
         straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
@@ -230,6 +234,20 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
+
+
+def _off_stops(
+    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Start and goal off the stops whose ranges hold, and sentences about it."""
+    kept = (table.get("limits") or {}).get("position")
+    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+        return x0, goal, ()
+    limited = kept if isinstance(kept, dict) else {}
+    (x0, first), (goal, second) = (
+        off_stops(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
+    )
+    return x0, goal, tuple(filter(None, (first, second)))
 
 
 def _resolved(

@@ -84,6 +84,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
         subtract_curve_derivatives(m, q, Dq, ld)
         add_tendon_derivatives(m, q, Dq, Dv, ld)
         add_friction_derivatives(m, v, a, M, Dv, ld)
+        for i in range(nv):
+            store(M, i * ld + i, load(M, i * ld + i) + load(lanes(r, MEMORY.implicit), i))
         if m[TREE.lifted] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))

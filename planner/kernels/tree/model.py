@@ -21,6 +21,7 @@ from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
+from planner.model.damping import implicit_damping
 from planner.model.loops import RATE
 from planner.model.tendons import acting_tendons
 
@@ -41,7 +42,7 @@ TREE = Layout(
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
     "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value "
     "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
-    "loop_rigid loop_rate cam_dof cam_value",
+    "loop_rigid loop_rate cam_dof cam_value implicit_damping",
 )
 
 
@@ -53,15 +54,18 @@ class Model:
         prescribed: (nv,) True where the acceleration is an input instead of the force.
         actuated: Whether actuators, contacts, stops, curves and friction loss act; the public dynamics functions take
             applied forces instead. Tendons and gravity compensation are the mechanism's own, as springs are.
+        implicit: Whether steps take damping implicitly (kernels.tree.rosenbrock).
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act,
-            else None. Kernels take it beside the table: Numba compiles them once for each type and leaves out, for
-            None, what stands under `if external is not None`.
+        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act, or
+            damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
+            leaves out, for None, what stands under `if external is not None`.
     """
 
-    def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
+    def __init__(
+        self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True, implicit: bool = False
+    ) -> None:  # fmt: skip
         nv = mechanism.nv
         prescribed = np.zeros(nv, dtype=bool) if prescribed is None else prescribed
         arrays: dict[str, np.ndarray] = {**_tree(mechanism), **_forces(mechanism, prescribed, actuated)}
@@ -80,7 +84,7 @@ class Model:
         self.coupled = reduction is not None
         loops, cams = (mechanism.loops, mechanism.cams) if actuated else ((), ())
         self.loop_rows = sum(loop.rows for loop in loops) + len(cams)
-        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled
+        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled or implicit
         acts = acts or self.loop_rows
         self.external = True if acts else None
         for tendon in tendons:
@@ -104,6 +108,7 @@ class Model:
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
         arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction) | _loops(loops, cams, arrays)
+        arrays["implicit_damping"] = implicit_damping(mechanism)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
