@@ -186,7 +186,8 @@ class Theirs:
         self.solver.th_stop, self.iterations = task["stop"], 1000
         self.stepper.solve(self.xs, self.us, 1, True)
         self.stepper.preg = self.stepper.dreg = 0.0
-        self.step, self.stepped = 1.0, self.step_once()
+        self.step = 1.0
+        self.stepped = self.step_once()
         while self.stepped is None:  # the longest step that does not run away: one rollout, as few as there can be
             self.step *= 0.5
             self.stepped = self.step_once()
