@@ -120,7 +120,8 @@ def checked(task: dict[str, Any], workers: dict[str, Worker]) -> Answer:
         return {"agrees": True, "cost": answers["ours"]["cost"]}
     a, b = ([[row[joint] for joint in joints] for row in found[name]] for name in ("ours", "crocoddyl"))
     line: Answer = {
-        "at_rest": apart(a[0], b[0]), "accelerations": apart(a, b),
+        # in free fall the joints of a floating machine have none at rest
+        "at_rest": float(np.abs(np.subtract(a[0], b[0])).max()), "accelerations": apart(a, b),
         "cost": apart(*(answers[name]["cost"] for name in ("ours", "crocoddyl"))),
     }  # fmt: skip
     if answers["ours"]["step"] == answers["crocoddyl"]["step"] == 1.0:

@@ -27,6 +27,7 @@ class Ours:
         self.mechanism = planner.Mechanism.from_urdf(task["urdf"], base=base)
         dynamics = planner.RigidBodyDynamics(self.mechanism, task["dt"], task["integrator"])
         self.joints = self.mechanism.joint_names[task["free"] :]
+        self.motors = self.mechanism.actuators.names  # those of their joints, in the file's order
         x0, us = self.states([task["q0"]], [{}])[0], self.inputs(task["us"])
         N, velocity = task["N"], dict.fromkeys(self.joints, task["velocity"])
         end = dict.fromkeys(self.joints, task["final_velocity"])
@@ -50,7 +51,7 @@ class Ours:
                 )
         limits = None
         if task["bounds"] is not None:
-            most = np.array([task["bounds"][name] for name in self.joints])
+            most = np.array([task["bounds"][name] for name in self.motors])
             limits = planner.Limits(control=(-most, most))
         self.problem = planner.Problem(dynamics, cost, x0, us, limits=limits)
         self.stop, self.iterations = task["stop"], 1000
@@ -71,11 +72,12 @@ class Ours:
 
     def inputs(self, us: list[Any]) -> np.ndarray:
         """Controls by name."""
-        return np.array([[u.get(name, 0.0) for name in self.joints] for u in us])
+        return np.array([[u.get(name, 0.0) for name in self.motors] for u in us])
 
-    def named(self, us: np.ndarray) -> list[dict[str, float]]:
-        """The reverse."""
-        return [dict(zip(self.joints, u.tolist(), strict=True)) for u in us]
+    @staticmethod
+    def named(names: Any, rows: np.ndarray) -> list[dict[str, float]]:
+        """The reverse, of joints or motors."""
+        return [dict(zip(names, row.tolist(), strict=True)) for row in rows]
 
     def probe(self, qs: list[Any], vs: list[Any], us: list[Any]) -> Answer:
         """Accelerations of the joints at states, by name; and what a task needs of a state."""
@@ -91,7 +93,7 @@ class Ours:
             for name in self.mechanism.body_names[1:]
         }
         return {
-            "accelerations": self.named(rates), "holding": self.named(holding), "poses": poses,
+            "accelerations": self.named(self.joints, rates), "holding": self.named(self.joints, holding), "poses": poses,
             "centre": planner.dynamics.center_of_mass(self.mechanism, q[0]).tolist(),
         }  # fmt: skip
 
@@ -120,7 +122,7 @@ class Ours:
 
     def result(self) -> Answer:
         """Of the last solve."""
-        return {"cost": self.plan.cost, "iterations": self.plan.nit, "us": self.named(self.plan.us)}
+        return {"cost": self.plan.cost, "iterations": self.plan.nit, "us": self.named(self.motors, self.plan.us)}
 
 
 class Theirs:
