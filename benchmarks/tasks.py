@@ -5,9 +5,9 @@
 Single iterations from the same trajectory, and whole solves from the same guess to the same cost. Both sides read the
 same URDF (of example-robot-data, which SITE_PACKAGES holds), with what only one of them knows taken out: shapes,
 friction of joints, ranges. Poses are compared by the logarithm of SE(3), as Crocoddyl's ResidualModelFramePlacement
-has it.
-Before a task is timed accelerations (gravity at rest first), costs and the cost after one iteration are compared. Each
-side is a process of one thread; they take turns, and ratios are of minima within this run.
+has it. The centre of mass is asked of the end alone. Before a task is timed accelerations (gravity at rest first),
+costs and the cost after one iteration are compared. Each side is a process of one thread; they take turns. Times are of
+the processor, since a machine with neighbours takes an iteration of milliseconds apart; ratios are of minima.
 """
 
 from __future__ import annotations

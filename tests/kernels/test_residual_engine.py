@@ -1,4 +1,4 @@
-"""Residuals of frames and of the centre of mass, compiled: the NumPy twin's numbers, and whole plans by both engines."""
+"""Residuals of frames and of the centre of mass, compiled: the NumPy twin's numbers, and plans by both engines."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from trees import drawn, machines, relative_error
 import planner
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.costs import CenterOfMassCost, FrameCost, Height, PenaltyCost, Point
-from planner.dynamics import center_of_mass, forward_kinematics
+from planner.dynamics import center_of_mass
 from planner.dynamics.protocol import INTEGRATORS
 from planner.kernels.lq import search
 from planner.model.space import log_jacobian
@@ -177,9 +177,8 @@ def test_an_arm_points_its_forearm(arm):
 
 def test_costs_without_tracking_are_compiled(arm):
     """Nothing weighs the controls but what they do: the sweep regularises, as for any cost without effort."""
-    path = FrameCost(
-        arm, "tip", position=(0.2, 0.0, -1.9), position_weight=1.0, velocity=(0, 0, 0), velocity_weight=1.0
-    )
+    still = {"velocity": np.zeros(3), "velocity_weight": 1.0}
+    path = FrameCost(arm, "tip", position=(0.2, 0.0, -1.9), position_weight=1.0, **still)
     task = Problem(arm, path, np.zeros(4), horizon=N)
     ours, twin = engines(task)
     costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
@@ -216,8 +215,10 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
     np.testing.assert_array_equal(table.bound, place.bound)
     table.bound[0], table.weight[:3, 20], table.weight[3:] = 0.5, 7.0, 0.0
     table.changed()
+    weight = np.zeros((N + 1, 3))
+    weight[20] = 7.0 / 0.025  # of a stage
     moved = FrameCost(
-        arm, "tip", position=[[0.5, 0.0, -1.2]] * (N + 1), position_weight=280.0 * np.eye(N + 1)[20][:, None] * np.ones(3),
+        arm, "tip", position=[[0.5, 0.0, -1.2]] * (N + 1), position_weight=weight,
         final_position_weight=[1e3, 0.0, 1e3],
     )  # fmt: skip
     fresh = engines(Problem(arm, held(arm) + moved, np.zeros(4), horizon=N))[0]
@@ -261,7 +262,7 @@ def test_the_same_problem_at_half_the_stage(arm):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.19, 0.21, 1.0, 3.1, np.pi - 1e-6])
 def test_logarithms_at_every_angle(angle):
-    """A ball turned about an axis by an angle: the rotation vector itself, near zero, near pi and at the series' end."""
+    """A ball turned about an axis by an angle: the rotation vector itself, near zero, near pi, where a series ends."""
     ball = Mechanism.from_mjcf(BALL)
     dynamics = RigidBodyDynamics(ball, 0.1, "semi-implicit-euler")
     axis = np.array([0.48, -0.6, 0.64])  # of length one
@@ -290,20 +291,16 @@ def test_logarithms_at_every_angle(angle):
 
 def test_the_centre_of_mass_is_that_of_the_dynamics(arm):
     m = arm.mechanism
-    target = center_of_mass(m, [0.7, -0.4]) + [0.1, 0.0, 0.2]
+    target = center_of_mass(m, [0.7, -0.4]) + np.array([0.1, 0.0, 0.2])
     cost = CenterOfMassCost(arm, target, position_weight=2.0)
     x = np.array([[0.7, -0.4, 0.0, 0.0]])
     assert cost.value(x, np.zeros((0, 2))) == pytest.approx(0.5 * 0.025 * 2.0 * 0.05, rel=1e-12)
-    assert forward_kinematics(m, x[0, :2]).shape == (3, 4, 4)
 
 
 def test_a_cost_that_is_wrong_is_refused_in_one_sentence(arm):
     for make, expected in (
-        (lambda: FrameCost(arm, "tip", pointing=[0, 0, 1], pointing_weight=1.0), "pointing is [0, 0, 1], expected the"),
-        (
-            lambda: FrameCost(arm, "tip", pointing=([0, 0, 0], [0, 0, 1]), pointing_weight=1.0),
-            "the axis of pointing has",
-        ),
+        (lambda: FrameCost(arm, "tip", pointing=[0, 0, 1]), "pointing is [0, 0, 1], expected the frame's own axis and"),
+        (lambda: FrameCost(arm, "tip", pointing=([0, 0, 0], [0, 0, 1])), "the axis of pointing has length zero"),
         (lambda: FrameCost(arm, "tip", pose=np.zeros(7), pose_weight=1.0), "pose's quaternion has length zero"),
         (lambda: FrameCost(arm, "tip", velocity=np.zeros(3)), "velocity has no weight"),
         (lambda: CenterOfMassCost(arm, None, position_weight=1.0), "position_weight has no target"),
