@@ -5,9 +5,9 @@
 Single iterations from the same trajectory, and whole solves from the same guess to the same cost. Both sides read the
 same URDF (of example-robot-data, which SITE_PACKAGES holds), with what only one of them knows taken out: shapes,
 friction of joints, ranges. Poses are compared by the logarithm of SE(3), as Crocoddyl's ResidualModelFramePlacement
-has it.
-Before a task is timed accelerations (gravity at rest first), costs and the cost after one iteration are compared. Each
-side is a process of one thread; they take turns, and ratios are of minima within this run.
+has it. The centre of mass is asked of the end alone. Before a task is timed accelerations (gravity at rest first),
+costs and the cost after one iteration are compared. Each side is a process of one thread; they take turns. Times are of
+the processor, since a machine with neighbours takes an iteration of milliseconds apart; ratios are of minima.
 """
 
 from __future__ import annotations
@@ -120,7 +120,8 @@ def checked(task: dict[str, Any], workers: dict[str, Worker]) -> Answer:
         return {"agrees": True, "cost": answers["ours"]["cost"]}
     a, b = ([[row[joint] for joint in joints] for row in found[name]] for name in ("ours", "crocoddyl"))
     line: Answer = {
-        "at_rest": apart(a[0], b[0]), "accelerations": apart(a, b),
+        # in free fall the joints of a floating machine have none at rest
+        "at_rest": float(np.abs(np.subtract(a[0], b[0])).max()), "accelerations": apart(a, b),
         "cost": apart(*(answers[name]["cost"] for name in ("ours", "crocoddyl"))),
     }  # fmt: skip
     if answers["ours"]["step"] == answers["crocoddyl"]["step"] == 1.0:

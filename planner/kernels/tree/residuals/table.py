@@ -124,11 +124,10 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
     """Constants of the terms, with rotations and axes of frames in the kernels' frames."""
     constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
     for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
-        turn = frames[ends[0]] if len(frames) else np.eye(3)
         if kind in (ORIENTATION, POSE):
-            constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
+            constant[t, :9] = (frames[ends[0]] @ constant[t, :9].reshape(3, 3)).ravel()
         elif kind == POINTING:
-            constant[t, :3] = turn @ constant[t, :3]
+            constant[t, :3] = frames[ends[0]] @ constant[t, :3]
         elif kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
             roots = np.flatnonzero((model.arrays["parent"][: model.nv] < 0) & (model.floating_address < 0))
             mass = model.arrays["subtree_mass"]
