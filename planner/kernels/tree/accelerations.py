@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import part
 from planner.kernels.numba.lanes import any_less, at, floats, lanes, load, store
 from planner.kernels.tree.contact import add_contact_wrenches, add_stops
@@ -29,8 +30,7 @@ from planner.kernels.tree.tendons import add_tendons
 def accelerations(m, r, q, v, u, act, a, external):
     """Accelerations a (nv lanes) under inputs u and activations act, and behind them the forces of closed chains.
 
-    With `external` None the machine has none of what Model.external names, and its code is left out. With it, what a
-    Rosenbrock method adds to armatures and forces is added too (kernels.tree.rosenbrock); it is 0 for others.
+    With `external` None the machine has none of what Model.external names, and its code is left out.
     """
     tau, links = lanes(r, MEMORY.tau), lanes(r, MEMORY.links)
     applied_forces(m, q, v, u, act, tau, a, lanes(r, MEMORY.scratch))
@@ -43,16 +43,41 @@ def accelerations(m, r, q, v, u, act, a, external):
         if m[TREE.lifted] > 0:
             add_compensation(m, links, tau)
         _add_wrenches(m, q, links)
-        own, behind = lanes(r, MEMORY.own), lanes(r, MEMORY.behind)
-        for i in range(m[TREE.nv]):
-            store(own, i, load(lanes(r, MEMORY.implicit), i) + load(floats(m, TREE.armature), i))
-            store(tau, i, load(tau, i) + load(behind, i))
+        if r[MEMORY.integrator] == ROSENBROCK:
+            _accelerate_implicitly(m, r, q, v, tau, a)
+            return
         if m[TREE.losses] > 0:
+            _own_armature(m, r)
             _accelerate_with_friction(m, r, q, v, tau, a)
-        else:
-            _accelerate_again(m, r, q, v, tau, a, links, own)
-        return
+            return
+        if m[TREE.loop_rows] > 0:
+            accelerate_closed(m, r, q, v, tau, a, links, floats(m, TREE.armature), at(a, m[TREE.nv]))
+            return
+        if m[TREE.dependents] > 0:
+            accelerate_coupled(m, r, tau, a, links, floats(m, TREE.armature))
+            return
     accelerate(m, tau, a, links, floats(m, TREE.armature), False)
+
+
+@part
+def _own_armature(m, r):
+    """MEMORY.own (nv lanes): armatures without friction."""
+    own, implicit = lanes(r, MEMORY.own), lanes(r, MEMORY.implicit)
+    for i in range(m[TREE.nv]):
+        store(own, i, load(implicit, i) + load(floats(m, TREE.armature), i))
+
+
+@part
+def _accelerate_implicitly(m, r, q, v, tau, a):
+    """Accelerations of a stage of kernels.tree.rosenbrock, of links that move_links has seen."""
+    behind = lanes(r, MEMORY.behind)
+    for i in range(m[TREE.nv]):
+        store(tau, i, load(tau, i) + load(behind, i))
+    _own_armature(m, r)
+    if m[TREE.losses] > 0:
+        _accelerate_with_friction(m, r, q, v, tau, a)
+    else:
+        _accelerate_again(m, r, q, v, tau, a, lanes(r, MEMORY.links), lanes(r, MEMORY.own))
 
 
 @part

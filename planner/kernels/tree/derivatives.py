@@ -6,6 +6,7 @@ prescribed joints taken out and, with couplings, W in place of M^-1. Columns are
 
 from __future__ import annotations
 
+from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
@@ -18,6 +19,7 @@ from planner.kernels.tree.loops import close, close_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
+from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
 from planner.kernels.tree.tendons import add_tendon_derivatives
 
@@ -84,8 +86,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
         subtract_curve_derivatives(m, q, Dq, ld)
         add_tendon_derivatives(m, q, Dq, Dv, ld)
         add_friction_derivatives(m, v, a, M, Dv, ld)
-        for i in range(nv):
-            store(M, i * ld + i, load(M, i * ld + i) + load(lanes(r, MEMORY.implicit), i))
+        if r[MEMORY.integrator] == ROSENBROCK:
+            add_implicit(m, r, M, ld)
         if m[TREE.lifted] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))

@@ -62,6 +62,14 @@ def forget_implicit(m, r):
 
 
 @part
+def add_implicit(m, r, M, ld):
+    """The heavier armatures onto a mass matrix M (nv, ld)."""
+    implicit = lanes(r, MEMORY.implicit)
+    for i in range(m[TREE.nv]):
+        store(M, i * ld + i, load(M, i * ld + i) + load(implicit, i))
+
+
+@part
 def second_stage(m, r, x, a, dt):
     """Velocities v_stages[1], displacement theta and forces of the second stage, from the first accelerations."""
     nv, v, theta = m[TREE.nv], at(x, m[TREE.nq]), lanes(r, MEMORY.theta)
