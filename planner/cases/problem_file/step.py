@@ -24,7 +24,7 @@ def with_step(
 
     The table's own substeps stay "auto": a finer stage needs fewer.
 
-    The states (nx,), with home, are where the machine's fastest motion is looked for. A stage is 0.01 s, or what 16
+    The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage is 0.01 s, or what 16
     substeps can follow, or a little less: a whole number of stages is the duration. It is never below SHORTEST.
 
     Raises:
@@ -33,7 +33,9 @@ def with_step(
     rk4 = table["integrator"] == "rk4"
     if AUTO not in (table["dt"], table["substeps"]):
         return table, table["substeps"], {}
-    found = Fastest(0.0, "") if not rk4 else fastest(mechanism, (*states, mechanism.home), prescribed)
+    if not mechanism.contacts:  # which may have home deep in the ground
+        states = (*states, mechanism.home)
+    found = Fastest(0.0, "") if not rk4 else fastest(mechanism, states, prescribed)
     reasons, dt, substeps = {}, table["dt"], table["substeps"]
     if dt == AUTO:
         duration = number("duration", table["duration"], above=0.0)

@@ -22,13 +22,14 @@ from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
-from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs, law_of_ground
+from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
+from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
@@ -118,7 +119,7 @@ def _laws(survey: Survey, law: ContactLaw | None) -> tuple[Callable[[Pair], Cont
     """The law of each pair, that of the ground by default, and their smoothing, for give_law."""
     if law is not None:
         return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
-    laws = {pair.geoms: law_of_ground(survey, pair) for pair in ground_pairs(survey)}
+    laws = laws_of_ground(survey, ground_pairs(survey))
     return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp)
 
 

@@ -1,0 +1,102 @@
+"""The law of the ground under a machine: for its mass, and no stiffer than what its feet let a plan follow.
+
+A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting, with the damping B of the
+whole machine and the friction before it slips c. A foot that is light beside the machine feels them as
+
+    rates = eigenvalues of sum_k J_k M^-1 J_k' C,   C = B n n' + c (1 - n n'),
+
+J_k of the points that it stands on together, M the mass matrix of the file's own pose. An integrator follows them step
+by step, so where the largest is above FASTEST the damping is less in proportion, and where friction's own is, so is c.
+How deep the machine stands does not change. MuJoCo's default contact gives way to what is light by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.contact.laws import ContactLaw
+from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
+from planner.model.mjcf.contact_points import points_of
+from planner.model.mjcf.survey import Pair, Survey
+
+SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
+FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
+TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
+
+
+def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int], ContactLaw]:
+    """The law of each pair of a plane and what stands on it, by the pair's geoms."""
+    gravity = float(np.linalg.norm(survey.model.opt.gravity))
+    laws, of_body = {}, dict[int, list[Pair]]()
+    for pair in pairs:
+        law = ContactLaw.resting(mass_of(survey, pair), gravity=gravity, sink=SINK, damping_ratio=DAMPING)
+        laws[pair.geoms] = law
+        of_body.setdefault(int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max()), []).append(pair)
+    pose = _Pose(survey)
+    for body, own in of_body.items():
+        law = laws[own[0].geoms]
+        J, n = pose.footing(body, own)
+        along, across = pose.rates(J, n, 0.0, law.slip_damping), pose.rates(J, n, law.damping, 0.0)
+        slip, damping = (value * min(1.0, FASTEST / max(rate, 1e-300)) for value, rate in
+                         ((law.slip_damping, along), (law.damping, across)))  # fmt: skip
+        for pair in own:
+            laws[pair.geoms] = replace(laws[pair.geoms], damping=damping, slip_damping=slip)
+    return laws
+
+
+def mass_of(survey: Survey, pair: Pair) -> float:
+    """Of all that hangs together with the body that is not at rest, kg."""
+    model = survey.model
+    bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+    return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
+
+
+class _Pose:
+    """The file's own pose in MuJoCo: what is read here is its mass matrix and where its points are."""
+
+    def __init__(self, survey: Survey) -> None:
+        mujoco = load_mujoco()
+        self._survey, self._model, self._data = survey, survey.model, mujoco.MjData(survey.model)
+        self._data.qpos[:] = survey.home.qpos
+        mujoco.mj_fwdPosition(self._model, self._data)
+
+    def footing(self, body: int, pairs: Iterable[Pair]) -> tuple[np.ndarray, np.ndarray]:
+        """Jacobians (P, 3, nv) of the points of a body that stand on the plane together, and its normal (3,)."""
+        points, normal = [], np.array([0.0, 0.0, 1.0])
+        for pair in pairs:
+            match = meets_plane(self._survey, pair.geoms)
+            if match is None:
+                continue
+            flat, other = match
+            plane = plane_of(self._survey, flat)
+            normal = normal if plane is None else plane.normal
+            spheres = spheres_of(self._model, other)
+            radius = spheres[0].radius if spheres else 0.0
+            R = self._data.geom_xmat[other].reshape(3, 3)
+            points.append(points_of(self._model, other) @ R.T + self._data.geom_xpos[other] - radius * normal)
+        every = np.concatenate(points) if points else np.zeros((0, 3))
+        heights = every @ normal
+        size = float(np.ptp(every, axis=0).max()) if len(every) else 0.0
+        low = every[heights <= heights.min(initial=np.inf) + TOGETHER * size]
+        return np.array([self._jacobian(body, p) for p in low]).reshape(-1, 3, self._model.nv), normal
+
+    def _jacobian(self, body: int, point: np.ndarray) -> np.ndarray:
+        J = np.zeros((3, self._model.nv))
+        load_mujoco().mj_jac(self._model, self._data, J, None, np.ascontiguousarray(point), body)
+        return J
+
+    def rates(self, J: np.ndarray, n: np.ndarray, damping: float, slip: float) -> float:
+        """The fastest rate, 1/s, at which points (P, 3, nv) with these dampings come to rest; 0 for none."""
+        if not len(J):
+            return 0.0
+        root: Any = np.sqrt(damping) * np.outer(n, n) + np.sqrt(slip) * (np.eye(3) - np.outer(n, n))
+        rows = np.ascontiguousarray((root @ J).reshape(-1, self._model.nv))
+        solved = np.zeros_like(rows)
+        load_mujoco().mj_solveM(self._model, self._data, solved, rows)
+        return float(np.linalg.eigvalsh(rows @ solved.T).max())
