@@ -1,11 +1,14 @@
-"""The law of the ground under a machine: for its mass, and no stiffer than what its feet let a plan follow.
+"""The law of the ground under a machine: for its mass, as soft as the file's own, and what its feet let a plan follow.
 
-A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting, with the damping B of the
-whole machine and the friction before it slips c. A foot that is light beside the machine feels them as
+A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting. Where the file's own contact
+is softer under a foot's LOAD, its slope there is the stiffness, and balls begin to press as much later (`recess`) as
+puts them at the file's depth: rubber feet whose solimp begins at next to nothing. A foot that is light beside the machine
+feels the damping B of the whole machine and the friction before it slips c as
 
     rates = eigenvalues of sum_k J_k M^-1 J_k' C,   C = B n n' + c (1 - n n'),
 
-J_k of the points that it stands on together, M the mass matrix of the file's own pose. An integrator follows them step
+J_k of the points that it stands on together, M the mass matrix, in the file's own pose, its keyframes or midway between
+the ends of ranges: a leg that is straight gives way less than one that is bent. An integrator follows them step
 by step, so where the largest is above FASTEST the damping is less in proportion, and where friction's own is, so is c.
 How deep the machine stands does not change. MuJoCo's default contact gives way to what is light by itself.
 """
@@ -14,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,32 +25,60 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
 from planner.model.mjcf.contact_points import points_of
+from planner.model.mjcf.sinking import depth_at_rest
 from planner.model.mjcf.survey import Pair, Survey
 
 SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+LOAD = 0.25  # of the weight, on one foot
 DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
+MOST_KEYFRAMES = 10
 TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
 
 
-def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int], ContactLaw]:
+class Ground(NamedTuple):
+    """The law of a pair of a plane and what stands on it."""
+
+    law: ContactLaw
+    recess: float  # m, how much deeper than the shapes touch it begins
+
+
+def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int], Ground]:
     """The law of each pair of a plane and what stands on it, by the pair's geoms."""
-    gravity = float(np.linalg.norm(survey.model.opt.gravity))
     laws, of_body = {}, dict[int, list[Pair]]()
     for pair in pairs:
-        law = ContactLaw.resting(mass_of(survey, pair), gravity=gravity, sink=SINK, damping_ratio=DAMPING)
-        laws[pair.geoms] = law
+        laws[pair.geoms] = _for_mass(survey, pair)
         of_body.setdefault(int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max()), []).append(pair)
-    pose = _Pose(survey)
+    poses = _poses(survey)
     for body, own in of_body.items():
-        law = laws[own[0].geoms]
-        J, n = pose.footing(body, own)
-        along, across = pose.rates(J, n, 0.0, law.slip_damping), pose.rates(J, n, law.damping, 0.0)
-        slip, damping = (value * min(1.0, FASTEST / max(rate, 1e-300)) for value, rate in
-                         ((law.slip_damping, along), (law.damping, across)))  # fmt: skip
+        slip, damping = (max(getattr(laws[pair.geoms].law, name) for pair in own) for name in ("slip_damping", "damping"))
+        along, across = (
+            max(pose.fastest(body, own, *dampings) for pose in poses) for dampings in ((0.0, slip), (damping, 0.0))
+        )
+        less = [min(1.0, FASTEST / max(rate, 1e-300)) for rate in (along, across)]
         for pair in own:
-            laws[pair.geoms] = replace(laws[pair.geoms], damping=damping, slip_damping=slip)
+            law, recess = laws[pair.geoms]
+            law = replace(law, slip_damping=less[0] * law.slip_damping, damping=less[1] * law.damping)
+            laws[pair.geoms] = Ground(law, recess)
     return laws
+
+
+def _for_mass(survey: Survey, pair: Pair) -> Ground:
+    """The law for the mass on a pair, as if its feet were not light."""
+    model, mass, gravity = survey.model, mass_of(survey, pair), float(np.linalg.norm(survey.model.opt.gravity))
+    weight = mass * gravity
+    depth, slope = depth_at_rest(model, pair, LOAD * weight)
+    usual = ContactLaw.resting(mass, gravity=gravity, sink=SINK, damping_ratio=DAMPING)
+    if slope >= usual.stiffness:
+        return Ground(usual, 0.0)
+    recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
+    spheres = spheres_of(model, match[1]) if match else []
+    if not (spheres and spheres[0].radius > 2.0 * recess > 0.0):
+        recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
+    law = ContactLaw.resting(
+        mass, gravity=gravity, sink=weight / slope, damping_ratio=DAMPING, ramp=usual.ramp
+    )  # fmt: skip
+    return Ground(law, recess)
 
 
 def mass_of(survey: Survey, pair: Pair) -> float:
@@ -57,16 +88,29 @@ def mass_of(survey: Survey, pair: Pair) -> float:
     return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
 
 
-class _Pose:
-    """The file's own pose in MuJoCo: what is read here is its mass matrix and where its points are."""
+def _poses(survey: Survey) -> list[_Pose]:
+    model = survey.model
+    middle = np.array(survey.home.qpos)
+    hinges = np.flatnonzero((model.jnt_limited == 1) & (model.jnt_type >= int(load_mujoco().mjtJoint.mjJNT_SLIDE)))
+    middle[model.jnt_qposadr[hinges]] = model.jnt_range[hinges].mean(axis=1)
+    return [_Pose(survey, qpos) for qpos in (survey.home.qpos, middle, *model.key_qpos[:MOST_KEYFRAMES])]
 
-    def __init__(self, survey: Survey) -> None:
+
+class _Pose:
+    """A pose of the file in MuJoCo: what is read here is its mass matrix and where its points are."""
+
+    def __init__(self, survey: Survey, qpos: np.ndarray) -> None:
         mujoco = load_mujoco()
         self._survey, self._model, self._data = survey, survey.model, mujoco.MjData(survey.model)
-        self._data.qpos[:] = survey.home.qpos
+        self._data.qpos[:] = qpos
         mujoco.mj_fwdPosition(self._model, self._data)
 
-    def footing(self, body: int, pairs: Iterable[Pair]) -> tuple[np.ndarray, np.ndarray]:
+    def fastest(self, body: int, pairs: Iterable[Pair], damping: float, slip: float) -> float:
+        """The fastest rate, 1/s, at which a body that stands on a plane with these dampings comes to rest."""
+        J, n = self._footing(body, pairs)
+        return self._rate(J, n, damping, slip)
+
+    def _footing(self, body: int, pairs: Iterable[Pair]) -> tuple[np.ndarray, np.ndarray]:
         """Jacobians (P, 3, nv) of the points of a body that stand on the plane together, and its normal (3,)."""
         points, normal = [], np.array([0.0, 0.0, 1.0])
         for pair in pairs:
@@ -91,7 +135,7 @@ class _Pose:
         load_mujoco().mj_jac(self._model, self._data, J, None, np.ascontiguousarray(point), body)
         return J
 
-    def rates(self, J: np.ndarray, n: np.ndarray, damping: float, slip: float) -> float:
+    def _rate(self, J: np.ndarray, n: np.ndarray, damping: float, slip: float) -> float:
         """The fastest rate, 1/s, at which points (P, 3, nv) with these dampings come to rest; 0 for none."""
         if not len(J):
             return 0.0
