@@ -1,4 +1,4 @@
-"""The cost of staying at the goal is that of a longer horizon there, and its gains are constant."""
+"""The cost of staying at the goal is that of a longer horizon there."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,6 @@ def test_it_is_the_value_of_the_stages_that_follow(dynamics):
     short, long = solve(problem), solve(longer)
     # The longer one ends with the weights of a stage, as staying begins with them.
     assert np.abs(short.K - long.K[:50]).max() < 1e-3 * np.abs(long.K[:50]).max()
-    assert np.ptp(short.K, axis=0).max() < 1e-2 * np.abs(short.K).max()
 
 
 def test_its_weights_are_added_to_the_final_ones(dynamics):
