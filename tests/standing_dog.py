@@ -1,4 +1,4 @@
-"""A dog of 10 kg in a plane: two legs of two joints each, balls for feet, MuJoCo's default contacts. No one's machine."""
+"""A dog of 10 kg in a plane: two legs of two joints each, balls for feet, default contacts. No one's machine."""
 
 DOG = """<mujoco>
   <worldbody>

@@ -62,7 +62,7 @@ def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The centres (K, P, 3) of a mechanism's contacts with planes, and how deep (K, P) they are in the laws' surfaces."""
+    """Centres (K, P, 3) of contacts with planes, and how deep (K, P) they are in the laws' surfaces."""
     contacts = mechanism.contacts
     if not contacts:
         return np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))

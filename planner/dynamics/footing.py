@@ -2,9 +2,9 @@
 
 Who asks legs to bend seldom says where the trunk goes, and a trunk that is to stay while its legs swing would have to
 drag its feet. Along the ground a machine at rest may stand anywhere, so among these places the goal takes the one to
-which its feet roll, or slide least: of all motions of what no actuator drives that neither lift a contact nor the centre
-of mass, the one with the least sum of f |J dq|^2, f the normal forces at rest and J dq how far each contact slides, J
-taken midway.
+which its feet roll, or slide least: of all motions of what no actuator drives that neither lift nor tilt what touches,
+the one with the least sum of f |J dq|^2, f the normal forces at rest and J dq how far each contact slides, J taken
+midway.
 """
 
 from __future__ import annotations
@@ -58,4 +58,3 @@ def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kep
         if np.abs(step).max() < SAME:
             break
     return goal
-

@@ -222,7 +222,7 @@ def _across(mechanism: Mechanism, q: np.ndarray, free: np.ndarray) -> np.ndarray
 
 
 def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """(n, m) orthogonal combinations of directions free (nv, n) that neither lift nor tilt links: along level ground."""
+    """(n, m) orthogonal combinations of directions free (nv, n) along level ground: no link is lifted or tilted."""
     if not np.any(mechanism.gravity):
         return np.zeros((free.shape[1], 0))
     up = -mechanism.gravity / np.linalg.norm(mechanism.gravity)

@@ -125,7 +125,7 @@ def weighed(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, horizon: int, weights: Mapping[str, Any], *,
     straight: bool,
 ) -> TrackingCost:  # fmt: skip
-    """The cost of a motion from x0 (nx,) to a goal (nx,) with weights by the arguments of TrackingCost.joints, and hold.
+    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, and hold.
 
     `straight` tells whether the weights on the way refer to straight_reference, else to the goal.
 

@@ -48,8 +48,8 @@ class Recipe:
             return replace(self, _parts=(dynamics, cost, x0, horizon))
         own_dynamics, own_cost, own_start, own_horizon = self._parts
         same = dynamics is own_dynamics and cost is own_cost and horizon == own_horizon
-        nearly = x0.shape == own_start.shape and np.allclose(x0, own_start, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)
-        return self if same and nearly else None
+        same = same and x0.shape == own_start.shape
+        return self if same and np.allclose(x0, own_start, ROUNDING, ROUNDING, equal_nan=True) else None
 
     def rebuilt(self, **changes: Any) -> Any:
         """The problem built with some arguments changed."""

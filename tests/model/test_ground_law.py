@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from planner import Mechanism
-from planner.dynamics.stiffness import fastest
 from planner.dynamics.statics import settled
+from planner.dynamics.stiffness import fastest
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.ground_law import DAMPING, FASTEST, LOAD, SINK
 from planner.model.mjcf.sinking import depth_at_rest

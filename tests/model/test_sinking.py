@@ -25,9 +25,7 @@ WEIGHT = 2.0 * 9.81
     ],
 )
 def test_a_ball_sinks_in_as_deep_as_the_formula_says(cone, condim, mu, solref, solimp, impratio):
-    model = compile_model(
-        BALL.format(cone=cone, condim=condim, mu=mu, solref=solref, solimp=solimp, impratio=impratio)
-    )
+    model = compile_model(BALL.format(cone=cone, condim=condim, mu=mu, solref=solref, solimp=solimp, impratio=impratio))
     data = mujoco.MjData(model)
     for _ in range(4000):
         mujoco.mj_step(model, data)

@@ -24,8 +24,9 @@ def with_step(
 
     The table's own substeps stay "auto": a finer stage needs fewer.
 
-    The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage is 0.01 s, or what 16
-    substeps can follow, or a little less: a whole number of stages is the duration. It is never below SHORTEST.
+    The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
+    is 0.01 s, or what 16 substeps can follow, or a little less: a whole number of stages is the duration. It is never
+    below SHORTEST.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.

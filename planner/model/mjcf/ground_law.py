@@ -1,9 +1,9 @@
 """The law of the ground under a machine: for its mass, as soft as the file's own, and what its feet let a plan follow.
 
-A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting. Where the file's own contact
-is softer under a foot's LOAD, its slope there is the stiffness, and balls begin to press as much later (`recess`) as
-puts them at the file's depth: rubber feet whose solimp begins at next to nothing. A foot that is light beside the machine
-feels the damping B of the whole machine and the friction before it slips c as
+A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting. Where the file's own
+contact is softer under a foot's LOAD, its slope there is the stiffness, and balls begin to press as much later
+(`recess`) as puts them at the file's depth: rubber feet, whose solimp begins at next to nothing. A foot that is light
+beside the machine feels the damping B of the whole machine and the friction before it slips c as
 
     rates = eigenvalues of sum_k J_k M^-1 J_k' C,   C = B n n' + c (1 - n n'),
 
@@ -48,10 +48,11 @@ def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int
     laws, of_body = {}, dict[int, list[Pair]]()
     for pair in pairs:
         laws[pair.geoms] = _for_mass(survey, pair)
-        of_body.setdefault(int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max()), []).append(pair)
+        of_body.setdefault(_body_of(survey, pair), []).append(pair)
     poses = _poses(survey)
     for body, own in of_body.items():
-        slip, damping = (max(getattr(laws[pair.geoms].law, name) for pair in own) for name in ("slip_damping", "damping"))
+        slip = max(laws[pair.geoms].law.slip_damping for pair in own)
+        damping = max(laws[pair.geoms].law.damping for pair in own)
         along, across = (
             max(pose.fastest(body, own, *dampings) for pose in poses) for dampings in ((0.0, slip), (damping, 0.0))
         )
@@ -81,6 +82,11 @@ def _for_mass(survey: Survey, pair: Pair) -> Ground:
     return Ground(law, recess)
 
 
+def _body_of(survey: Survey, pair: Pair) -> int:
+    """The body that stands, with what is welded to it; planes at rest are welded to body 0."""
+    return int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max())
+
+
 def mass_of(survey: Survey, pair: Pair) -> float:
     """Of all that hangs together with the body that is not at rest, kg."""
     model = survey.model
@@ -89,6 +95,7 @@ def mass_of(survey: Survey, pair: Pair) -> float:
 
 
 def _poses(survey: Survey) -> list[_Pose]:
+    """The file's own pose, its keyframes, and joints midway between the ends of their ranges."""
     model = survey.model
     middle = np.array(survey.home.qpos)
     hinges = np.flatnonzero((model.jnt_limited == 1) & (model.jnt_type >= int(load_mujoco().mjtJoint.mjJNT_SLIDE)))

@@ -43,8 +43,10 @@ def _force(model: Any, pair: Pair, r: float) -> float:
     d0, dmax = np.clip([d0, dmax], least, most)
     x = min(r / max(width, 1e-15), 1.0)
     midpoint, power = float(np.clip(midpoint, least, most)), max(power, 1.0)
-    y = x**power / midpoint ** (power - 1.0) if x <= midpoint else 1.0 - (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
-    d = d0 + (dmax - d0) * y
+    if x <= midpoint:
+        d = d0 + (dmax - d0) * x**power / midpoint ** (power - 1.0)
+    else:
+        d = dmax - (dmax - d0) * (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
     if pair.solref[0] > 0.0:
         timeconst = max(float(pair.solref[0]), 2.0 * float(model.opt.timestep))
         k = 1.0 / max((dmax * timeconst * float(pair.solref[1])) ** 2, 1e-15)
