@@ -62,10 +62,10 @@ from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
-from planner.problem.costs.tracking import TrackingCost, states
+from planner.problem.costs.tracking import states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.default_weights import default_weights, straight_reference
+from planner.problem.default_weights import default_weights, weighed
 from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
@@ -219,10 +219,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if stops:
         reasons["stops"] = " ".join(stops)
     table = _resolved(table, dynamics, x0, goal, reasons)
-    line = (
-        straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
-    )
-    cost = TrackingCost.joints(dynamics, goal, N, reference=line, **table[RESOLVED]["weights"])
+    straight = bool(mechanism.contacts) and "position" not in table["weights"]
+    cost = weighed(dynamics, x0, goal, N, table[RESOLVED]["weights"], straight=straight)
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
@@ -256,10 +254,11 @@ def _resolved(
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
-    default = default_weights(
-        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
-    )
     given = table["weights"]
+    default = default_weights(
+        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+        stays="position" not in given,
+    )  # fmt: skip
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}

@@ -56,6 +56,8 @@ WEIGHTS = {
     "final_velocity": "on the squared velocity error / 2 at the end; by default 10 / tolerance^2",
     "position": "on the squared distance from the goal / 2 on the way, per second; by default 0",
     "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
+    "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
+    "the ground, in place of final weights, else 0",
 }
 LAW = {
     "stiffness": "N/m",

@@ -25,7 +25,8 @@ def with_step(
 
     The table's own substeps stay "auto": a finer stage needs fewer.
 
-    The states (nx,), with home, are where the machine's fastest motion is looked for. A stage is 0.01 s with RK4. Where
+    The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage is
+    0.01 s with RK4. Where
     16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly, at the stage or a half, a
     quarter or an eighth of it; where that is too coarse, too, the stage is what RK4 can follow, but never below
     SHORTEST. It is a little less than that: a whole number of stages is the duration.
@@ -36,7 +37,8 @@ def with_step(
     known = table["integrator"] not in (AUTO, "rk4")
     if AUTO not in (table["dt"], table["substeps"], table["integrator"]):
         return table, table["substeps"], {}
-    states = (*states, mechanism.home)
+    if not mechanism.contacts:  # which may have home deep in the ground
+        states = (*states, mechanism.home)
     found = Fastest(0.0, "") if known else fastest(mechanism, states, prescribed)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
