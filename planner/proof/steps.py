@@ -98,7 +98,7 @@ def prove(
     sampling = sampling_of(plan)
     openly = replay_in(compiled, plan)
     fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
-    runs = dict(zip(MODES, (openly, fed), strict=True))
+    runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
     required = {
         # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.

@@ -148,7 +148,7 @@ def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
     integrator: str = "RK4", sampling: Sampling | None = None, planned: np.ndarray | None = None,
 ) -> Replay:  # fmt: skip
-    """replay() in a model that is compiled already; `planned` are the plan_xs of another replay, used where they fit."""
+    """replay() in a model that is compiled already; `planned`: plan_xs of another replay, where they fit."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt = problem.dynamics.dt
