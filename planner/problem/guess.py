@@ -11,7 +11,8 @@ from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.assembly import directions
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
-from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
+from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.model.mechanism import SCREW, Mechanism
 
 
 def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:

@@ -91,14 +91,15 @@ def your_file(
         given = open_loop.compiled  # compiled already
     compiled = _without_overlaps(problem, given)
     known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
+    planned = None if open_loop is None else open_loop.plan_xs
     native = None if damping_of(problem.dynamics) is None else NATIVE
-    run = replay_in(compiled, plan, feedback=True, integrator=native)
+    run = replay_in(compiled, plan, feedback=True, integrator=native, planned=planned)
     end = known.xs[-1] if known else _end_without_gains(run)
     section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
-    again = replay_in(run.compiled, plan, feedback=True, integrator=own)
+    again = replay_in(run.compiled, plan, feedback=True, integrator=own, planned=run.plan_xs)
     other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again), goals)))
     return (other, again) if other.passed else (section, run)
 

@@ -40,7 +40,7 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
-from planner.cases.problem_file.arrival import check_departure
+from planner.cases.problem_file.arrival import check_arrival, check_departure
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
@@ -231,6 +231,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)
+    check_arrival(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

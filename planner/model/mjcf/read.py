@@ -20,8 +20,9 @@ import numpy as np
 from planner.base.arguments import choice, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
+from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.contact.laws import ContactLaw
-from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
+from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops

@@ -48,7 +48,10 @@ class CompiledTwin:
         """MuJoCo's model, not to be changed; every user changes a copy()."""
         model = compile_model(self.twin.mjcf, self.twin.assets)
         kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
-        model.actuator_dyntype[model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)] = int(kinds.mjDYN_FILTER)
+        exact = model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)
+        if np.any(exact):
+            model = copy.copy(model)
+            model.actuator_dyntype[exact] = int(kinds.mjDYN_FILTER)
         return model
 
     def check(self, nu: int) -> None:

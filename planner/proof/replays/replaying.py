@@ -150,9 +150,9 @@ def replay(
 @np.errstate(all="ignore")  # a motion may run away, and then it says so
 def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
-    integrator: str | None = None, sampling: Sampling | None = None,
+    integrator: str | None = None, sampling: Sampling | None = None, planned: np.ndarray | None = None,
 ) -> Replay:  # fmt: skip
-    """replay() in a model that is compiled already."""
+    """replay() in a model that is compiled already; `planned`: plan_xs of another replay, where they fit."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
     dt, damping = problem.dynamics.dt, damping_of(problem.dynamics)
@@ -172,7 +172,8 @@ def replay_in(
     if M > MOST_STEPS:
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
-    plan_xs, recorder = plan.between_knots(n), ContactRecorder(model, M)
+    plan_xs = planned if planned is not None and len(planned) == M + 1 else plan.between_knots(n)
+    recorder = ContactRecorder(model, M)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
     move = implicit_step(model, dt / n, damping, PARTS) if integrator == IMPLICIT and damping is not None else None
