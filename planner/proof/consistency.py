@@ -48,8 +48,8 @@ def recomputed(
         missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if plan.hinges is not None and problem.ranges is not None:
-            quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
+        if plan.hinges is not None and problem.kept is not None:
+            quadratic = problem.kept.added(plan.hinges, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite

@@ -31,7 +31,8 @@ def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
     except IndexError:
         pass
     dynamics, costs = problem.dynamics, compiled_costs(problem)
-    if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
+    compiled = problem.kept is None or problem.kept.rows is None
+    if compiled and costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
         return CompiledEngine(problem, dynamics, *costs)
     return NumpyEngine(problem)
 

@@ -1,0 +1,194 @@
+"""What constraints are of: h of K states and controls, with its derivatives.
+
+A measure is asked for rows of its own, `values(xs, us, n)` (K, R) and `derivatives(xs, us, n)`, of states (K, nx) and
+controls (K, nu) at or after the knots n (K,). Derivatives are with respect to deviations dx (see planner.model.space)
+and, of measures that are `of_controls`, to controls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.dynamics import Dynamics
+from planner.model.mechanism import Mechanism
+from planner.model.space import StateSpace, space_of
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.costs.penalty import PenaltyCost
+from planner.problem.costs.penalty_terms import Penalty
+
+_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))  # of a number, and of 1: where rounding and curvature are least
+
+
+class Measure(Protocol):
+    """R functions of a state, or of a state and a control."""
+
+    rows: int
+    of_controls: bool
+    bounds: tuple[np.ndarray, np.ndarray]  # least and most (N+1, R), infinite or NaN where there is none
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, R)."""
+        ...
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, R, ndx) and (K, R, nu)."""
+        ...
+
+
+def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> Measure:
+    """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
+    if isinstance(constraint.of, Penalty):
+        return TermMeasure(constraint, dynamics, N)
+    return FunctionMeasure(constraint, dynamics, N, x0, u0)
+
+
+class TermMeasure:
+    """The value of a term of planner.costs."""
+
+    of_controls = False
+
+    def __init__(self, constraint: Constraint, dynamics: Dynamics, N: int) -> None:
+        mechanism = getattr(dynamics, "mechanism", None)
+        if not isinstance(mechanism, Mechanism):
+            raise PlannerError(f"{constraint} is a term of a machine, expected dynamics with a mechanism.")
+        self.cost = PenaltyCost(mechanism, N, [constraint.of], dynamics.dt)
+        self.rows, self._ndx, self._nu = len(self.cost.names), space_of(dynamics).ndx, dynamics.nu
+        m = self.cost.measures
+        asked = np.where(np.isnan(_wanted(constraint.of, N)), np.nan, m.bound.T)
+        least, most = np.where(m.side <= 0.0, asked, -np.inf), np.where(m.side >= 0.0, asked, np.inf)
+        self.bounds = least, most
+
+    def _at(self, n: np.ndarray, **changes: Any) -> PenaltyCost:
+        """The cost for states at the knots n (K,)."""
+        cost, m = copy(self.cost), self.cost.measures
+        ones = {"world": m.world[:, n], "bound": m.bound[:, n], "weight": np.ones((len(m.side), len(n)))}
+        cost.measures = replace(m, **(ones | changes))
+        return cost
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, R) m or m/s."""
+        return self._at(n).values(xs[:, : self.cost.nx])
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, R, ndx) and zeros (K, R, nu)."""
+        by_x = np.zeros((len(xs), self.rows, self._ndx))
+        if len(xs):
+            x, none = xs[:, : self.cost.nx], np.zeros(len(self.cost.measures.side))
+            values = self._at(n).values(x)
+            # A target that is missed by one has the derivative of the value for a gradient.
+            unit = self._at(n, side=none, bound=values.T - 1.0)
+            by_x[:, 0, : self.cost.ndx] = unit.quadratize(x, np.zeros((len(x) - 1, self._nu))).q
+        return by_x, np.zeros((len(xs), self.rows, self._nu))
+
+
+def _wanted(term: Penalty, N: int) -> np.ndarray:
+    """(N+1, 1) the bound as it was given, NaN where it is off."""
+    return np.broadcast_to(np.reshape(getattr(term, term.wanted), (-1, 1)), (N + 1, 1))
+
+
+class FunctionMeasure:
+    """A function of its maker's."""
+
+    def __init__(self, constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> None:
+        self._constraint, self._h, self.of_controls = constraint, constraint.of, constraint.of_controls
+        self._given: Callable[..., Any] | None = constraint.derivatives
+        self._space, self._nu = space_of(dynamics), dynamics.nu
+        self._nx = self._space.nx if constraint.states is None else constraint.states
+        self.rows = 0
+        tried = self._called(np.stack([x0, x0]), np.stack([u0, u0]))
+        self.rows = tried.shape[1]
+        least, most = (
+            np.full((N + 1, self.rows), fill) if bound is None else self._bound(bound, N)
+            for bound, fill in self._sides()
+        )
+        if np.any(least > most):
+            n, r = np.argwhere(least > most)[0]
+            raise PlannerError(
+                f"{constraint} has least = {least[n, r]:g} above most = {most[n, r]:g}, expected it below."
+            )
+        self.bounds = least, most
+
+    def _sides(self) -> tuple[tuple[Any, float], tuple[Any, float]]:
+        given = self._constraint
+        if given.equal is not None:
+            return (given.equal, -np.inf), (given.equal, np.inf)
+        return (given.least, -np.inf), (given.most, np.inf)
+
+    def _bound(self, bound: np.ndarray, N: int) -> np.ndarray:
+        fits = bound.shape in ((), (self.rows,)) or (
+            bound.ndim == 2 and bound.shape in ((N + 1, self.rows), (N + 1, 1))
+        )
+        if not fits:
+            raise PlannerError(
+                f"{self._constraint} has bounds of shape {bound.shape} and a function of {self.rows} rows, expected a "
+                f"number, ({self.rows},) or ({N + 1}, {self.rows})."
+            )
+        return np.array(np.broadcast_to(bound, (N + 1, self.rows)))
+
+    def _called(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(K, R) of states (K, nx) and controls (K, nu)."""
+        arguments = (xs[:, : self._nx], us) if self.of_controls else (xs[:, : self._nx],)
+        try:
+            value = np.asarray(self._h(*arguments), dtype=float)
+        except (TypeError, ValueError, IndexError) as error:
+            if self.rows:
+                raise
+            raise PlannerError(
+                f"{self._constraint} fails on {len(xs)} states at once ({error}), expected a function of xs (K, nx)"
+                f"{' and us (K, nu)' if self.of_controls else ''} that gives (K,) or (K, R)."
+            ) from None
+        if value.ndim == 1:
+            value = value[:, None]
+        if value.ndim != 2 or len(value) != len(xs) or (self.rows and value.shape[1] != self.rows) or not value.size:
+            raise PlannerError(
+                f"{self._constraint} gives an array of shape {value.shape} for {len(xs)} states, expected one number or "
+                "one row for each."
+            )
+        return value
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, R)."""
+        return self._called(xs, us)
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, R, ndx) and (K, R, nu): given, or by central differences."""
+        K, ndx = len(xs), self._space.ndx
+        by_x, by_u = np.zeros((K, self.rows, ndx)), np.zeros((K, self.rows, self._nu))
+        if not K:
+            return by_x, by_u
+        if self._given is None:
+            by_x[:] = self._differences(xs, us, ndx, lambda d: (self._space.integrate(xs, d), us), np.ones(ndx))
+            if self.of_controls:
+                size = np.maximum(1.0, np.abs(us))
+                by_u[:] = self._differences(xs, us, self._nu, lambda d: (xs, us + d), size)
+            return by_x, by_u
+        found = self._given(xs[:, : self._nx], us) if self.of_controls else (self._given(xs[:, : self._nx]),)
+        if not isinstance(found, tuple) or len(found) != 1 + self.of_controls:
+            raise PlannerError(f"{self._constraint}'s derivatives give {shown(found)}, expected those by x and by u.")
+        for part, into in zip(found, (by_x, by_u), strict=False):
+            part = np.asarray(part, dtype=float)
+            own = (K, self.rows, part.shape[-1] if part.ndim == 3 and into is by_x else into.shape[2])
+            if part.shape != own or part.shape[2] > into.shape[2]:
+                raise PlannerError(
+                    f"{self._constraint}'s derivatives have shape {part.shape}, expected {into.shape}: (K, R, ndx) "
+                    "and, by controls, (K, R, nu)."
+                )
+            into[:, :, : part.shape[2]] = part
+        return by_x, by_u
+
+    def _differences(self, xs: np.ndarray, us: np.ndarray, size: int, moved: Any, scale: np.ndarray) -> np.ndarray:
+        """(K, R, size) central differences along deviations (K, size) of either."""
+        J = np.zeros((len(xs), self.rows, size))
+        scale = np.broadcast_to(scale, (len(xs), size))
+        for j in range(size):
+            d = np.zeros((len(xs), size))
+            d[:, j] = _DIFFERENCE * scale[:, j]
+            J[:, :, j] = (self._called(*moved(d)) - self._called(*moved(-d))) / (2.0 * d[:, j : j + 1])
+        return J
