@@ -1,4 +1,4 @@
-"""Ranges of the states, exact goals and constraints by augmented Lagrangian (Hestenes, Powell, Rockafellar): SLQ inside a loop.
+"""Ranges, exact goals and constraints by augmented Lagrangian (Hestenes, Powell, Rockafellar): SLQ inside a loop.
 
     repeat   minimise J + hinges at shifted bounds, from the last controls       solvers.slq, problem.constraints.kept
              multiplier <- max(0, multiplier + weight (e - bound))               of every bound and stage

@@ -18,7 +18,7 @@ from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.mechanism import Mechanism
-from planner.model.space import StateSpace, space_of
+from planner.model.space import space_of
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.costs.penalty import PenaltyCost
 from planner.problem.costs.penalty_terms import Penalty
@@ -122,10 +122,7 @@ class FunctionMeasure:
         return (given.least, -np.inf), (given.most, np.inf)
 
     def _bound(self, bound: np.ndarray, N: int) -> np.ndarray:
-        fits = bound.shape in ((), (self.rows,)) or (
-            bound.ndim == 2 and bound.shape in ((N + 1, self.rows), (N + 1, 1))
-        )
-        if not fits:
+        if bound.shape not in ((), (self.rows,), (N + 1, self.rows), (N + 1, 1)):
             raise PlannerError(
                 f"{self._constraint} has bounds of shape {bound.shape} and a function of {self.rows} rows, expected a "
                 f"number, ({self.rows},) or ({N + 1}, {self.rows})."
@@ -148,8 +145,8 @@ class FunctionMeasure:
             value = value[:, None]
         if value.ndim != 2 or len(value) != len(xs) or (self.rows and value.shape[1] != self.rows) or not value.size:
             raise PlannerError(
-                f"{self._constraint} gives an array of shape {value.shape} for {len(xs)} states, expected one number or "
-                "one row for each."
+                f"{self._constraint} gives an array of shape {value.shape} for {len(xs)} states, expected one number "
+                "or one row for each."
             )
         return value
 

@@ -154,7 +154,7 @@ class Rows:
         inside = at % parts > 0
         later = np.minimum(n + 1, self.N)
         found = np.zeros((M + 1, len(self.scale)))
-        for constraint, measure, columns, at_end in self.parts:
+        for _, measure, columns, at_end in self.parts:
             low, high = self.least[:, columns], self.most[:, columns]
             if measure.of_controls:
                 stages = n[:-1]
