@@ -50,8 +50,8 @@ class Status(StrEnum):
         "controls, or take a shorter stage or more substeps."
     )
     OUTSIDE_LIMITS = (
-        "The limits and constraints were not met to their tolerance within the rounds of the augmented Lagrangian; give "
-        "the motion more time or wider bounds, or start from a guess that meets them."
+        "The limits and constraints were not met to their tolerance within the rounds of the augmented Lagrangian; "
+        "give the motion more time or wider bounds, or start from a guess that meets them."
     )
     NOT_PERIODIC = (
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
@@ -129,8 +129,8 @@ class Plan(Built):
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
         changed: Parts of its file that were changed after it was written; empty for none, or for no file.
-        hinges: Terms that ranges of states and constraints added to the cost in the last round of the augmented Lagrangian:
-            with them the gradient, its norm and the gains. None where nothing was added.
+        hinges: Terms that ranges of states and constraints added to the cost in the last round of the augmented
+            Lagrangian: with them the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.
     """

@@ -15,6 +15,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.proof.constraints import planned_violations
 from planner.proof.more_steps import STEPS, more_steps
 from planner.proof.scales import COST_BOUND, has_kinks, judged_cost, limit_violations
 from planner.solvers import lq
@@ -92,6 +93,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
     measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
     measured += limit_violations(problem, plan.xs, plan.us, "at the plan's knots")
+    measured += planned_violations(plan, problem)
     return Section("plan", tuple(measured))
 
 

@@ -4,7 +4,8 @@
 
 to a tolerance, by the augmented Lagrangian of planner.solvers.augmented. What h is:
 
-    a term of planner.costs (Height, Distance, Gap, Velocity, Power, ...), which says itself what it wants
+    a term of planner.costs (Height, Distance, Gap, Velocity, ...), which says itself what it wants
+    a quantity of planner.constraints (Power, ...), which has `measure(dynamics, N)` (see measures)
     h(xs) of states (K, nx), kept at every knot but the start, which is given
     h(xs, us) of states and controls (K, nu), kept at both ends of every stage, since a control is held over it
 
@@ -35,8 +36,8 @@ class Constraint:
     """One thing that a plan keeps.
 
     Attributes:
-        of: A term of planner.costs, with its own least, most or target and tolerance; or a function.
-        equal: Of a function: a number, (R,), or (N+1, R) by stages with NaN where it is not asked for.
+        of: A term of planner.costs, with its own least, most or target and tolerance; a quantity; or a function.
+        equal: Of a quantity or function: a number, (R,), or (N+1, R) by stages with NaN where it is not asked for.
         least: The same.
         most: The same; beside least or alone.
         when: "always", "end", or (from, to) in s.
@@ -64,19 +65,19 @@ class Constraint:
     states: int | None = None
 
     def __post_init__(self) -> None:
-        term = isinstance(self.of, Penalty)
-        if not term and not callable(self.of):
+        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "measure")
+        if not (term or quantity or callable(self.of)):
             raise PlannerError(
-                f"a constraint is of {shown(self.of)}, expected a term of planner.costs or a function h(xs) or "
-                "h(xs, us)."
+                f"a constraint is of {shown(self.of)}, expected a term of planner.costs or planner.constraints, or a "
+                "function h(xs) or h(xs, us)."
             )
         for name in ("name", "unit"):
             if not isinstance(getattr(self, name), str):
                 raise PlannerError(f"a constraint's {name} is {shown(getattr(self, name))}, expected a text.")
-        own = str(self.of) if term else getattr(self.of, "__name__", "h")
+        own = str(self.of) if term or quantity else getattr(self.of, "__name__", "h")
         set_fields(self, name=self.name or own.replace("<lambda>", "h"))
-        if term:
-            set_fields(self, unit=self.unit or ("m/s" if isinstance(self.of, Velocity) else "m"))
+        unit = ("m/s" if isinstance(self.of, Velocity) else "m") if term else getattr(self.of, "unit", "")
+        set_fields(self, unit=self.unit or unit)
         given = [name for name in ("equal", "least", "most") if getattr(self, name) is not None]
         if term and given:
             raise PlannerError(f"{self} has {given[0]} beside a term, expected it in the term: {given[0]}=.")
@@ -84,7 +85,7 @@ class Constraint:
             raise PlannerError(f"{self} has no bound, expected equal=, least= or most=.")
         if "equal" in given and len(given) > 1:
             raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or least and most.")
-        if self.derivatives is not None and (term or not callable(self.derivatives)):
+        if self.derivatives is not None and (term or quantity or not callable(self.derivatives)):
             raise PlannerError(f"{self} has derivatives={shown(self.derivatives)}, expected those of a function.")
         for name in given:
             bound = numbers(f"{self}'s {name}", getattr(self, name))
@@ -114,10 +115,8 @@ class Constraint:
         )
 
     @property
-    def of_controls(self) -> bool:
+    def takes_controls(self) -> bool:
         """Whether a function takes controls too: by the number of its arguments."""
-        if isinstance(self.of, Penalty):
-            return False
         try:
             taken = inspect.signature(self.of).parameters.values()
         except (TypeError, ValueError):  # some builtins tell nothing

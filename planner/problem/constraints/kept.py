@@ -72,15 +72,7 @@ class Kept:
     def value(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost that hinges add."""
         J = 0.0 if self.ranges is None else self.ranges.value(self.of_ranges(hinges), xs)
-        if self.rows is not None:
-            if not np.isfinite(xs).all():  # a candidate that ran away
-                return float("inf")
-            lower, upper, weight = self.of_rows(hinges)
-            if np.any(weight):
-                e = self.rows.values(xs, us)
-                above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
-                J += 0.5 * float(np.sum(weight * (above**2 + below**2)))
-        return J
+        return J if self.rows is None else J + self.value_of_rows(self.of_rows(hinges), xs, us)
 
     def added(
         self, hinges: Hinges, model: Quadratic, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
@@ -90,23 +82,56 @@ class Kept:
             model = self.ranges.added(self.of_ranges(hinges), model, xs)
         if self.rows is None:
             return model
-        if not np.any(self.of_rows(hinges).weight):
+        n, by_z, slope, curvature = self.pull_of_rows(self.of_rows(hinges), xs, us, A, B)
+        if not len(n):
             return model
-        slope, curvature = self._pull(hinges, xs, us)
-        by_x, by_u = self.rows.derivatives(xs, us, A, B, curvature > 0.0)
-        Q = model.Q + np.einsum("nhi,nh,nhj->nij", by_x, curvature, by_x)
-        q = model.q + np.einsum("nhi,nh->ni", by_x, slope)
-        if not any(part.measure.of_controls for part in self.rows.parts):
-            return model._replace(Q=Q, q=q)
-        weighted = curvature[:-1, :, None] * by_u
-        R, r = model.R + np.swapaxes(by_u, 1, 2) @ weighted, model.r + np.einsum("nhi,nh->ni", by_u, slope[:-1])
-        S = np.swapaxes(weighted, 1, 2) @ by_x[:-1]
+        ndx, (N, nu) = A.shape[1], us.shape
+        h, H = np.zeros((N + 1, ndx + nu)), np.zeros((N + 1, ndx + nu, ndx + nu))
+        h[n] = np.einsum("ncz,nc->nz", by_z, slope)
+        H[n] = np.swapaxes(by_z, 1, 2) @ (curvature[:, :, None] * by_z)
+        Q, q = model.Q + H[:, :ndx, :ndx], model.q + h[:, :ndx]
+        R, r, S = model.R + H[:-1, ndx:, ndx:], model.r + h[:-1, ndx:], H[:-1, ndx:, :ndx]
         return Quadratic(Q, q, R, r, S if model.S is None else model.S + S)
+
+    def value_of_rows(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> float:
+        """The cost that hinges of constraints add."""
+        assert self.rows is not None
+        lower, upper, weight = hinges
+        if not np.any(weight):
+            return 0.0
+        if not np.isfinite(xs).all():  # a candidate that ran away
+            return float("inf")
+        e = self.rows.values(xs, us)
+        above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
+        return 0.5 * float(np.sum(weight * (above**2 + below**2)))
+
+    def pull_of_rows(
+        self, hinges: Hinges, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where rows of constraints pull, and how.
+
+        Returns:
+            The knots n (k,) where any does, there the derivatives of all rows by z = (x, u), (k, C, ndx+nu), and the
+            first and second derivatives (k, C) of the hinges by the rows.
+        """
+        assert self.rows is not None
+        (N, nu), ndx = us.shape, A.shape[1]
+        slope, curvature = self._pull(hinges, xs, us)
+        n = np.flatnonzero(curvature.any(axis=1))
+        by_z = np.zeros((len(n), slope.shape[1], ndx + nu))
+        if len(n):
+            by_x, by_u = self.rows.derivatives(xs, us, A, B, curvature > 0.0)
+            by_z[:, :, :ndx], last = by_x[n], n < N
+            by_z[last, :, ndx:] = by_u[n[last]]
+        return n, by_z, slope[n], curvature[n]
 
     def _pull(self, hinges: Hinges, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First and second derivatives (N+1, C) of the hinges of constraints by their rows."""
         assert self.rows is not None
-        (lower, upper, weight), e = self.of_rows(hinges), self.rows.values(xs, us)
+        lower, upper, weight = hinges
+        if not np.any(weight):
+            return np.zeros_like(weight), np.zeros_like(weight)
+        e = self.rows.values(xs, us)
         above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
         return weight * (above - below), weight * ((e >= upper).astype(float) + (e < lower))
 
@@ -119,7 +144,7 @@ class Kept:
         """
         if self.rows is None:
             return ()
-        slope, found = self._pull(hinges, xs, us)[0] * self.rows.scale, dict[int, list[np.ndarray]]()
+        slope, found = self._pull(self.of_rows(hinges), xs, us)[0] * self.rows.scale, dict[int, list[np.ndarray]]()
         for part in self.rows.parts:
             found.setdefault(id(part.constraint), []).append(slope[:, part.columns])
         return tuple(np.concatenate(parts, axis=1) for parts in found.values())

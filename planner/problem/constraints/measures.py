@@ -31,7 +31,6 @@ class Measure(Protocol):
 
     rows: int
     of_controls: bool
-    bounds: tuple[np.ndarray, np.ndarray]  # least and most (N+1, R), infinite or NaN where there is none
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, R)."""
@@ -46,7 +45,34 @@ def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarra
     """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
     if isinstance(constraint.of, Penalty):
         return TermMeasure(constraint, dynamics, N)
-    return FunctionMeasure(constraint, dynamics, N, x0, u0)
+    if hasattr(constraint.of, "measure"):
+        return constraint.of.measure(dynamics, N)
+    return FunctionMeasure(constraint, dynamics, x0, u0)
+
+
+def sides_of(constraint: Constraint, measure: Measure, N: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least and most (N+1, R), infinite or NaN where nothing is asked for."""
+    if isinstance(measure, TermMeasure):
+        return measure.sides(constraint.of, N)
+    given, R = constraint, measure.rows
+    low, high = (given.equal, given.equal) if given.equal is not None else (given.least, given.most)
+    least, most = (
+        np.full((N + 1, R), none) if side is None else _spread(given, side, R, N)
+        for side, none in ((low, -np.inf), (high, np.inf))
+    )
+    if np.any(least > most):
+        n, r = np.argwhere(least > most)[0]
+        raise PlannerError(f"{given} has least = {least[n, r]:g} above most = {most[n, r]:g}, expected it below.")
+    return least, most
+
+
+def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndarray:
+    if side.shape not in ((), (R,), (N + 1, R), (N + 1, 1)):
+        raise PlannerError(
+            f"{constraint} has a bound of shape {side.shape} and is of {R} number{'s' * (R > 1)}, expected one number, "
+            f"({R},) or ({N + 1}, {R})."
+        )
+    return np.array(np.broadcast_to(side, (N + 1, R)))
 
 
 class TermMeasure:
@@ -60,10 +86,13 @@ class TermMeasure:
             raise PlannerError(f"{constraint} is a term of a machine, expected dynamics with a mechanism.")
         self.cost = PenaltyCost(mechanism, N, [constraint.of], dynamics.dt)
         self.rows, self._ndx, self._nu = len(self.cost.names), space_of(dynamics).ndx, dynamics.nu
-        m = self.cost.measures
-        asked = np.where(np.isnan(_wanted(constraint.of, N)), np.nan, m.bound.T)
-        least, most = np.where(m.side <= 0.0, asked, -np.inf), np.where(m.side >= 0.0, asked, np.inf)
-        self.bounds = least, most
+
+    def sides(self, term: Penalty, N: int) -> tuple[np.ndarray, np.ndarray]:
+        """Least and most (N+1, 1) of the term."""
+        asked = np.reshape(getattr(term, term.wanted), (-1, 1))
+        asked = np.broadcast_to(asked, (N + 1, 1))
+        least, most = np.full((N + 1, 1), -np.inf), np.full((N + 1, 1), np.inf)
+        return least if term.wanted == "most" else asked, most if term.wanted == "least" else asked
 
     def _at(self, n: np.ndarray, **changes: Any) -> PenaltyCost:
         """The cost for states at the knots n (K,)."""
@@ -88,46 +117,17 @@ class TermMeasure:
         return by_x, np.zeros((len(xs), self.rows, self._nu))
 
 
-def _wanted(term: Penalty, N: int) -> np.ndarray:
-    """(N+1, 1) the bound as it was given, NaN where it is off."""
-    return np.broadcast_to(np.reshape(getattr(term, term.wanted), (-1, 1)), (N + 1, 1))
-
-
 class FunctionMeasure:
     """A function of its maker's."""
 
-    def __init__(self, constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> None:
-        self._constraint, self._h, self.of_controls = constraint, constraint.of, constraint.of_controls
+    def __init__(self, constraint: Constraint, dynamics: Dynamics, x0: np.ndarray, u0: np.ndarray) -> None:
+        self._constraint, self._h, self.of_controls = constraint, constraint.of, constraint.takes_controls
         self._given: Callable[..., Any] | None = constraint.derivatives
         self._space, self._nu = space_of(dynamics), dynamics.nu
         self._nx = self._space.nx if constraint.states is None else constraint.states
         self.rows = 0
         tried = self._called(np.stack([x0, x0]), np.stack([u0, u0]))
         self.rows = tried.shape[1]
-        least, most = (
-            np.full((N + 1, self.rows), fill) if bound is None else self._bound(bound, N)
-            for bound, fill in self._sides()
-        )
-        if np.any(least > most):
-            n, r = np.argwhere(least > most)[0]
-            raise PlannerError(
-                f"{constraint} has least = {least[n, r]:g} above most = {most[n, r]:g}, expected it below."
-            )
-        self.bounds = least, most
-
-    def _sides(self) -> tuple[tuple[Any, float], tuple[Any, float]]:
-        given = self._constraint
-        if given.equal is not None:
-            return (given.equal, -np.inf), (given.equal, np.inf)
-        return (given.least, -np.inf), (given.most, np.inf)
-
-    def _bound(self, bound: np.ndarray, N: int) -> np.ndarray:
-        if bound.shape not in ((), (self.rows,), (N + 1, self.rows), (N + 1, 1)):
-            raise PlannerError(
-                f"{self._constraint} has bounds of shape {bound.shape} and a function of {self.rows} rows, expected a "
-                f"number, ({self.rows},) or ({N + 1}, {self.rows})."
-            )
-        return np.array(np.broadcast_to(bound, (N + 1, self.rows)))
 
     def _called(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K, R) of states (K, nx) and controls (K, nu)."""

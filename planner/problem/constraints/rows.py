@@ -16,7 +16,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.measures import Measure, measure_of
+from planner.problem.constraints.measures import Measure, measure_of, sides_of
 
 
 class Violation(NamedTuple):
@@ -72,7 +72,7 @@ class Rows:
                     raise PlannerError(f"{constraint} is of controls at the end, where there are none, expected h(xs).")
             low, high = (
                 np.where(asked[:, None] & ~np.isnan(side), side, none)
-                for side, none in zip(measure.bounds, (-np.inf, np.inf), strict=True)
+                for side, none in zip(sides_of(constraint, measure, self.N), (-np.inf, np.inf), strict=True)
             )
             if not (np.isfinite(low).any() or np.isfinite(high).any()):
                 raise PlannerError(f"{constraint} asks for nothing at any stage, expected a number at one.")
