@@ -8,8 +8,6 @@ and, of measures that are `of_controls`, to controls.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,10 +15,9 @@ import numpy as np
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.costs.penalty import PenaltyCost
+from planner.problem.constraints.of_terms import measure_of_term
 from planner.problem.costs.penalty_terms import Penalty
 
 _DIFFERENCE = float(np.cbrt(np.finfo(float).eps))  # of a number, and of 1: where rounding and curvature are least
@@ -44,7 +41,7 @@ class Measure(Protocol):
 def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarray, u0: np.ndarray) -> Measure:
     """What a constraint is of, for N stages; a function is tried at the start x0 (nx,) and first control u0 (nu,)."""
     if isinstance(constraint.of, Penalty):
-        return TermMeasure(constraint, dynamics, N)
+        return measure_of_term(constraint.of, dynamics, N)
     if hasattr(constraint.of, "measure"):
         return constraint.of.measure(dynamics, N)
     return FunctionMeasure(constraint, dynamics, x0, u0)
@@ -52,10 +49,12 @@ def measure_of(constraint: Constraint, dynamics: Dynamics, N: int, x0: np.ndarra
 
 def sides_of(constraint: Constraint, measure: Measure, N: int) -> tuple[np.ndarray, np.ndarray]:
     """Least and most (N+1, R), infinite or NaN where nothing is asked for."""
-    if isinstance(measure, TermMeasure):
-        return measure.sides(constraint.of, N)
     given, R = constraint, measure.rows
-    low, high = (given.equal, given.equal) if given.equal is not None else (given.least, given.most)
+    if isinstance(given.of, Penalty):
+        own = np.reshape(getattr(given.of, given.of.wanted), (-1, 1))
+        low, high = None if given.of.wanted == "most" else own, None if given.of.wanted == "least" else own
+    else:
+        low, high = (given.equal, given.equal) if given.equal is not None else (given.least, given.most)
     least, most = (
         np.full((N + 1, R), none) if side is None else _spread(given, side, R, N)
         for side, none in ((low, -np.inf), (high, np.inf))
@@ -67,54 +66,12 @@ def sides_of(constraint: Constraint, measure: Measure, N: int) -> tuple[np.ndarr
 
 
 def _spread(constraint: Constraint, side: np.ndarray, R: int, N: int) -> np.ndarray:
-    if side.shape not in ((), (R,), (N + 1, R), (N + 1, 1)):
+    if side.shape not in ((), (R,), (N + 1, R), (N + 1, 1), (1, 1)):
         raise PlannerError(
             f"{constraint} has a bound of shape {side.shape} and is of {R} number{'s' * (R > 1)}, expected one number, "
             f"({R},) or ({N + 1}, {R})."
         )
     return np.array(np.broadcast_to(side, (N + 1, R)))
-
-
-class TermMeasure:
-    """The value of a term of planner.costs."""
-
-    of_controls = False
-
-    def __init__(self, constraint: Constraint, dynamics: Dynamics, N: int) -> None:
-        mechanism = getattr(dynamics, "mechanism", None)
-        if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"{constraint} is a term of a machine, expected dynamics with a mechanism.")
-        self.cost = PenaltyCost(mechanism, N, [constraint.of], dynamics.dt)
-        self.rows, self._ndx, self._nu = len(self.cost.names), space_of(dynamics).ndx, dynamics.nu
-
-    def sides(self, term: Penalty, N: int) -> tuple[np.ndarray, np.ndarray]:
-        """Least and most (N+1, 1) of the term."""
-        asked = np.reshape(getattr(term, term.wanted), (-1, 1))
-        asked = np.broadcast_to(asked, (N + 1, 1))
-        least, most = np.full((N + 1, 1), -np.inf), np.full((N + 1, 1), np.inf)
-        return least if term.wanted == "most" else asked, most if term.wanted == "least" else asked
-
-    def _at(self, n: np.ndarray, **changes: Any) -> PenaltyCost:
-        """The cost for states at the knots n (K,)."""
-        cost, m = copy(self.cost), self.cost.measures
-        ones = {"world": m.world[:, n], "bound": m.bound[:, n], "weight": np.ones((len(m.side), len(n)))}
-        cost.measures = replace(m, **(ones | changes))
-        return cost
-
-    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """(K, R) m or m/s."""
-        return self._at(n).values(xs[:, : self.cost.nx])
-
-    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, R, ndx) and zeros (K, R, nu)."""
-        by_x = np.zeros((len(xs), self.rows, self._ndx))
-        if len(xs):
-            x, none = xs[:, : self.cost.nx], np.zeros(len(self.cost.measures.side))
-            values = self._at(n).values(x)
-            # A target that is missed by one has the derivative of the value for a gradient.
-            unit = self._at(n, side=none, bound=values.T - 1.0)
-            by_x[:, 0, : self.cost.ndx] = unit.quadratize(x, np.zeros((len(x) - 1, self._nu))).q
-        return by_x, np.zeros((len(xs), self.rows, self._nu))
 
 
 class FunctionMeasure:

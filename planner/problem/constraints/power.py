@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.problem.constraints.of_terms import machine_of
 from planner.problem.costs.weights import places
 
 
@@ -35,9 +35,7 @@ class Power:
         Raises:
             PlannerError: It has no such actuator.
         """
-        mechanism = getattr(dynamics, "mechanism", None)
-        if not isinstance(mechanism, Mechanism):
-            raise PlannerError(f"{self} is that of a machine's actuator, expected dynamics with a mechanism.")
+        mechanism = machine_of(dynamics, self)
         inputs = places(mechanism, ())[1]
         index = inputs[choice("the actuator of a power", self.actuator, inputs)].start
         return PowerMeasure(mechanism, index, dynamics.nu)

@@ -9,6 +9,7 @@ stage, by A and B of Eq. 35. Rows are multiplied by `scale`, so that one toleran
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ class Violation(NamedTuple):
     at: int  # number of the state
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """A constraint and the columns of its rows."""
 
     constraint: Constraint
@@ -61,7 +62,7 @@ class Rows:
     def __init__(
         self, constraints: Sequence[Constraint], dynamics: Dynamics, x0: np.ndarray, us: np.ndarray, tolerance: float
     ) -> None:
-        self.N, self.parts, columns = len(us), list[_Part](), 0
+        self.N, self.parts, columns = len(us), list[Part](), 0
         least, most, scale, names, of_start = [], [], [], list[str](), []
         for constraint in constraints:
             measure = measure_of(constraint, dynamics, self.N, x0, us[0])
@@ -77,7 +78,7 @@ class Rows:
             if not (np.isfinite(low).any() or np.isfinite(high).any()):
                 raise PlannerError(f"{constraint} asks for nothing at any stage, expected a number at one.")
             for at_end in (False, True)[: 1 + measure.of_controls]:
-                self.parts.append(_Part(constraint, measure, slice(columns, columns + measure.rows), at_end))
+                self.parts.append(Part(constraint, measure, slice(columns, columns + measure.rows), at_end))
                 columns += measure.rows
                 least.append(low)
                 most.append(high)
@@ -109,6 +110,20 @@ class Rows:
                     f"the start breaks {part.constraint}: it is {value[r]:.6g}{unit} there, expected {asked}{unit}; "
                     "start elsewhere, or ask for it later by when=(from, to)."
                 )
+
+    def only(self, parts: Sequence[Part]) -> tuple[Rows, np.ndarray]:
+        """The rows of some of the parts, and which columns of these they are."""
+        few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]
+        few.parts = []
+        for part, own in zip(parts, columns, strict=True):
+            few.parts.append(part._replace(columns=slice(first, first + len(own))))
+            first += len(own)
+        which = np.concatenate([np.empty(0, dtype=int), *columns])
+        few.scale, few.names = self.scale[which], tuple(self.names[c] for c in which)
+        few.least, few.most, few.lower, few.upper = (
+            side[:, which] for side in (self.least, self.most, self.lower, self.upper)
+        )
+        return few, which
 
     def values(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N+1, C) scaled, of states xs (N+1, nx) and controls us (N, nu); 0 where a row has no stage."""
