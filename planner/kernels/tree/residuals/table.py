@@ -1,9 +1,9 @@
 """The residuals of a solve as kernels read them: one int64 table of sizes and addresses, and the arrays behind it.
 
-A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared with
-a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along its
-last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and about
-the origins of their trees (see kernels.tree.model).
+A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared
+with a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along
+its last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and
+about the origins of their trees (see kernels.tree.model).
 
 To add a kind: a number and its rows here, a file with its value and its derivative beside this one, their two lines in
 `evaluate`, and the NumPy twin in problem.costs.residuals.
@@ -19,10 +19,10 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.model import chain_of
 
-# Kinds of terms.
-HEIGHT, DISTANCE, VELOCITY, POSITION, ORIENTATION, POINTING, POSE, LINEAR, ANGULAR, MASS_CENTRE, TILT = range(11)
-ROWS = (1, 1, 1, 3, 3, 3, 6, 3, 3, 3, 1)  # of each kind
-REFERENCES = (0, 0, 0, 0, 9, 0, 12, 0, 0, 0, 0)  # numbers per stage of each kind
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; and of frames, tilt.
+HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
+ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1)  # of each kind
+REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0)  # numbers per stage of each kind
 FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
 MOST_ROWS = max(ROWS)
 PARALLEL = 1e-12
@@ -54,7 +54,7 @@ class ResidualTable:
 
     def __init__(self, model: Any, measures: Any) -> None:
         m, parent, link, nv = measures, model.arrays["parent"], np.array(measures.link), model.nv
-        (rows, stages), T = m.weight.shape, len(m.kind)
+        stages, T = m.weight.shape[1], len(m.kind)
         fast = np.isin(m.kind, FAST)
         massive = bool(np.any(m.kind == MASS_CENTRE))
         columns = 2 * nv if fast.any() else nv  # of positions, and of velocities where these count

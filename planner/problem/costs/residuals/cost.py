@@ -170,5 +170,3 @@ def _residuals(m: ResidualArrays, values: np.ndarray, rows: slice = slice(None))
     e = np.where(side == 0.0, 1.0, side) * (values - m.bound[rows])
     residual, slope = ramp(e, a)
     return np.where(side == 0.0, e, residual), np.where(side == 0.0, 1.0, side * slope)
-
-
