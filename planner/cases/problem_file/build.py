@@ -18,6 +18,11 @@
     margin = 0.02                       # rad or m, how far plans stay off the ends of the model's ranges
     final = "exact"                     # meet the goal exactly where final weights are above 0
 
+    [[constraint]]                      # optional: what the plan keeps, see problem_file.constraints
+    frame = "hook"
+    along = "z"
+    least = 0.5                         # m
+
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
 In place of a machine of one's own the file may name a case of the package, with its parameters:
@@ -41,6 +46,7 @@ from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_arrival, check_departure
+from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
@@ -226,6 +232,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
+        constraints=constraints_of(table.get("constraint", [])),
         tolerance=table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip

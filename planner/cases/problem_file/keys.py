@@ -37,6 +37,7 @@ KEYS = {
     "weights": "table, below",
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
     "durations": "[shortest, longest] s, between which an objective with time chooses",
+    "constraint": "tables [[constraint]], below: what the plan keeps of a frame or an actuator",
     "limits": 'table, below; by default the model\'s own, "off" for none',
 }
 LIMITS = {
@@ -49,6 +50,21 @@ LIMITS = {
     "default 1 % of the range, at least 0.01 rad or 1 mm",
     "final": '"exact" for all that has a final weight, or a list of joints: to end at the goal exactly',
     "tolerance": "how far a state may be outside its range, or from an exact goal",
+}
+CONSTRAINT = {
+    "frame": "a site or body, with one of the next four",
+    "position": "[x, y, z] m in the world, exactly",
+    "orientation": "quaternion, w first, exactly",
+    "pointing": "direction of the world, x, y, z or three numbers, that the frame's axis stays within an angle of",
+    "along": "direction of the world, likewise, along which the frame stays between least and most",
+    "axis": "of the frame, for pointing: x, y, z or three numbers; z by default",
+    "within": "rad, for pointing",
+    "power": "an actuator, whose force times speed stays between least and most, in place of a frame",
+    "least": "m or W",
+    "most": "m or W",
+    "when": '"always", "end" or [from, to] in s; by default the end for position and orientation, else always',
+    "tolerance": "how far beyond passes, in the same unit; by default 1e-4, and 1e-4 of a bound above 1",
+    "name": "for messages",
 }
 WEIGHTS = {
     "effort": "on |u|^2 / 2, per second; by default 1 / limit^2",

@@ -61,7 +61,8 @@ class Workspace:
         hinge_lower: (N+1, hinges) of the deviation from x_ref.
         hinge_upper: (N+1, hinges).
         hinge_weight: (N+1, hinges) zero until a solve sets them.
-        T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
+        T: (N+1, width, width) the second-order terms of the dynamics, upper triangles, zero at the end, and what
+            rows of constraints add (solvers.engine.with_rows); empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
         residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
@@ -141,13 +142,22 @@ class Workspace:
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
 
+    def trial(self, lane: int) -> tuple[np.ndarray, np.ndarray]:
+        """States (N+1, nx) and controls (N, nu) of candidate `lane`."""
+        xs, us = self._arrays["trial_x"][:, lane], self._arrays["trial_u"][:, lane]
+        return xs.reshape(self.xs.shape), us.reshape(self.us.shape)
+
+    def take(self, lane: int) -> None:
+        """Make candidate `lane` the nominal trajectory."""
+        self.xs[:], self.us[:] = self.trial(lane)
+
     def use_second_order(self, exact: bool) -> None:
         """Whether the sweep adds T, whose memory is taken when it is first asked for."""
         self.table[W.exact] = exact
         if exact and not len(self.T):
             N, width = len(self.us), self.T.shape[1]
             rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
-            self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
+            self.T, self.costates = lane_array(N + 1, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[[W.T, W.costates]] = self.T.ctypes.data, self.costates.ctypes.data
 

@@ -28,7 +28,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows
+from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows, tilt_row, tilt_value
 from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
 from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
@@ -40,6 +40,7 @@ from planner.kernels.tree.residuals.table import (
     POINTING,
     POSE,
     RESIDUALS,
+    TILT,
     VELOCITY,
 )
 from planner.kernels.tree.residuals.turns import turn_rows, turn_value
@@ -58,6 +59,8 @@ def _measure(m, p, q, ws, t, n, knots):
         turn_value(p, ws, t, kind, n, knots)
     elif kind == MASS_CENTRE:
         mass_centre_value(m, p, q, ws, t)
+    elif kind == TILT:
+        tilt_value(p, ws, t)
 
 
 @part
@@ -76,6 +79,8 @@ def _differentiate(m, p, ws, t):
         turn_rows(m, p, ws, t, kind)
     elif kind == MASS_CENTRE:
         mass_centre_rows(m, p, ws, t)
+    elif kind == TILT:
+        tilt_row(m, p, ws, t)
 
 
 @inline

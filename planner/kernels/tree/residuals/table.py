@@ -19,10 +19,10 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.model import chain_of
 
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre.
-HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE = range(10)
-ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3)  # of each kind
-REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0)  # numbers per stage of each kind
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; and of frames, tilt.
+HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
+ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1)  # of each kind
+REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0)  # numbers per stage of each kind
 FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
 MOST_ROWS = max(ROWS)
 PARALLEL = 1e-12
@@ -124,10 +124,11 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
     """Constants of the terms, with rotations and axes of frames in the kernels' frames."""
     constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
     for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
+        turn = frames[ends[0]] if ends[0] < len(frames) else np.eye(3)  # a term without points has none
         if kind in (ORIENTATION, POSE):
-            constant[t, :9] = (frames[ends[0]] @ constant[t, :9].reshape(3, 3)).ravel()
-        elif kind == POINTING:
-            constant[t, :3] = frames[ends[0]] @ constant[t, :3]
+            constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
+        elif kind in (POINTING, TILT):
+            constant[t, :3] = turn @ constant[t, :3]
         elif kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
             roots = np.flatnonzero((model.arrays["parent"][: model.nv] < 0) & (model.floating_address < 0))
             mass = model.arrays["subtree_mass"]
