@@ -142,9 +142,7 @@ def test_the_method_is_of_second_order():
     m, rng = Mechanism.from_mjcf(actuated(CHAINS["arm"], np.random.default_rng(0))), np.random.default_rng(3)
     x, u = 0.3 * rng.normal(size=(1, m.space.nx)), rng.normal(size=(1, m.nu))
     true = RigidBodyDynamics(m, 0.1, substeps=16).step(x, u)
-    errors = [
-        np.abs(RigidBodyDynamics(m, 0.1, "rosenbrock", substeps=k).step(x, u) - true).max() for k in (4, 8, 16)
-    ]
+    errors = [np.abs(RigidBodyDynamics(m, 0.1, "rosenbrock", substeps=k).step(x, u) - true).max() for k in (4, 8, 16)]
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.25)
 
 

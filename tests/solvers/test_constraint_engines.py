@@ -59,7 +59,8 @@ def hinged(rng, kept):
     """Hinges as multipliers make them: shifted bounds and weights."""
     lower, upper = kept.lower - 0.1 * rng.random(kept.lower.shape), kept.upper + 0.1 * rng.random(kept.lower.shape)
     exact = kept.lower == kept.upper
-    return Hinges(np.where(exact, upper, lower), upper, rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper)))
+    weight = rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper))
+    return Hinges(np.where(exact, upper, lower), upper, weight)
 
 
 @machines(16, max_dofs=12, max_bodies=4, integrator=st.sampled_from(INTEGRATORS), full=st.booleans())
