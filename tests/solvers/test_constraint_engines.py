@@ -50,9 +50,7 @@ def of_all_kinds(rng, dynamics):
 def later(constraints, task):
     """The same from the second knot on: a random start breaks some."""
     dt, N = task.dynamics.dt, task.N
-    return [
-        one if one.when == "end" else Constraint(**(vars(one) | {"when": (dt, N * dt)})) for one in constraints
-    ]
+    return [one if one.when == "end" else Constraint(**(vars(one) | {"when": (dt, N * dt)})) for one in constraints]
 
 
 def hinged(rng, kept):
