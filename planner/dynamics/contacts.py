@@ -142,7 +142,7 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
 def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlanePlace | BodyPlace]:
     """Of all contacts, but for those with planes that are in the air at every state."""
     touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
-    near = [contact for contact, touches in zip(mechanism.contacts, touching, strict=True) if touches]
+    near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
     return [place_of(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
 
 

@@ -3,7 +3,8 @@
 Every weight makes its term a number without unit that is about 1:
 
     effort          1 / limit^2 of each control, the limit being what the model says; where it says none, what holds the
-                    machine and moves its inertia over the way in half of the time
+                    machine and moves its inertia over the way in half of the time; of machines that stand no more
+                    than what corrects an error that is kept to within 1 / SWIFT
     velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
                     only of machines whose actuators reach every joint: another one needs its swing
     position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
@@ -12,7 +13,8 @@ Every weight makes its term a number without unit that is about 1:
     final_velocity  10 / tolerance^2
     hold            of machines that stand, in place of the two: what it costs to stay at the goal for HOLD
 
-The effort of a servo, whose control is a position, is counted from the control that holds the goal.
+The effort of a servo, whose control is a position, and of machines that stand is counted from the control that holds
+the goal.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is t
 MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
 KEPT = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
 HOLD = 1.0  # s: longer than what a machine that stands takes to come to rest
+SWIFT = 60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
 
@@ -71,7 +74,6 @@ def default_weights(
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
     way = np.abs(mechanism.space.difference(x0, goal)[:nv])
     speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
-    effort, control, known = _effort(dynamics, x0, goal, duration, way)
     velocity = np.zeros(nv)
     reach = reaches_all(dynamics)
     stands = bool(mechanism.contacts) and stays and not effort_alone
@@ -79,6 +81,8 @@ def default_weights(
         velocity = 1.0 / speed**2
     share = least_share(zip(way.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
+    kept = KEPT * position if stands else None
+    effort, control, known = _effort(dynamics, x0, goal, duration, way, kept)
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
         "position": stands / (KEPT * position) ** 2,
@@ -88,7 +92,8 @@ def default_weights(
     staying = "none: the weight is that of staying at the goal"
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
-                  "force that holds the machine and moves its inertia"),
+                  "force that holds the machine and moves its inertia") + (
+                  f", at most what corrects {KEPT:g} tolerances within 1 / {SWIFT:g} s" if stands else ""),
         "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
                     "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
                     "must be free",
@@ -164,29 +169,35 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
 
 
 def _effort(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, list[bool]]:
-    """Weights and zero of the controls (nu,), and whether the model limits each."""
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray,
+    kept: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
+    """Weights and zero of the controls (nu,), and whether the model limits each.
+
+    `kept` (nv,) are the errors that a machine that stands corrects within 1 / SWIFT; None for any other machine.
+    """
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
     swift = 4.0 * np.maximum(way, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
     still = np.zeros(mechanism.nv)
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
-    force = held + np.diagonal(mass_matrix(mechanism, x0[:nq])) * swift
+    inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))
+    force = held + inertia * swift
+    corrects = np.full(mechanism.nv, np.inf) if kept is None else inertia * SWIFT**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
+        push = np.abs(actuators.gain[a] * actuators.moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
         known.append(np.isfinite(limit))
         if not known[-1]:
-            push = np.abs(actuators.gain[a] * actuators.moment[a])
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
-        limits[a] = limit
+        limits[a] = min(limit, float(np.max(corrects[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
     limits[mechanism.nu :] = swift[driven]
     control = np.zeros(dynamics.nu)
-    if np.any(servo):
-        control[: mechanism.nu] = np.where(servo, holding_controls(mechanism, goal), 0.0)
+    if np.any(servo) or kept is not None:
+        control[: mechanism.nu] = np.where(servo | (kept is not None), holding_controls(mechanism, goal), 0.0)
     return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
 
 
