@@ -50,16 +50,16 @@ def of_all_kinds(rng, dynamics):
 def later(constraints, task):
     """The same from the second knot on: a random start breaks some."""
     dt, N = task.dynamics.dt, task.N
-    return [
-        one if one.when == "end" else Constraint(**(vars(one) | {"when": (dt, N * dt)})) for one in constraints
-    ]
+    return [one if one.when == "end" else Constraint(**(vars(one) | {"when": (dt, N * dt)})) for one in constraints]
 
 
 def hinged(rng, kept):
     """Hinges as multipliers make them: shifted bounds and weights."""
     lower, upper = kept.lower - 0.1 * rng.random(kept.lower.shape), kept.upper + 0.1 * rng.random(kept.lower.shape)
     exact = kept.lower == kept.upper
-    return Hinges(np.where(exact, upper, lower), upper, rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper)))
+    return Hinges(
+        np.where(exact, upper, lower), upper, rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper))
+    )
 
 
 @machines(16, max_dofs=12, max_bodies=4, integrator=st.sampled_from(INTEGRATORS), full=st.booleans())
