@@ -12,7 +12,7 @@ from planner.base.arguments import LONGEST_HORIZON, array, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
-from planner.model.coupled_states import check_closed
+from planner.dynamics.assembly import check_assembled
 from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
@@ -114,7 +114,7 @@ class Problem(Built):
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
         if isinstance(self.dynamics, RigidBodyDynamics):
-            check_closed("x0", self.x0, self.dynamics.mechanism)
+            check_assembled("x0", self.x0, self.dynamics.mechanism)
         us = None if self.us is None else array("us", self.us, ("N", nu))
         told = (self.horizon, getattr(self.cost, "N", None), None if us is None else len(us))
         N = next((number for number in told if number is not None), None)

@@ -96,7 +96,9 @@ def prove(
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     compiled = another_model(problem, twin, mjcf)
     sampling = sampling_of(plan)
-    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback", sampling=sampling) for mode in MODES}
+    openly = replay_in(compiled, plan)
+    fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
+    runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
     required = {
         # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
@@ -181,10 +183,12 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
         note("the slowest rate at which the gains still hold")
         rates = slowest_rate(plan, compiled, passes)
         note("the same with encoders")
-        encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
+        planned = runs["feedback"].plan_xs
+        encoding = replace(sampling_of(plan), encoders=True)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("another ground")
-        as_judged = functools.partial(replay_in, sampling=sampling_of(plan))
+        as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
         ground = another_ground(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)

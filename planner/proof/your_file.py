@@ -5,7 +5,8 @@ with its own options at a refined step, under the plan's controls and gains. Joi
 in it too, and torques that MJCF does not know act in it too.
 
 The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
-acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails.
+acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails; a
+plan that takes damping implicitly is replayed by MuJoCo's implicitfast.
 
 What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
 actuator, no runaway, and every goal is met. Pairs that overlap where the plan starts are left out of the file: MuJoCo
@@ -38,6 +39,7 @@ from planner.proof.constraints import replayed_violations
 from planner.proof.left_out import lacking
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.limits_hit import clamps_hit, stops_hit
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.simulation import simulate
@@ -90,13 +92,15 @@ def your_file(
         given = open_loop.compiled  # compiled already
     compiled = _without_overlaps(problem, given)
     known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
-    run = replay_in(compiled, plan, feedback=True)
+    planned = None if open_loop is None else open_loop.plan_xs
+    native = None if damping_of(problem.dynamics) is None else NATIVE
+    run = replay_in(compiled, plan, feedback=True, integrator=native, planned=planned)
     end = known.xs[-1] if known else _end_without_gains(run)
     section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
-    again = replay_in(run.compiled, plan, feedback=True, integrator=own)
+    again = replay_in(run.compiled, plan, feedback=True, integrator=own, planned=run.plan_xs)
     other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again), goals)))
     return (other, again) if other.passed else (section, run)
 

@@ -8,7 +8,7 @@ from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import clearance
-from planner.model.mjcf.contact_choice import SINK
+from planner.model.mjcf.ground_law import SINK
 
 # A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
 SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>

@@ -45,7 +45,7 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
-from planner.cases.problem_file.arrival import check_departure
+from planner.cases.problem_file.arrival import check_arrival, check_departure
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
@@ -60,25 +60,26 @@ from planner.cases.problem_file.table import (
     with_model_limits,
 )
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.assembly import assembled, check_assembled
 from planner.model.contact.laws import ContactLaw
-from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
-from planner.problem.costs.tracking import TrackingCost, states
+from planner.problem.costs.tracking import states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.default_weights import default_weights, straight_reference
+from planner.problem.default_weights import default_weights, weighed
+from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "settle", "stops", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -212,6 +213,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
+    x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     prescribed = _prescribed(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
@@ -220,11 +222,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if notes:
         reasons["settle"] = " ".join(notes)
+    if stops:
+        reasons["stops"] = " ".join(stops)
     table = _resolved(table, dynamics, x0, goal, reasons)
-    line = (
-        straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
-    )
-    cost = TrackingCost.joints(dynamics, goal, N, reference=line, **table[RESOLVED]["weights"])
+    straight = bool(mechanism.contacts) and "position" not in table["weights"]
+    cost = weighed(dynamics, x0, goal, N, table[RESOLVED]["weights"], straight=straight)
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
@@ -236,7 +238,22 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)
+    check_arrival(problem)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
+
+
+def _off_stops(
+    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Start and goal off the stops whose ranges hold, and sentences about it."""
+    kept = (table.get("limits") or {}).get("position")
+    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+        return x0, goal, ()
+    limited = kept if isinstance(kept, dict) else {}
+    (x0, first), (goal, second) = (
+        off_stops(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
+    )
+    return x0, goal, tuple(filter(None, (first, second)))
 
 
 def _resolved(
@@ -245,10 +262,11 @@ def _resolved(
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
-    default = default_weights(
-        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
-    )
     given = table["weights"]
+    default = default_weights(
+        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+        stays="position" not in given,
+    )  # fmt: skip
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
@@ -299,6 +317,6 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = closed_state(mechanism, x, given)
-    check_closed(name, x, mechanism, most)
-    return states(name, x if isinstance(value, dict) else closed_state(mechanism, x), mechanism.space, ())
+        x = assembled(mechanism, x, given)
+    check_assembled(name, x, mechanism, most)
+    return states(name, x if isinstance(value, dict) else assembled(mechanism, x), mechanism.space, ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from planner.dynamics import INTEGRATORS
+from planner.kernels.integrators import TREE_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 
 KEYS = {
@@ -18,8 +18,8 @@ KEYS = {
     "goal": "the same; joints that a table does not name end where they started",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
-    "integrator": f"one of {', '.join(INTEGRATORS)}",
-    "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
+    "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
+    "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), led (gains along that "
     "line), hold (the start against gravity), zero; auto is line where every joint has an actuator, else the better of "
     "led and hold",
@@ -72,6 +72,8 @@ WEIGHTS = {
     "final_velocity": "on the squared velocity error / 2 at the end; by default 10 / tolerance^2",
     "position": "on the squared distance from the goal / 2 on the way, per second; by default 0",
     "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
+    "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
+    "the ground, in place of final weights, else 0",
 }
 LAW = {
     "stiffness": "N/m",
@@ -94,6 +96,6 @@ MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 URDF = ("base", "floor", "package_path", "inertia")
 REQUIRED = ("model", "start", "goal", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "auto", "contacts": "auto",
+    "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

@@ -48,11 +48,11 @@ def read_urdf(
 
 
 def opened_model(model: str | Path) -> Opened:
-    """A URDF or MJCF file, compiled.
+    """A URDF or MJCF file, compiled, to be looked at.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
     """
     if not is_urdf(model):
-        return opened(model)
-    return opened(*as_mjcf(model))
+        return opened(model, stored=False)
+    return opened(*as_mjcf(model), stored=False)
