@@ -38,6 +38,8 @@ class ResidualMeasure:
 
     def __init__(self, dynamics: Dynamics, what: Any, arrays: ResidualArrays) -> None:
         self.mechanism, self.arrays, self.rows = machine_of(dynamics, what), arrays, len(arrays.weight)
+        of = (getattr(arrays, name) for name in ("kind", "link", "offset", "share", "world", "constant", "reference"))
+        self.same = tuple(one.tobytes() for one in of)
         self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, machine_of(dynamics, what).space.nx
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
