@@ -49,7 +49,7 @@ class DefaultWeights:
 
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
-    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False,
+    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, way: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -60,11 +60,12 @@ def default_weights(
         duration: s.
         tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
         effort_alone: Whether velocities on the way are free.
+        way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
-    way = np.abs(mechanism.space.difference(x0, goal)[:nv])
+    way = np.abs(mechanism.space.difference(x0, goal)[:nv]) if way is None else way
     speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
     effort, control, known = _effort(dynamics, x0, goal, duration, way)
     velocity = np.zeros(nv)

@@ -18,6 +18,12 @@
     margin = 0.02                       # rad or m, how far plans stay off the ends of the model's ranges
     final = "exact"                     # meet the goal exactly where final weights are above 0
 
+In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
+
+    [[goal]]
+    frame = "hook"                      # a site or body
+    position = [2.0, 0.0, 0.8]
+
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
 In place of a machine of one's own the file may name a case of the package, with its parameters:
@@ -52,6 +58,17 @@ from planner.cases.problem_file.table import (
     read_table,
     with_defaults,
     with_model_limits,
+)
+from planner.cases.problem_file.tasks import (
+    Made,
+    check_task_departure,
+    cost_of,
+    guess_of,
+    is_task,
+    made,
+    weights_of,
+    with_files,
+    with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
 from planner.model.contact.laws import ContactLaw
@@ -96,6 +113,7 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     """
     path = Path(path)
     table = with_defaults(with_model_limits(read_table(path)), str(path))
+    table = with_files(table, path.parent)
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
@@ -195,14 +213,17 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
 
 
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
-    for key in REQUIRED:
+    for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
-            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}.")
+            more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
+            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
+    tasked = is_task(table, mechanism)
+    table = with_tasks(table, mechanism) if tasked else table
     x0 = state_of("start", table["start"], mechanism, mechanism.home)
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
-    goal = state_of("goal", table["goal"], mechanism, at_rest)
+    goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
@@ -214,33 +235,46 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if notes:
         reasons["settle"] = " ".join(notes)
-    table = _resolved(table, dynamics, x0, goal, reasons)
-    line = (
-        straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
-    )
-    cost = TrackingCost.joints(dynamics, goal, N, reference=line, **table[RESOLVED]["weights"])
+    limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
+    way = made(table, dynamics, x0, N, limits) if tasked else None
+    table = _resolved(table, dynamics, x0, goal, reasons, way)
+    weights = table[RESOLVED]["weights"]
+    wanted = None
+    if way is None:
+        stands = mechanism.contacts and "position" not in table["weights"]
+        line = straight_reference(dynamics, x0, goal, N) if stands else None
+        cost = TrackingCost.joints(dynamics, goal, N, reference=line, **weights)
+    else:
+        cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
-        tolerance=table["tolerance"], decrease_tolerance=DECREASE,
+        limits=limits, wanted=wanted, tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal))
-    check_departure(problem)
+    along = None if way is None else guess_of(way, dynamics, x0)
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
+    if way is None or wanted is None:
+        check_departure(problem)
+    else:
+        check_task_departure(x0, wanted, way.task)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
 def _resolved(
-    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str]
-) -> dict[str, Any]:
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
+    way: Made | None,
+) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
-    default = default_weights(
-        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
-    )
+    if way is not None:
+        default = weights_of(table, dynamics, x0, way)
+    else:
+        default = default_weights(
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
+        )
     given = table["weights"]
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
