@@ -21,7 +21,7 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.space import hat, log_jacobian
 
-LEAN = 1e-3  # of a radian or metre, over a residual of 1: far below what passes
+LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
 REACHED = 0.1  # of the scales: a residual below it ends the search
 STARTS = 8
 _SCALES = (5e-3, 0.02)  # m, rad
@@ -138,9 +138,17 @@ def _from(
     x = np.concatenate([begin, np.zeros(space.nx - mechanism.nq)])
     x0 = np.concatenate([q, np.zeros(space.nx - mechanism.nq)])
     y = np.clip(space.difference(x, x0)[dofs], low, high)
+    last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # SciPy asks for the Jacobian where it asked for r
+
+    def both(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if y.tobytes() not in last:
+            last.clear()
+            last[y.tobytes()] = stacked(y)
+        return last[y.tobytes()]
+
     done = least_squares(
-        lambda y: np.concatenate([stacked(y)[0], LEAN * y]), y, lambda y: np.concatenate([stacked(y)[1], lean]),
-        bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-10, max_nfev=200,
+        lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),
+        bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
     )  # fmt: skip
     return largest(done.x)
 

@@ -47,10 +47,14 @@ def led(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
         return _written_down(problem, _leading(problem, _straight(problem, goal)))
 
 
-def led_along(problem: Problem, xs: np.ndarray) -> np.ndarray | None:
-    """Controls (N, nu) of gains that lead a machine along states xs (N+1, nx); None if it runs away."""
+def led_along(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
+    """Controls (N, nu) of gains that lead a machine along states xs (N+1, nx); None if it runs away.
+
+    The gains act about us (N, nu), where these are known to move it so: alone they may not keep an unstable machine
+    near a long way. Without them they act about what holds the machine.
+    """
     with np.errstate(all="ignore"):
-        return _written_down(problem, _leading(problem, lambda n: xs[n]))
+        return _written_down(problem, _leading(problem, lambda n: xs[n], us))
 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
@@ -119,8 +123,8 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     return place
 
 
-def _leading(problem: Problem, place: Callable[[int], np.ndarray]) -> Control:
-    """Gains about the state of each stage on a way, taken anew as it goes on."""
+def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarray | None = None) -> Control:
+    """Gains about the state of each stage on a way, taken anew as it goes on, and about controls us (N, nu)."""
     space = space_of(problem.dynamics)
     u, K = np.zeros(0), np.zeros(0)
 
@@ -129,7 +133,7 @@ def _leading(problem: Problem, place: Callable[[int], np.ndarray]) -> Control:
         x = place(n)
         if n % _AGAIN == 0:
             u, K = _regulator(problem, _at_rest(problem, x))
-        return u + K @ space.difference(now, x)
+        return (u if us is None else us[n]) + K @ space.difference(now, x)
 
     return control
 

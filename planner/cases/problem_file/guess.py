@@ -17,10 +17,12 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.model.mjcf.driven import driven_dofs
+from planner.model.space import space_of
 from planner.problem.guess import holding_controls, rolled, straight_line
 from planner.problem.problem import Problem
 from planner.solvers.steadied import led, led_along
 
+STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "led", "hold", "zero")
 
 
@@ -44,7 +46,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
         if way is None:
             line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
         else:
-            line = way.line
+            line = _along(problem, way)
         if line is not None:
             return line
     if kind == "line":
@@ -61,6 +63,17 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     if found is None or (kind == "auto" and not _price(problem, found) < _price(problem, hold)):
         return hold
     return found
+
+
+def _along(problem: Problem, way: Way) -> np.ndarray | None:
+    """The controls along a way; with gains where an unstable machine leaves it, and None where there are none."""
+    if way.line is None:
+        return None
+    with np.errstate(all="ignore"):
+        away = space_of(problem.dynamics).difference(rolled(problem.dynamics, problem.x0, way.line), way.rows)
+    if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.rows, axis=0).max():  # false of what is not finite
+        return way.line
+    return led_along(problem, way.rows, way.line)
 
 
 def _price(problem: Problem, us: np.ndarray) -> float:
