@@ -18,7 +18,6 @@ from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.kernels.tree.model import chain_of
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
-from planner.problem.costs.direction import DirectionCost
 from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
@@ -62,7 +61,7 @@ def task_cost(
                 i = mechanism.nv + dof
                 Q[one.stage, i, i] += VELOCITY / LEAST[f"{unit_of(mechanism, dof)}/s"] ** 2
         if one.goal.frame is not None:
-            terms += _of_frame(task, one, factor)
+            terms.append(_of_frame(task, one, factor))
     for path in task.follows:
         terms += _of_path(task, path, factor, Q, x_ref)
     tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
@@ -105,20 +104,13 @@ def task_wanted(task: Task) -> tuple[Wanted, ...]:
     return tuple(found)
 
 
-def _of_frame(task: Task, one: Timed, factor: float) -> list[Any]:
-    """The terms of a goal of a frame."""
-    goal, mechanism, terms = one.goal, task.mechanism, []
-    at: dict[str, Any] = {"dt": task.dt}
-    for part, target in (("position", goal.position), ("orientation", goal.quaternion)):
+def _of_frame(task: Task, one: Timed, factor: float) -> FrameCost:
+    """The term of a goal of a frame."""
+    goal, at = one.goal, dict[str, Any]()
+    for part, target in (("position", goal.position), ("orientation", goal.quaternion), ("pointing", goal.direction)):
         if target is not None:
             at |= {part: target, **_at_stage(task, one, f"{part}_weight", factor / one.tolerances[part] ** 2)}
-    if len(at) > 1:
-        terms.append(FrameCost(mechanism, str(goal.frame), **at))
-    if goal.direction is not None:
-        weight = np.zeros(task.N + 1)
-        weight[one.stage] = factor / one.tolerances["pointing"] ** 2
-        terms.append(DirectionCost(mechanism, str(goal.frame), *goal.direction, weight))
-    return terms
+    return FrameCost(task.mechanism, str(goal.frame), dt=task.dt, **at)
 
 
 def _at_stage(task: Task, one: Timed, name: str, weight: float) -> dict[str, Any]:
