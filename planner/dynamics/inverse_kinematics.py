@@ -147,7 +147,7 @@ def _from(
         return last[y.tobytes()]
 
     done = least_squares(
-        lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),
+        lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
         bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
     )  # fmt: skip
     return largest(done.x)

@@ -50,6 +50,7 @@ class DefaultWeights:
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, way: np.ndarray | None = None,
+    most: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -61,13 +62,14 @@ def default_weights(
         tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
         effort_alone: Whether velocities on the way are free.
         way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
+        most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
     way = np.abs(mechanism.space.difference(x0, goal)[:nv]) if way is None else way
     speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
-    effort, control, known = _effort(dynamics, x0, goal, duration, way)
+    effort, control, known = _effort(dynamics, x0, goal, duration, way, most)
     velocity = np.zeros(nv)
     reach = reaches_all(dynamics)
     stands = bool(mechanism.contacts)
@@ -140,8 +142,9 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
 
 
 def _effort(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, list[bool]]:
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray,
+    most: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
     """Weights and zero of the controls (nu,), and whether the model limits each."""
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
@@ -154,6 +157,8 @@ def _effort(
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
         limit = _limit(mechanism, a, bool(servo[a]))
+        if most is not None and not np.isfinite(limit) and not servo[a]:
+            limit = float(most[a])
         known.append(np.isfinite(limit))
         if not known[-1]:
             push = np.abs(actuators.gain[a] * actuators.moment[a])

@@ -75,6 +75,7 @@ from planner.model.contact.laws import ContactLaw
 from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
@@ -117,6 +118,8 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
+    if "attach" in table:
+        table["attach"] = stored_attachments(table["attach"], path.parent)
     folders = {"package_path": _folders(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, _mechanism(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters
@@ -166,7 +169,12 @@ def load_problem(path: str | Path) -> Problem:
     return load(path).problem if named is None else cases.build(named[0], **named[1])
 
 
-def _again(mechanism: Mechanism, **table: Any) -> Problem:
+def again(mechanism: Mechanism, **table: Any) -> Problem:
+    """The problem of a table and a machine that was read already.
+
+    Raises:
+        PlannerError: A key is unknown, missing or wrong.
+    """
     return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
@@ -183,7 +191,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
-    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **of_urdf)
+    attach = table.get("attach") if assets is None else None  # a stored model carries it already
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
         choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
@@ -237,7 +246,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["settle"] = " ".join(notes)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     way = made(table, dynamics, x0, N, limits) if tasked else None
-    table = _resolved(table, dynamics, x0, goal, reasons, way)
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None
     if way is None:
@@ -248,7 +257,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, wanted=wanted, tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
@@ -264,13 +273,13 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
 
 def _resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: Made | None,
+    way: Made | None, limits: Limits | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
     if way is not None:
-        default = weights_of(table, dynamics, x0, way)
+        default = weights_of(table, dynamics, x0, way, limits)
     else:
         default = default_weights(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table

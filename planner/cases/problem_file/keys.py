@@ -67,6 +67,8 @@ ATTACH = {
     "com": "[x, y, z] m, its centre in the frame; by default the frame's origin",
     "inertia": "kg m^2 about its centre, along the frame's axes: three numbers, or six (xx, yy, zz, xy, xz, yz); by "
     "default that of the shape",
+    "model": "in place of a mass an MJCF file, relative to this file, whose body is attached: a tool",
+    "body": "which of its bodies; by default the first",
     "name": "of the new body, a frame for goals; by default payload",
 }
 LIMITS = {

@@ -41,8 +41,9 @@ def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
     goal = table.get("goal")
     if "follow" in table or (isinstance(goal, list) and any(isinstance(part, (dict, Goal)) for part in goal)):
         return True
-    own = isinstance(goal, dict) and bool({"frame", "joints"} & set(goal))
-    return own and not set(goal) & set(mechanism.joint_names)
+    if not isinstance(goal, dict):
+        return False
+    return bool({"frame", "joints"} & set(goal)) and not set(goal) & set(mechanism.joint_names)
 
 
 def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
@@ -101,11 +102,15 @@ def made(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: 
     return Made(task, poses, rows_of(task, poses, x0))
 
 
-def weights_of(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, way: Made) -> DefaultWeights:
-    """The default weights along the poses; ends are weighed by the goals."""
+def weights_of(
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, way: Made, limits: Limits | None
+) -> DefaultWeights:
+    """The default weights along the poses, by the controls' own limits; ends are weighed by the goals."""
+    bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
+    most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
     there = way_of(way.task, way.poses)
     alone = "objective" in table
-    found = default_weights(dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, way=there)
+    found = default_weights(dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, way=there, most=most)
     weights = {name: weight for name, weight in found.weights.items() if name != "final_position"}
     reasons = {name: reason for name, reason in found.reasons.items() if name != "final_position"}
     return DefaultWeights(weights, reasons)

@@ -33,7 +33,7 @@ def motion(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.
             zero = np.zeros(nq)
             curve = BPoly.from_derivatives(at, [[q[0], first, zero], [q[1], last, zero]])
         else:
-            curve = CubicSpline(at, q, bc_type=((1, first), (1, last)))
+            curve = CubicSpline(at, q, bc_type=((1, first), (1, last)))  # pyright: ignore
         inside = (t >= at[0]) & (t <= at[-1]) if b == stops[-1] else (t >= at[0]) & (t < at[-1])
         for order in range(3):
             found[order, inside] = curve(t[inside], order)
