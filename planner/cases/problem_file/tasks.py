@@ -23,7 +23,7 @@ from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.motion import controls, rows_of, way_of
 from planner.problem.tasks.poses import Poses, poses_of
-from planner.problem.tasks.task import Task, task_of
+from planner.problem.tasks.timetable import Task, task_of
 
 MOST = 1000  # goals
 

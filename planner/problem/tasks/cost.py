@@ -25,7 +25,7 @@ from planner.problem.costs.wanted import Wanted
 from planner.problem.default_weights import VELOCITY
 from planner.problem.goals import LEAST
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.task import Task, Timed, unit_of
+from planner.problem.tasks.timetable import Task, Timed, unit_of
 
 WEIGHT = 4.0  # over the square of a goal's tolerance
 RATE = 25.0  # 1/s, of a path beside a goal

@@ -15,7 +15,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.guess import follow
 from planner.problem.tasks.poses import Poses, is_screws
-from planner.problem.tasks.task import Task
+from planner.problem.tasks.timetable import Task
 
 
 def motion(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import SCREW
 from planner.model.mjcf.driven import driven_dofs
 from planner.problem.tasks.follow import Follow
-from planner.problem.tasks.task import Task, Timed
+from planner.problem.tasks.timetable import Task, Timed
 
 MOST = 60  # configurations along a path: between them joints move on a spline
 
