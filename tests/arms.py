@@ -38,9 +38,8 @@ def mechanism(**options):
 
 def hand(shoulder, elbow):
     """Where the hand is, by trigonometry: (x, z)."""
-    return np.array([
-        -0.4 * np.sin(shoulder) - 0.3 * np.sin(shoulder + elbow), -0.4 * np.cos(shoulder) - 0.3 * np.cos(shoulder + elbow)
-    ])  # fmt: skip
+    both = shoulder + elbow
+    return -0.4 * np.array([np.sin(shoulder), np.cos(shoulder)]) - 0.3 * np.array([np.sin(both), np.cos(both)])
 
 
 def write(folder, goals, duration=1.0, **keys):

@@ -2,8 +2,8 @@
 
     minimise |r(q)|^2 + (LEAN |q - q_start|)^2   within the ranges of the joints
 
-by SciPy's least_squares with our own Jacobian. r has a position error / m_scale, a rotation vector log(R_ref' R) /
-rad_scale or, for a direction, the chord between two unit vectors / rad_scale. Of many configurations the little
+by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
+turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
 weight of the way takes one near the start. The search begins at the start, then at random configurations.
 """
 
@@ -24,7 +24,6 @@ from planner.model.space import hat, log_jacobian
 LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
 REACHED = 0.1  # of the scales: a residual below it ends the search
 STARTS = 8
-_SCALES = (5e-3, 0.02)  # m, rad
 
 
 class Target(NamedTuple):
@@ -34,18 +33,20 @@ class Target(NamedTuple):
     position: np.ndarray | None = None  # (3,) m, in the world
     orientation: np.ndarray | None = None  # (4,) unit quaternion, w first
     pointing: tuple[np.ndarray, np.ndarray] | None = None  # unit vectors: of the frame, and of the world it points to
+    metre_scale: float = 5e-3  # m, of a residual of 1
+    turn_scale: float = 0.02  # rad
 
 
 class Found(NamedTuple):
     """The configuration that is nearest to all targets."""
 
     q: np.ndarray  # (nq,)
-    residual: float  # the largest, over the scales: 1 is 5 mm or 0.02 rad unless other scales are asked for
+    residual: float  # the largest over the scales of its target
 
 
 def inverse_kinematics(
     mechanism: Mechanism, targets: Sequence[Target], q: Any, *, ranges: np.ndarray | None = None,
-    free: np.ndarray | None = None, starts: int = STARTS, seed: int = 0, scales: tuple[float, float] = _SCALES,
+    free: np.ndarray | None = None, starts: int = STARTS, seed: int = 0,
 ) -> Found:  # fmt: skip
     """A configuration with frames at targets, near q.
 
@@ -57,7 +58,6 @@ def inverse_kinematics(
         free: (nv,) True for the degrees of freedom that may move; all by default.
         starts: How many starts at most: q, then random configurations within the ranges.
         seed: Of the random configurations.
-        scales: Of a residual of 1, in m and rad.
 
     Returns:
         The best configuration, whether it reaches the targets or not.
@@ -70,13 +70,13 @@ def inverse_kinematics(
     free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     B, dofs = _directions(mechanism, free)
     low, high = (mechanism.joint_range if ranges is None else ranges).T
-    found = _from(mechanism, targets, q, q, B, dofs, (low, high), scales)
+    found = _from(mechanism, targets, q, q, B, dofs, (low, high))
     rng = np.random.default_rng(count("seed", seed, least=0))
     for _ in range(starts - 1 if len(dofs) else 0):
         if found.residual < REACHED:
             break
         other = moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng))
-        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high), scales), key=lambda f: f.residual)
+        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high)), key=lambda f: f.residual)
     return found
 
 
@@ -114,7 +114,7 @@ def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.
 
 def _from(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
-    ranges: tuple[np.ndarray, np.ndarray], scales: tuple[float, float],
+    ranges: tuple[np.ndarray, np.ndarray],
 ) -> Found:  # fmt: skip
     """The minimum to which one start leads; deviations are taken from q."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
@@ -124,7 +124,9 @@ def _from(
         at = moved(mechanism, q, e)
         parts = [residuals(mechanism, at, target) for target in targets]
         r, J = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        size = np.where(np.concatenate([part[2] for part in parts]), scales[1], scales[0])
+        size = np.concatenate(
+            [np.where(part[2], one.turn_scale, one.metre_scale) for part, one in zip(parts, targets, strict=True)]
+        )
         own = np.linalg.inv(space.difference_jacobian(np.concatenate([e, pad]))[: mechanism.nv, : mechanism.nv])
         return r / size, (J @ own @ B) / size[:, None]
 

@@ -103,6 +103,12 @@ def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str
     return tuple(found)
 
 
+def stages_asked(problem: Problem) -> np.ndarray:
+    """The stages (k,) at which a task asks for something; those of paths aside."""
+    found = [one.times[0] for one in problem.wanted or () if one.times is not None and len(one.times) == 1]
+    return np.unique(np.round(np.array(found) / problem.dynamics.dt)).astype(int)
+
+
 def between(t: np.ndarray, xs: np.ndarray, times: np.ndarray) -> np.ndarray:
     """States (..., T, nx) at times (T,) of motions xs (..., M, nx) at rising times t (M,), on lines between them."""
     i = np.clip(np.searchsorted(t, times * (1.0 - 1e-12)), 1, len(t) - 1)

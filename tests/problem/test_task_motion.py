@@ -1,4 +1,4 @@
-"""The motion through a task's poses: it is at each of them in time, stops where it is to stop, and MuJoCo follows it."""
+"""The motion through a task's poses: at each of them in time, at rest where it is to stop, and followed."""
 
 import numpy as np
 import pytest

@@ -228,6 +228,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
+    if "goal" in table["weights"] and not tasked:
+        raise PlannerError("weights.goal is for [[goal]] and [follow], expected final_position and final_velocity.")
     table = with_tasks(table, mechanism) if tasked else table
     x0 = state_of("start", table["start"], mechanism, mechanism.home)
     at_rest = x0.copy()

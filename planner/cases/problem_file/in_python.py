@@ -44,8 +44,8 @@ def task(
     for key in OWN:
         if key in keys:
             raise PlannerError(f"{key} is a key of a file, expected goals= and follow= beside the mechanism.")
-    asked = [goal_of(one, f"goal {k}") for k, one in enumerate(_several(goals, Goal), 1)]
-    paths = [follow_of(one, "follow") for one in _several(follow, Follow)]
+    asked = [goal_of(one, f"goal {k}") for k, one in enumerate(_several("goals", goals, Goal), 1)]
+    paths = [follow_of(one, "follow") for one in _several("follow", follow, Follow)]
     table = {"model": "the mechanism", "start": _plain(start), "duration": duration, "title": "", **keys}
     table |= {"goal": [one.to_dict() for one in asked]} if asked else {}
     table |= {"follow": [one.to_dict() for one in paths]} if paths else {}
@@ -53,8 +53,11 @@ def task(
     return again(mechanism, **with_model_limits(table))
 
 
-def _several(value: Any, kind: type) -> list[Any]:
-    return [value] if isinstance(value, (kind, dict)) else list(value)
+def _several(name: str, value: Any, kind: type) -> list[Any]:
+    value = [value] if isinstance(value, (kind, dict)) else value
+    if not isinstance(value, (list, tuple)):
+        raise PlannerError(f"{name} is {shown(value)}, expected a {kind.__name__}, or a list of them.")
+    return list(value)
 
 
 def _plain(value: Any) -> Any:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.inverse_kinematics import Target, residuals
 from planner.dynamics.kinematics import frame_pose, jacobian
@@ -44,7 +45,7 @@ def task_cost(
     """
     mechanism, N = task.mechanism, task.N
     weights = dict(weights)
-    factor = float(weights.pop("goal", WEIGHT))
+    factor = number("weights.goal", weights.pop("goal", WEIGHT), above=0.0)
     if not task.rests:
         weights["final_velocity"] = 0.0
     still = reference.copy()

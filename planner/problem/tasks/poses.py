@@ -32,7 +32,6 @@ class _Asked(NamedTuple):
 
     targets: list[Target]
     labels: list[str]
-    scales: tuple[float, float]  # m, rad: the least tolerances
     joints: dict[int, float]  # positions by degree of freedom
 
 
@@ -60,6 +59,8 @@ def poses_of(
             _check_beginning(task, path, q)
     for stage in _stages(task):
         here = [one for one in task.goals if one.stage == stage]
+        if check and stage < task.N:  # ends are judged by the limits
+            _check_joints(task, here, ranges)
         asked = _asked(task, stage, here)
         q = _pose(task, dynamics, q, asked, ranges, seed, stage if check else None, here)
         stages.append(stage)
@@ -68,6 +69,18 @@ def poses_of(
     if stages[-1] < task.N:  # nothing is asked of the end but rest
         stages, found, stops = [*stages, task.N], [*found, q], [*stops, task.rests]
     return Poses(np.array(stages), np.array(found), np.array(stops))
+
+
+def _check_joints(task: Task, here: Sequence[Timed], ranges: np.ndarray) -> None:
+    """Refuse goals of joints outside of their ranges."""
+    for one in here:
+        for dof, value in one.joints.items():
+            low, high = ranges[dof]
+            if not low <= value <= high:
+                raise PlannerError(
+                    f"{one.label} has {task.mechanism.joint_of(dof)} at {value:g}, outside of its range: expected "
+                    f"{low:.6g} ... {high:.6g}."
+                )
 
 
 def _stages(task: Task) -> list[int]:
@@ -81,7 +94,6 @@ def _stages(task: Task) -> list[int]:
 
 def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
     targets, labels, joints = [], [], {}
-    metres, angles = [], []
     for one in here:
         goal = one.goal
         for dof, value in one.joints.items():
@@ -91,22 +103,22 @@ def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
                 raise PlannerError(f"{one.label} contradicts a goal at the same time: {both}, expected one of them.")
         if goal.frame is not None:
             position = None if goal.position is None else np.asarray(goal.position, dtype=float)
-            targets.append(Target(goal.frame, position, goal.quaternion, goal.direction))
+            turn = one.tolerances["pointing" if goal.orientation is None else "orientation"]
+            targets.append(
+                Target(goal.frame, position, goal.quaternion, goal.direction, one.tolerances["position"], turn)
+            )
             labels.append(one.label)
-        metres.append(one.tolerances["position"])
-        angles += [one.tolerances[part] for part in ("orientation", "pointing")]
     for path in task.follows:
         first, last = task.span(path)
         if first <= stage <= last:
             point = task.place(path, np.array([stage]))[0]
             if path.frame is not None:
-                targets.append(Target(path.frame, point))
+                targets.append(Target(path.frame, point, metre_scale=task.tolerance(path)))
                 labels.append(f"the path of {path.frame} at {stage * task.dt:.4g} s")
-                metres.append(task.tolerance(path))
             else:
                 named = zip(path.joints, point, strict=True)
                 joints |= {task.mechanism.joint(name).start: value for name, value in named}
-    return _Asked(targets, labels, (min(metres, default=5e-3), min(angles, default=0.02)), joints)
+    return _Asked(targets, labels, joints)
 
 
 def _pose(
@@ -122,25 +134,24 @@ def _pose(
         q = mechanism.reduction.closed(q, np.zeros(mechanism.nv), mechanism.q_address)[0]
     if not asked.targets:
         return q
-    masks = _masks(dynamics, asked.joints)
 
-    def tried(targets: list[Target]) -> tuple[np.ndarray, float]:
+    def tried(targets: list[Target], joints: dict[int, float]) -> tuple[np.ndarray, float]:
         found = None
-        for free in masks:
-            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=free, seed=seed, scales=asked.scales)
+        for free in _masks(dynamics, joints):
+            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=free, seed=seed)
             found = other if found is None or other.residual < found.residual else found
             if found.residual <= 1.0:
                 break
         assert found is not None
         return found.q, found.residual
 
-    best, residual = tried(asked.targets)
+    best, residual = tried(asked.targets, asked.joints)
     if residual <= 1.0 or stage is None:
         return best
     within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
     for target, label in zip(asked.targets, asked.labels, strict=True):
         if target.position is not None:
-            near, alone = tried([Target(target.frame, target.position)])
+            near, alone = tried([target._replace(orientation=None, pointing=None)], {})
             if alone > 1.0:
                 point = frame_pose(mechanism, near, target.frame)[:3, 3]
                 words = ", ".join(f"{float(value):.4g}" for value in point)
@@ -148,7 +159,7 @@ def _pose(
                 raise PlannerError(
                     f"{label} is out of reach by {away:.3g} m{within}: the nearest point is [{words}] m."
                 )
-        near, alone = tried([target])
+        near, alone = tried([target], {})
         if alone > 1.0:
             way, turn = _missed(task, near, target)
             raise PlannerError(
