@@ -66,6 +66,7 @@ from planner.cases.problem_file.tasks import (
     guess_of,
     is_task,
     made,
+    trail_of,
     weights_of,
     with_files,
     with_tasks,
@@ -258,6 +259,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     else:
         cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
+    if way is not None:
+        appearance = replace(appearance, trail=trail_of(way))
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
