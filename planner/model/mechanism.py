@@ -128,7 +128,7 @@ class Mechanism:
     @classmethod
     def from_mjcf(
         cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        assets: dict[str, bytes] | None = None, name: str = "",
+        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
@@ -145,6 +145,9 @@ class Mechanism:
                 user's file.
             assets: Files by the names that the text uses for them; then nothing is read from disk.
             name: Of the model in messages; by default that of its file.
+            attach: A payload or a tool at a frame, or a list of them: {"frame": "hand", "mass": 2.0}, with `size`,
+                `com`, `inertia` and `name`; or {"frame": "hand", "model": "gripper.xml"}. See
+                planner.model.mjcf.attached. The replay and the user's file carry it too.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion
@@ -152,12 +155,13 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # read imports Mechanism: the one exception to the order of folders
 
-        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name)
+        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
         inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        attach: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each joint with one coordinate has a motor within its effort.
 
@@ -175,13 +179,14 @@ class Mechanism:
                 `ignored`; "given" refuses it.
             ignore: As from_mjcf has it.
             contacts: As from_mjcf has it.
+            attach: As from_mjcf has it.
 
         Raises:
             ModelError: A file that cannot be read or is no tree of links, xacro, an inertia that no body has, a joint
                 that moves no inertia, or what from_mjcf raises.
         """
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
+        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with torques that are exponentials of its coordinates, in place of those it has.

@@ -57,6 +57,7 @@ class DefaultWeights:
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
     tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
+    way: np.ndarray | None = None, most: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -68,11 +69,13 @@ def default_weights(
         tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
         effort_alone: Whether velocities on the way are free.
         stays: Whether a machine on the ground is kept beside the straight line, and its end weighed by staying there.
+        way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
+        most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
-    way = np.abs(mechanism.space.difference(x0, goal)[:nv])
+    way = np.abs(mechanism.space.difference(x0, goal)[:nv]) if way is None else way
     speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
     velocity = np.zeros(nv)
     reach = reaches_all(dynamics)
@@ -82,7 +85,7 @@ def default_weights(
     share = least_share(zip(way.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
     kept = KEPT * position if stands else None
-    effort, control, known = _effort(dynamics, x0, goal, duration, way, kept)
+    effort, control, known = _effort(dynamics, x0, goal, duration, way, kept, most)
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
         "position": stands / (KEPT * position) ** 2,
@@ -170,7 +173,7 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
 
 def _effort(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray,
-    kept: np.ndarray | None,
+    kept: np.ndarray | None, most: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
     """Weights and zero of the controls (nu,), and whether the model limits each.
 
@@ -190,6 +193,8 @@ def _effort(
     for a in range(mechanism.nu):
         push = np.abs(actuators.gain[a] * actuators.moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
+        if most is not None and not np.isfinite(limit) and not servo[a]:
+            limit = float(most[a])
         known.append(np.isfinite(limit))
         if not known[-1]:
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0

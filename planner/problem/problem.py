@@ -23,7 +23,7 @@ from planner.problem.constraints.rows import Rows
 from planner.problem.control_bounds import ControlBounds
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
-from planner.problem.costs.wanted import checked_tolerance
+from planner.problem.costs.wanted import Wanted, checked_tolerance
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
@@ -77,6 +77,7 @@ class Problem(Built):
         tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
             joints and frames. None: 2 % of the way, see planner.problem.goals.
+        wanted: What the proof judges, of a task; None for what the cost asks of the end.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
@@ -104,6 +105,7 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     decrease_tolerance: float | None = None
     gain_tolerance: float = 0.0
+    wanted: tuple[Wanted, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
     kept: Kept | None = field(init=False, default=None)

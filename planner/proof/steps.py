@@ -232,7 +232,7 @@ def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
 def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
     """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
     goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
-    away = [float(one.missed(problem.x0[None])[0]) for one in goals]
+    away = [one.miss_at(problem.x0) for one in goals]
     near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
     return bool(goals) and near and max(away) > _ROUNDING
 

@@ -95,13 +95,13 @@ def your_file(
     planned = None if open_loop is None else open_loop.plan_xs
     native = None if damping_of(problem.dynamics) is None else NATIVE
     run = replay_in(compiled, plan, feedback=True, integrator=native, planned=planned)
-    end = known.xs[-1] if known else _end_without_gains(run)
-    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
+    alone = (known.t, known.xs) if known else _without_gains(run)
+    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, *alone, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
     again = replay_in(run.compiled, plan, feedback=True, integrator=own, planned=run.plan_xs)
-    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again), goals)))
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, *_without_gains(again), goals)))
     return (other, again) if other.passed else (section, run)
 
 
@@ -229,7 +229,7 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[Goal]) -> Sequence[Mea
     """How far the end is from each goal, or what the machine's own rule says of it."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run).measured
-    return misses("replayed", run.xs[-1:], tuple(goals))
+    return misses("replayed", run.t, run.xs, tuple(goals))
 
 
 def _path(run: Replay) -> list[Measured]:
@@ -252,11 +252,11 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
     ]  # fmt: skip
 
 
-def _open_loop(plan: Plan, end: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
-    """How far the file ends (nx,) from the plan without gains, and how many goals it misses so."""
-    error = plan.space.difference(end, plan.xs[-1])[None]
+def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
+    """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
+    error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
-    missed = [] if own_rule else [one for one in misses("open loop", end[None], tuple(goals)) if not one.passed]
+    missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
     note = "; ".join(map(str, missed)) or "without gains"
     ends = [
         Measured(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
@@ -265,12 +265,12 @@ def _open_loop(plan: Plan, end: np.ndarray, goals: Sequence[Goal]) -> list[Measu
     return [Measured(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
 
 
-def _end_without_gains(run: Replay) -> np.ndarray:
-    """(nx,) where the file ends without gains, from the start of a replay."""
+def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
+    """Times (M,) and states (M, nx) of the file without gains, from the start of a replay."""
     compiled = run.compiled
     model = compiled.stepping(run.timestep, run.integrator)
     ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
     with curves_acting(compiled.twin, model):
         w, _ = simulate(model, start, ctrl)
-    return compiled.twin.x_of(w[-1])
+    return run.t, compiled.twin.x_of(w)

@@ -13,7 +13,7 @@ from places import ROOT
 
 import planner
 from planner.cases.problem_file import load, of_table
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, WEIGHTS
+from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
 from planner.dynamics.stiffness import substeps_for
 from planner.problem.discretisation import finer
 from planner.problem.guess import follow, holding_controls
@@ -203,9 +203,9 @@ def test_hold_leaves_integrators_and_fills_filters():
 
 
 def test_every_key_is_described_and_documented():
-    page = (ROOT / "docs" / "own-machine.md").read_text(encoding="utf-8")
+    page = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("own-machine.md", "tasks.md"))
     assert set(DEFAULTS) < set(KEYS)
-    for key in (*KEYS, *WEIGHTS):
+    for key in (*KEYS, *WEIGHTS, *GOAL, *FOLLOW, *ATTACH):
         assert f"`{key}`" in page or f"`[{key}]`" in page, key
 
 

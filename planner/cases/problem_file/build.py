@@ -23,6 +23,12 @@
     along = "z"
     least = 0.5                         # m
 
+In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
+
+    [[goal]]
+    frame = "hook"                      # a site or body
+    position = [2.0, 0.0, 0.8]
+
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
 In place of a machine of one's own the file may name a case of the package, with its parameters:
@@ -59,11 +65,24 @@ from planner.cases.problem_file.table import (
     with_defaults,
     with_model_limits,
 )
+from planner.cases.problem_file.tasks import (
+    Made,
+    check_task_departure,
+    cost_of,
+    guess_of,
+    is_task,
+    made,
+    trail_of,
+    weights_of,
+    with_files,
+    with_tasks,
+)
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.assembly import assembled, check_assembled
 from planner.model.contact.laws import ContactLaw
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
@@ -103,9 +122,12 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     """
     path = Path(path)
     table = with_defaults(with_model_limits(read_table(path)), str(path))
+    table = with_files(table, path.parent)
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
+    if "attach" in table:
+        table["attach"] = stored_attachments(table["attach"], path.parent)
     folders = {"package_path": _folders(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, _mechanism(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters
@@ -155,7 +177,12 @@ def load_problem(path: str | Path) -> Problem:
     return load(path).problem if named is None else cases.build(named[0], **named[1])
 
 
-def _again(mechanism: Mechanism, **table: Any) -> Problem:
+def again(mechanism: Mechanism, **table: Any) -> Problem:
+    """The problem of a table and a machine that was read already.
+
+    Raises:
+        PlannerError: A key is unknown, missing or wrong.
+    """
     return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
@@ -172,7 +199,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
-    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **of_urdf)
+    attach = table.get("attach") if assets is None else None  # a stored model carries it already
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
         choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
@@ -202,14 +230,19 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
 
 
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
-    for key in REQUIRED:
+    for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
-            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}.")
+            more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
+            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
+    tasked = is_task(table, mechanism)
+    if "goal" in table["weights"] and not tasked:
+        raise PlannerError("weights.goal is for [[goal]] and [follow], expected final_position and final_velocity.")
+    table = with_tasks(table, mechanism) if tasked else table
     x0 = state_of("start", table["start"], mechanism, mechanism.home)
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
-    goal = state_of("goal", table["goal"], mechanism, at_rest)
+    goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
@@ -224,21 +257,33 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["settle"] = " ".join(notes)
     if stops:
         reasons["stops"] = " ".join(stops)
-    table = _resolved(table, dynamics, x0, goal, reasons)
-    straight = bool(mechanism.contacts) and "position" not in table["weights"]
-    cost = weighed(dynamics, x0, goal, N, table[RESOLVED]["weights"], straight=straight)
+    limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
+    way = made(table, dynamics, x0, N, limits) if tasked else None
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
+    weights = table[RESOLVED]["weights"]
+    wanted = None
+    if way is None:
+        straight = bool(mechanism.contacts) and "position" not in table["weights"]
+        cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
+    else:
+        cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
+    if way is not None:
+        appearance = replace(appearance, trail=trail_of(way))
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
-        constraints=constraints_of(table.get("constraint", [])),
-        tolerance=table["tolerance"], decrease_tolerance=DECREASE,
+        limits=limits, constraints=constraints_of(table.get("constraint", [])), wanted=wanted,
+        tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal))
-    check_departure(problem)
-    check_arrival(problem)
+    along = None if way is None else guess_of(way, dynamics, x0)
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
+    if way is None or wanted is None:
+        check_departure(problem)
+        check_arrival(problem)
+    else:
+        check_task_departure(x0, wanted, way.task)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
@@ -257,16 +302,20 @@ def _off_stops(
 
 
 def _resolved(
-    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str]
-) -> dict[str, Any]:
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
+    way: Made | None, limits: Limits | None,
+) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
     given = table["weights"]
-    default = default_weights(
-        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
-        stays="position" not in given,
-    )  # fmt: skip
+    if way is not None:
+        default = weights_of(table, dynamics, x0, way, limits)
+    else:
+        default = default_weights(
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+            stays="position" not in given,
+        )  # fmt: skip
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}

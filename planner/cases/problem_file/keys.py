@@ -15,7 +15,9 @@ KEYS = {
     "above the file; relative to this file",
     "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
-    "goal": "the same; joints that a table does not name end where they started",
+    "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
+    "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
+    "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
@@ -39,6 +41,36 @@ KEYS = {
     "durations": "[shortest, longest] s, between which an objective with time chooses",
     "constraint": "tables [[constraint]], below: what the plan keeps of a frame or an actuator",
     "limits": 'table, below; by default the model\'s own, "off" for none',
+}
+GOAL = {
+    "frame": "a site or body, or",
+    "joints": "a table of joints, a keyframe, or all positions; rad or m",
+    "position": "[x, y, z] m of the frame in the world",
+    "orientation": "quaternion, w first, or a table of roll, pitch, yaw in degrees about the world's x, y, z",
+    "pointing": "[x, y, z] the direction to which the frame's z axis points, free to turn about it; or a table of axis "
+    "(x, y, z or numbers) and to",
+    "time": "s; by default the end",
+    "through": "true to pass without stopping",
+    "tolerance": "how far from it passes, m and rad, or a table of position, orientation, pointing, velocity; by "
+    "default 5 mm, 0.02 rad, 0.05 m/s",
+}
+FOLLOW = {
+    "frame": "a site or body, or",
+    "joints": "list of the joints that points are of; a file has them in its heading",
+    "points": "rows of t, x, y, z, or without t for equal parts of the duration",
+    "file": "CSV of such rows, relative to this file",
+    "tolerance": "how far from the path passes, m or rad; by default 10 mm or 0.04 rad",
+}
+ATTACH = {
+    "frame": "a site or body that carries it",
+    "mass": "kg",
+    "size": "m: the radius of a ball, or the three edges of a box; by default that of a ball of aluminium",
+    "com": "[x, y, z] m, its centre in the frame; by default the frame's origin",
+    "inertia": "kg m^2 about its centre, along the frame's axes: three numbers, or six (xx, yy, zz, xy, xz, yz); by "
+    "default that of the shape",
+    "model": "in place of a mass an MJCF file, relative to this file, whose body is attached: a tool",
+    "body": "which of its bodies; by default the first",
+    "name": "of the new body, a frame for goals; by default payload",
 }
 LIMITS = {
     "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '
@@ -74,6 +106,8 @@ WEIGHTS = {
     "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
     "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
     "the ground, in place of final weights, else 0",
+    "goal": "on each goal of [[goal]], over the square of its tolerance; 4 by default, and 25 times as much per second "
+    "on a path",
 }
 LAW = {
     "stiffness": "N/m",
@@ -94,7 +128,7 @@ RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen 
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 URDF = ("base", "floor", "package_path", "inertia")
-REQUIRED = ("model", "start", "goal", "duration")
+REQUIRED = ("model", "start", "duration")
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",

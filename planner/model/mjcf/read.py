@@ -23,6 +23,7 @@ from planner.base.gl import load_mujoco
 from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
+from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
@@ -60,13 +61,14 @@ _NUMBERS = (
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None, name: str = "",
+    assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    return read_opened(lambda: opened(model, assets, name), ignore=ignore, contacts=contacts)
+    given = attachments(attach)
+    return read_opened(lambda: with_attached(opened(model, assets, name), given), ignore=ignore, contacts=contacts)
 
 
 def read_opened(

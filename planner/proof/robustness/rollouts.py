@@ -27,6 +27,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
 from planner.dynamics.assembly import tangents
 from planner.model.mechanism import Mechanism
+from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
@@ -84,7 +85,8 @@ class Rollouts:
         model = compiled.stepping(self.step, NATIVE if implicit else "RK4")
         self.nominal = Nominal.of(model, plan, twin)
         # (T,) the stages at whose start (or end, the last) states are kept
-        self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
+        spread = np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int)
+        self.knots = np.union1d(spread, stages_asked(self._problem))
         self._plan_xs = plan.between_knots(self.control_steps)
         self.x_of = _affine(twin.to_x, twin.to_x_offset)  # simulator states (..., nw) as plan states (..., nx)
         self._scratch = mujoco.MjData(model)
