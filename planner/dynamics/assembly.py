@@ -81,7 +81,7 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     N = null_space(jacobian(mechanism, q) @ G, rcond=_WEAK)
     driven = np.any(mechanism.actuators.moment[:, leading] != 0.0, axis=0)
-    _, _, order = qr(N.T * np.where(driven, _PREFERRED, 1.0), pivoting=True)
+    order = qr(N.T * np.where(driven, _PREFERRED, 1.0), mode="r", pivoting=True)[-1]
     chosen = np.sort(order[: N.shape[1]])
     return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]
 

@@ -36,7 +36,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _follower(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> complex:
+def _follower(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> Any:
     return q[mechanism.q_address[cam.follower]] - cam.offsets[0]
 
 
