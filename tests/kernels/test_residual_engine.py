@@ -77,7 +77,7 @@ def engines(task):
     return CompiledEngine(task, task.dynamics, *costs), NumpyEngine(task)
 
 
-@machines(24, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
+@machines(12, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
 def test_both_engines_do_the_same(text, seed, integrator):
     task = task_with(text, seed, integrator)
     ours, twin = engines(task)
@@ -94,7 +94,7 @@ def test_both_engines_do_the_same(text, seed, integrator):
     assert a.cost == pytest.approx(b.cost, rel=1e-9)
 
 
-@machines(24, max_dofs=14, max_bodies=5)
+@machines(12, max_dofs=14, max_bodies=5)
 def test_the_kernels_model_is_the_twins(text, seed):
     """Gradients and Hessians of the stages themselves, of each kind, to rounding."""
     task = drawn(text, seed, "rk4", False)
@@ -116,7 +116,7 @@ def test_the_kernels_model_is_the_twins(text, seed):
         assert not model.Q[:, columns:].any(), kind
 
 
-@machines(12, max_dofs=10, max_bodies=4, kind=st.sampled_from(KINDS))
+@machines(10, max_dofs=8, max_bodies=4, kind=st.sampled_from(KINDS))
 def test_gradients_are_differences_of_the_value(text, seed, kind):
     task = drawn(text, seed, "rk4", False)
     rng = np.random.default_rng(seed)
