@@ -1,6 +1,7 @@
 """Goals, waypoints and paths: what a file says becomes the cost, the plan meets it, and the proof judges each."""
 
 import itertools
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -168,6 +169,13 @@ def test_at_a_finer_step_goals_are_at_the_same_times(solved):
     problem = finer(plan.problem)
     assert problem.N == 100
     assert [one.times for one in problem.wanted] == [one.times for one in plan.problem.wanted]
+
+
+def test_a_task_is_pickled_for_several_starts(solved):
+    plan, _ = solved
+    copy = pickle.loads(pickle.dumps(plan.problem))
+    for one, other in zip(goals_of(copy, plan.xs), goals_of(plan.problem, plan.xs), strict=True):
+        assert one.miss(plan.t, plan.xs) == other.miss(plan.t, plan.xs)
 
 
 def test_python_says_the_same_as_a_file(solved):

@@ -14,10 +14,8 @@ from planner.model.mjcf.attached import ALUMINIUM, Attachment
 
 mujoco = load_mujoco()
 Q = np.array([0.4, -0.9])
-TURNED = ARM.replace(
-    '<site name="hand" pos="0 0 -0.3"/>',
-    '<frame pos="0 0 -0.1"><site name="hand" pos="0 0 -0.2" euler="0 90 0"/></frame>',
-)
+IN_A_FRAME = '<frame pos="0 0 -0.1"><site name="hand" pos="0 0 -0.2" euler="0 90 0"/></frame>'
+TURNED = ARM.replace('<site name="hand" pos="0 0 -0.3"/>', IN_A_FRAME)
 GRIPPER = """<mujoco><worldbody><body name="palm"><inertial pos="0 0 0.05" mass="0.7" diaginertia="1e-3 1e-3 1e-3"/>
   <site name="grip" pos="0 0 0.1"/></body></worldbody></mujoco>"""
 
@@ -94,11 +92,11 @@ def test_a_tool_of_another_file_is_carried(tmp_path):
 
 
 def test_a_urdf_carries_one_too():
-    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/><origin xyz="0.2 0 0"/>
+    urdf = """<robot name="r"><link name="base"/><link name="arm">
+      <inertial><mass value="1"/><origin xyz="0.2 0 0"/>
       <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
       <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
-      <limit lower="-3" upper="3" effort="20" velocity="5"/>
-      </joint></robot>"""
+      <limit lower="-3" upper="3" effort="20" velocity="5"/></joint></robot>"""
     loaded = planner.Mechanism.from_urdf(urdf, attach={"frame": "arm", "mass": 2.0, "size": 0.01, "com": [0.5, 0, 0]})
     assert mass_matrix(loaded, [0.0])[0, 0] == pytest.approx(0.01 + 0.04 + 2.0 * 0.25 + 0.4 * 2.0 * 1e-4)
 
