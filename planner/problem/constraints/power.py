@@ -8,7 +8,8 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.dynamics import Dynamics
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.constraints.of_terms import machine_of
 from planner.problem.costs.weights import places
