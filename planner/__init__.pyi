@@ -16,7 +16,6 @@ from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
 from planner.problem.constraints.constraint import Constraint as Constraint
-from planner.problem.costs.center_of_mass import CenterOfMassCost as CenterOfMassCost
 from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
 from planner.problem.costs.terms import Cost as Cost
