@@ -310,3 +310,24 @@ def test_a_cost_that_is_wrong_is_refused_in_one_sentence(arm):
             make()
         assert str(error.value).startswith(expected)
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("change", ["friction", "coupling", "stops"])
+def test_what_acts_on_the_joints_leaves_the_frames_where_they_are(change):
+    """But for RK4 the rollout's residuals take the links as the dynamics of the stage have placed them."""
+    text = ARM
+    if change == "friction":
+        text = text.replace('damping="0.1"', 'damping="0.1" frictionloss="0.5"')
+    elif change == "coupling":
+        equality = '<equality><joint joint1="b" joint2="a" polycoef="0 -1 0 0 0"/></equality>'
+        text = text.replace("<actuator>", f"{equality}<actuator>")
+    else:
+        text = text.replace('damping="0.1"', 'damping="0.1" limited="true" range="-20 20"')
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(text), 0.025, "semi-implicit-euler")
+    target = {"pose": [0.5, 0.1, -1.0, 1, 0, 0, 0], "pose_weight": 3.0, "velocity": [1, 0, 0], "velocity_weight": 0.5}
+    cost = held(dynamics) + FrameCost(dynamics, "tip", **target)
+    cost = cost + CenterOfMassCost(dynamics, np.zeros(3), position_weight=2.0)
+    task = Problem(dynamics, cost, np.zeros(4), np.tile([3.0, -1.0], (N, 1)))
+    ours, twin = engines(task)
+    costs = [engine.start(task.x0, task.first_guess) for engine in (ours, twin)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-10)
