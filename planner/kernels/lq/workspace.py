@@ -24,8 +24,8 @@ W = Layout(
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
-    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control servo_start servo_x "
-    "servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
+    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
+    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
 )
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
 ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)

@@ -9,12 +9,12 @@ from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
+from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.model.space import space_of
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import Engine, Outcome

@@ -34,16 +34,11 @@ from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
-    DISTANCE,
-    HEIGHT,
     LAW_SIZE,
-    LINEAR,
     MASS_CENTRE,
     MOST_ROWS,
-    ORIENTATION,
     POINTING,
     POSE,
-    POSITION,
     RESIDUALS,
     VELOCITY,
 )
@@ -55,30 +50,30 @@ from planner.kernels.tree.step import gather
 def _measure(m, p, q, ws, t, n, knots):
     """The rows of term t's value, in RESIDUALS.value."""
     kind = load(integers(p, RESIDUALS.kind), t)
-    if kind == HEIGHT or kind == DISTANCE or kind == VELOCITY:
+    if kind <= VELOCITY:
         scalar_value(p, t, kind)
-    elif kind == ORIENTATION or kind == POSE:
+    elif kind <= ANGULAR:
+        frame_value(p, ws, t, kind)
+    elif kind <= POSE:
         turn_value(p, ws, t, kind, n, knots)
     elif kind == MASS_CENTRE:
         mass_centre_value(m, p, q, ws, t)
-    else:
-        frame_value(p, ws, t, kind)
 
 
 @part
 def _differentiate(m, p, ws, t):
     """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
     kind = load(integers(p, RESIDUALS.kind), t)
-    if kind == HEIGHT or kind == DISTANCE:
+    if kind < VELOCITY:
         scalar_row(m, p, ws, t, kind)
     elif kind == VELOCITY:
         velocity_row(m, p, ws, t)
-    elif kind == POSITION or kind == POINTING:
+    elif kind <= POINTING:
         place_rows(m, p, ws, t, kind)
-    elif kind == ORIENTATION or kind == POSE:
-        turn_rows(m, p, ws, t, kind)
-    elif kind == LINEAR or kind == ANGULAR:
+    elif kind <= ANGULAR:
         speed_rows(m, p, ws, t, kind)
+    elif kind <= POSE:
+        turn_rows(m, p, ws, t, kind)
     elif kind == MASS_CENTRE:
         mass_centre_rows(m, p, ws, t)
 

@@ -1,4 +1,6 @@
-"""Where the origin of a frame is, where an axis of it points, how fast it moves and turns: three rows in the world's axes.
+"""Where a frame is, where an axis of it points, how fast it moves and how fast it turns: three rows each.
+
+All are in the world's axes.
 
 With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at V and turning at W:
 
@@ -35,7 +37,7 @@ def frame_value(p, ws, t, kind):
     if kind == POINTING:
         own = load3(constants_of(p, t), 0)
         value = rotated(load9(ws, link * RECORD), own) if link >= 0 else add((zero, zero, zero), own)
-    elif kind == LINEAR or kind == ANGULAR:
+    elif kind >= LINEAR:
         value = (zero, zero, zero)
         if link >= 0:
             value = load3(ws, link * RECORD + TWIST) if kind == ANGULAR else load3(lanes(p, RESIDUALS.places), o + 6)

@@ -30,7 +30,7 @@ class ResidualArrays:
     share: np.ndarray  # (P,) how much of the link's motion the point has
     world: np.ndarray  # (P, N+1, 3) m, added
     kind: np.ndarray  # (T,)
-    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin
+    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin. -1 for none
     constant: np.ndarray  # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's
     first_row: np.ndarray  # (T+1,) where the rows of a term begin
     first_reference: np.ndarray  # (T+1,) where its references begin
@@ -73,7 +73,8 @@ def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
     """The terms of several, of the same mechanism and horizon, as one."""
     together = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ResidualArrays)}
     first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
-    together["ends"] = np.concatenate([part.ends + k for part, k in zip(parts, first, strict=True)])
+    ends = [np.where(part.ends < 0, -1, part.ends + k) for part, k in zip(parts, first, strict=True)]
+    together["ends"] = np.concatenate(ends)
     for name in ("first_row", "first_reference"):
         sizes = np.concatenate([np.diff(getattr(part, name)) for part in parts])
         together[name] = np.cumsum(np.concatenate([[0], sizes]), dtype=np.int64)
@@ -106,7 +107,7 @@ class ResidualList:
         shape, constants = (ROWS[kind], self.N + 1), np.zeros(CONSTANTS)
         constants[: np.size(constant)] = np.ravel(constant)
         self._terms.append((
-            kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else 0]], constants,
+            kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else -1]], constants,
             np.asarray(reference, dtype=float).reshape(REFERENCES[kind], self.N + 1),
             np.full(ROWS[kind], side), np.full(ROWS[kind], ramp), np.array(np.broadcast_to(bound, shape), dtype=float),
             np.array(np.broadcast_to(weight, shape), dtype=float),
@@ -128,9 +129,11 @@ class ResidualList:
         )
         links, offsets, shares, worlds = ([point[i] for point in self._points] for i in range(4))
         return ResidualArrays(
-            np.array(links, dtype=np.int64), np.array(offsets, dtype=float).reshape(-1, 3), np.array(shares, dtype=float),
+            np.array(links, dtype=np.int64), np.array(offsets, dtype=float).reshape(-1, 3),
+            np.array(shares, dtype=float),
             np.array(worlds, dtype=float).reshape(-1, stages, 3), kind,
             np.array([term[1] for term in terms], dtype=np.int64).reshape(-1, 4),
             np.array([term[2] for term in terms], dtype=float).reshape(-1, CONSTANTS),
-            np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound, weight,
+            np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound,
+            weight,
         )  # fmt: skip

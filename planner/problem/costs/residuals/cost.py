@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -153,5 +153,3 @@ def _residuals(m: ResidualArrays, values: np.ndarray, rows: slice = slice(None))
     e = np.where(side == 0.0, 1.0, side) * (values - m.bound[rows])
     residual, slope = ramp(e, a)
     return np.where(side == 0.0, e, residual), np.where(side == 0.0, 1.0, side * slope)
-
-
