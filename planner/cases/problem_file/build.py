@@ -253,6 +253,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
+    if tasked:
+        notes = tuple(note for note in notes if not note.startswith("goal "))  # it has none of the whole machine
     if notes:
         reasons["settle"] = " ".join(notes)
     if stops:
