@@ -1,4 +1,4 @@
-"""Signed distances of round lines, round boxes and planes, in which direction they lie, and where. NumPy, for K poses.
+"""Signed distances of round lines, round boxes and planes, in which direction they lie, and where. NumPy, K at once.
 
 A solid is a core, a line or a box with half lengths h along its own axes, and a radius of everything around it: a
 sphere is a line of no length, a capsule a line, MuJoCo's box a box of radius 0. The signed distance of two solids is
@@ -25,12 +25,12 @@ TINY = 1e-300
 
 
 class Placed(NamedTuple):
-    """A solid's core and radius at K poses."""
+    """Cores and radii of K solids, or of one at K poses."""
 
     axes: np.ndarray  # (K, 3, 3), one axis a column
     centre: np.ndarray  # (K, 3) m
-    half: np.ndarray  # (3,) m along the axes; of a line the third alone
-    radius: float
+    half: np.ndarray  # (K, 3) m along the axes; of a line the third alone
+    radius: np.ndarray  # (K,) m
 
 
 class Near(NamedTuple):
@@ -73,10 +73,10 @@ def of_boxes(a: Placed, b: Placed) -> Near:
     best, e, at = np.full(len(x), np.inf), np.zeros_like(x), np.zeros_like(x)
     for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # edges along each axis of the first
         for sj, sk in itertools.product((-1.0, 1.0), repeat=2):
-            middle = x + sj * a.half[j] * R[:, :, j] + sk * a.half[k] * R[:, :, k]
-            best, e, at = _nearer(best, e, at, *_line_from_box(middle, a.half[i] * R[:, :, i], b.half))
+            middle = x + sj * a.half[:, j : j + 1] * R[:, :, j] + sk * a.half[:, k : k + 1] * R[:, :, k]
+            best, e, at = _nearer(best, e, at, *_line_from_box(middle, a.half[:, i : i + 1] * R[:, :, i], b.half))
     for signs in itertools.product((-1.0, 1.0), repeat=3):
-        corner = np.broadcast_to(np.array(signs) * b.half, x.shape)
+        corner = np.array(signs) * b.half
         y = np.einsum("nji,nj->ni", R, corner - x)
         back = np.clip(y, -a.half, a.half) - y  # from the corner to the first box
         best, e, at = _nearer(best, e, at, np.einsum("nij,nj->ni", R, back), corner)
@@ -97,7 +97,7 @@ def from_plane(a: Placed, b: Placed) -> Near:
 
 
 def _along(line: Placed) -> np.ndarray:
-    return line.half[2] * line.axes[:, :, 2]
+    return line.half[:, 2:] * line.axes[:, :, 2]
 
 
 def _into(b: Placed, v: np.ndarray) -> np.ndarray:
@@ -128,7 +128,7 @@ def _line_from_box(x: np.ndarray, d: np.ndarray, h: np.ndarray) -> tuple[np.ndar
     low, g_low = np.where(g_high <= 0.0, high, low), np.where(g_high <= 0.0, g_high, g_low)
     for i, side in itertools.product(range(3), (-1.0, 1.0)):
         across = np.where(np.abs(d[:, i]) > TINY, d[:, i], TINY)
-        s = np.clip((side * h[i] - x[:, i]) / across, -1.0, 1.0)
+        s = np.clip((side * h[:, i] - x[:, i]) / across, -1.0, 1.0)
         g = slope(s)
         up, down = (g <= 0.0) & (s > low), (g >= 0.0) & (s < high)
         low, g_low = np.where(up, s, low), np.where(up, g, g_low)
@@ -143,7 +143,7 @@ def _line_in_box(x: np.ndarray, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarra
     best, n, p = np.full(len(x), -np.inf), np.zeros_like(x), x.copy()
     for i in range(3):
         side = np.where(x[:, i] < 0.0, -1.0, 1.0)
-        found = np.abs(x[:, i]) - h[i] - np.abs(d[:, i])
+        found = np.abs(x[:, i]) - h[:, i] - np.abs(d[:, i])
         normal = np.zeros_like(x)
         normal[:, i] = side
         best, n, p = _wider(best, n, p, found, normal, x - (side * np.sign(d[:, i]))[:, None] * d)
@@ -152,7 +152,7 @@ def _line_in_box(x: np.ndarray, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarra
         m, size = _normal(np.broadcast_to(e, x.shape), d)
         side = np.where(np.sum(m * x, axis=-1) < 0.0, -1.0, 1.0)
         m = m * side[:, None]
-        found = np.where(size, np.sum(m * x, axis=-1) - np.abs(m) @ h, -np.inf)
+        found = np.where(size, np.sum(m * x - np.abs(m) * h, axis=-1), -np.inf)
         k, edge = np.cross(m, e), h * np.sign(m)
         s = np.sum(k * (edge - x), axis=-1) / np.where(size, np.sum(k * d, axis=-1), 1.0)
         best, n, p = _wider(best, n, p, found, m, x + np.clip(s, -1.0, 1.0)[:, None] * d)
@@ -168,7 +168,7 @@ def _box_in_box(
         m = R[:, :, i - 3] if i >= 3 else np.broadcast_to(np.eye(3)[i], x.shape)
         m = m * np.where(np.sum(m * x, axis=-1) < 0.0, -1.0, 1.0)[:, None]
         reach = np.einsum("nij,ni->nj", R, m)
-        found = np.sum(m * x, axis=-1) - np.abs(reach) @ a - np.abs(m) @ b
+        found = np.sum(m * x - np.abs(reach) * a - np.abs(m) * b, axis=-1)
         of_a, of_b = x - np.einsum("nij,nj->ni", R, a * _sides(reach)), b * _sides(m)
         best, n, p = _wider(best, n, p, found, m, of_b if i >= 3 else of_a)
     for i, j in itertools.product(range(3), repeat=2):
@@ -176,7 +176,7 @@ def _box_in_box(
         m, size = _normal(e, f)
         m = m * np.where(np.sum(m * x, axis=-1) < 0.0, -1.0, 1.0)[:, None]
         reach = np.einsum("nij,ni->nj", R, m)
-        found = np.where(size, np.sum(m * x, axis=-1) - np.abs(reach) @ a - np.abs(m) @ b, -np.inf)
+        found = np.where(size, np.sum(m * x - np.abs(reach) * a - np.abs(m) * b, axis=-1), -np.inf)
         sides_a, sides_b = np.sign(reach), np.sign(m)
         sides_a[:, j], sides_b[:, i] = 0.0, 0.0
         of_a, of_b = x - np.einsum("nij,nj->ni", R, a * sides_a), b * sides_b  # middles of the two edges

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.base.arguments import set_fields
 from planner.model.contact import distances
-from planner.model.contact.distances import Near, Placed
+from planner.model.contact.distances import Placed
 
 LINE, BOX, PLANE = 0, 1, 2
 
@@ -51,23 +52,23 @@ class Solid:
         """Radius of the ball about its centre that holds it, m; of a plane infinite."""
         return float("inf") if self.plane else float(np.linalg.norm(self.half)) + self.radius
 
-    def placed(self, T: np.ndarray) -> Placed:
-        """Where it is when its link is at T (K, 4, 4)."""
-        at = T @ self.T
-        return Placed(at[:, :3, :3], at[:, :3, 3], self.half, self.radius)
-
 
 def in_order(a: Solid, b: Solid) -> tuple[Solid, Solid]:
     """Two solids in the order in which distances are computed: a plane last, else a box last."""
     return (b, a) if a.kind > b.kind else (a, b)
 
 
-def between(a: Solid, b: Solid, Ta: np.ndarray, Tb: np.ndarray) -> Near:
-    """The signed distance of two solids in their order, whose links are at Ta and Tb (K, 4, 4)."""
-    if b.kind == PLANE:
-        measure = distances.from_plane
-    elif b.kind == BOX:
-        measure = distances.of_boxes if a.kind == BOX else distances.line_and_box
-    else:
-        measure = distances.of_lines
-    return measure(a.placed(Ta), b.placed(Tb))
+def placed(solids: Sequence[Solid], T: np.ndarray) -> Placed:
+    """Solids whose links are at T (..., P, 4, 4), one after the other."""
+    at = (T @ np.array([solid.T for solid in solids])).reshape(-1, 4, 4)
+    count = len(at) // len(solids)
+    half, radius = (np.array([getattr(solid, name) for solid in solids]) for name in ("half", "radius"))
+    return Placed(at[:, :3, :3], at[:, :3, 3], np.tile(half, (count, 1)), np.tile(radius, count))
+
+
+def kind_of(a: Solid, b: Solid) -> int:
+    """The place in MEASURES of how two solids in their order are measured."""
+    return 3 if b.kind == PLANE else a.kind + b.kind
+
+
+MEASURES = (distances.of_lines, distances.line_and_box, distances.of_boxes, distances.from_plane)

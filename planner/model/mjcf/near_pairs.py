@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.contact.solids import Solid, between, in_order
+from planner.model.contact.solids import MEASURES, Solid, in_order, kind_of, placed
 from planner.model.mjcf.overlaps import FLUSH
 from planner.model.mjcf.solids import has_solid, shape_name, solids_of
 from planner.model.mjcf.survey import Survey, contact_pairs
@@ -173,7 +173,8 @@ def _between(survey: Survey, qpos: np.ndarray, a: Solid, b: Solid) -> float:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = data.geom_xmat[solid.geom].reshape(3, 3), data.geom_xpos[solid.geom]
         poses.append((T @ np.linalg.inv(survey.geoms[solid.geom]))[None])
-    return float(between(a, b, *poses).distance[0])
+    one, other = (placed([solid], T) for solid, T in zip((a, b), poses, strict=True))
+    return float(MEASURES[kind_of(a, b)](one, other).distance[0])
 
 
 def _is_own(model: Any, pair: tuple[int, int]) -> bool:
