@@ -13,6 +13,7 @@ from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
+from planner.problem.costs.center_of_mass import CenterOfMassCost as CenterOfMassCost
 from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
 from planner.problem.costs.terms import Cost as Cost

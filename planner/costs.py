@@ -1,5 +1,6 @@
 """Cost terms: tracking, effort, energy, jerk, penalties, targets of frames. Add them with +."""
 
+from planner.problem.costs.center_of_mass import CenterOfMassCost
 from planner.problem.costs.drive import DriveCost
 from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.frame import FrameCost
@@ -13,6 +14,7 @@ from planner.problem.default_weights import default_cost
 from planner.problem.objective import Objective
 
 __all__ = [
+    "CenterOfMassCost",
     "Cost",
     "Distance",
     "DriveCost",

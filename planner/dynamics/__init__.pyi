@@ -23,7 +23,7 @@ from planner.dynamics.momentum import center_of_mass as center_of_mass
 from planner.dynamics.protocol import INTEGRATORS as INTEGRATORS
 from planner.dynamics.protocol import CompiledDynamics as CompiledDynamics
 from planner.dynamics.protocol import Dynamics as Dynamics
-from planner.dynamics.protocol import PenalisedDynamics as PenalisedDynamics
+from planner.dynamics.protocol import ResidualDynamics as ResidualDynamics
 from planner.dynamics.rigid_body import RigidBodyDynamics as RigidBodyDynamics
 from planner.dynamics.statics import settled as settled
 from planner.model.space import StateSpace as StateSpace

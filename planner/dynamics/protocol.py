@@ -9,7 +9,7 @@ import numpy as np
 from planner.kernels.integrators import INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
 
-__all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "PenalisedDynamics"]
+__all__ = ["INTEGRATORS", "CompiledDynamics", "Dynamics", "ResidualDynamics"]
 
 
 class Dynamics(Protocol):
@@ -100,23 +100,23 @@ class CompiledDynamics(Protocol):
 
 
 @runtime_checkable
-class PenalisedDynamics(CompiledDynamics, Protocol):
-    """Compiled dynamics of a mechanism, whose search and sweep can have the terms of PenaltyCosts in them.
+class ResidualDynamics(CompiledDynamics, Protocol):
+    """Compiled dynamics of a mechanism, whose search and sweep can have residuals in them.
 
     Attributes:
         mechanism: That the terms must be of.
-        penalised_kernels: Those that it calls then, in place of `kernels`.
+        residual_kernels: Those that it calls then, in place of `kernels`.
     """
 
     @property
     def mechanism(self) -> Any: ...  # noqa: D102
     @property
-    def penalised_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
+    def residual_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
 
-    def penalties(self, measures: Any) -> Any:
-        """The kernels' table of a planner.problem.costs.penalty_measures.PenaltyArrays, for Workspace.use_penalties."""
+    def residuals(self, measures: Any) -> Any:
+        """The kernels' table of planner.problem.costs.residuals.arrays.ResidualArrays, for Workspace.use_residuals."""
         ...
 
-    def penalise_nominal(self, w: Workspace, memory: Any) -> None:
-        """Add the penalties' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+    def quadratize_nominal(self, w: Workspace, memory: Any) -> None:
+        """Add the residuals' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
         ...

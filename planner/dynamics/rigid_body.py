@@ -17,13 +17,13 @@ from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
 from planner.kernels.tree import linearize as tree_linearize
-from planner.kernels.tree import penalties
 from planner.kernels.tree import search as tree_search
 from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
 from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.model import Model
-from planner.kernels.tree.penalty_table import PenaltyTable
+from planner.kernels.tree.residuals.evaluate import quadratize_residuals
+from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
@@ -76,7 +76,7 @@ class RigidBodyDynamics:
         self.has_slopes = False
         used = ("tree search", "tree structured" if self.structured else "tree dense")
         self.kernels = tuple(variant(name, self._model) for name in used)
-        self.penalised_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "penalties")
+        self.residual_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "residuals")
         self.second_order_kernels = ("tree second order", "costates")
 
     def _make_tables(self) -> None:
@@ -261,17 +261,17 @@ class RigidBodyDynamics:
     ) -> tuple[float, float]:
         """Line search from w.xs, w.us; see CompiledDynamics.search."""
         w.given[0], w.given[1], w.given[2] = cost, slope, self.dt
-        penalties = None if w.penalties is None else w.penalties.table
+        residuals = None if w.residuals is None else w.residuals.table
         model, external = self._model.table, self._model.external
-        return tree_search.search_step(w.table, model, memory.table, w.search, rule, feedback, external, penalties)
+        return tree_search.search_step(w.table, model, memory.table, w.search, rule, feedback, external, residuals)
 
-    def penalties(self, measures: Any) -> PenaltyTable:
-        """The kernels' table of the terms of a PenaltyCost, from its penalty_measures.PenaltyArrays."""
-        return PenaltyTable(self._model, measures)
+    def residuals(self, measures: Any) -> ResidualTable:
+        """The kernels' table of the terms of costs, from their problem.costs.residuals.arrays.ResidualArrays."""
+        return ResidualTable(self._model, measures)
 
-    def penalise_nominal(self, w: Workspace, memory: TreeMemory) -> None:
-        """Add the penalties' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
-        penalties.penalise(w.table, self._model.table, memory.table, w.penalties.table)
+    def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+        """Add the residuals' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
+        quadratize_residuals(w.table, self._model.table, memory.table, w.residuals.table)
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""

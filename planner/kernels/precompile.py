@@ -22,10 +22,10 @@ from planner.kernels.lq import bounded, quadratic, riccati, second_order
 from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree import linearize as tree_linearize
-from planner.kernels.tree import penalties
 from planner.kernels.tree import search as tree_search
 from planner.kernels.tree import second as tree_second
 from planner.kernels.tree import step as tree_step
+from planner.kernels.tree.residuals import evaluate as residuals
 
 if TYPE_CHECKING:
     from planner.kernels.tree.model import Model
@@ -46,7 +46,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
         tree_second.second_order,
         (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, _BLOCKS),
     ),
-    "penalties": (penalties.penalise, (_TABLE, _TABLE, _TABLE, _TABLE)),
+    "residuals": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE)),
     "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
     "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
     "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
@@ -70,22 +70,22 @@ _EXTERNAL_VARIANTS: dict[str, tuple[Any, tuple[str, ...]]] = {
 for _name, (_kernel, _types) in _EXTERNAL_VARIANTS.items():
     KERNELS[_name] = (_kernel, (*_types, "none"))
     KERNELS[f"{_name} external"] = (_kernel, (*_types, "boolean"))
-for _name in ("tree search", "tree search external"):  # the last argument is the table of penalties
+for _name in ("tree search", "tree search external"):  # the last argument is the table of residuals
     _kernel, _types = KERNELS[_name]
     KERNELS[_name] = (_kernel, (*_types, "none"))
-    KERNELS[f"{_name} penalised"] = (_kernel, (*_types, _TABLE))
+    KERNELS[f"{_name} residuals"] = (_kernel, (*_types, _TABLE))
 
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
     ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
     (
-        "tree search", "tree search external", "tree search penalised", "tree search external penalised",
+        "tree search", "tree search external", "tree search residuals", "tree search external residuals",
         "tree steps", "tree steps external", "tree rates", "tree rates external", "tree forward", "tree inverse",
     ),
     ("tree structured", "tree structured external", "tree dense", "tree dense external", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
-    ("penalties",),
+    ("residuals",),
     ("hopper second order",),
 )  # fmt: skip
 
@@ -93,9 +93,9 @@ _FAMILIES = (
 SECOND_ORDER = ("tree second order", "costates", "hopper second order")
 
 
-def variant(name: str, model: Model, penalised: bool = False) -> str:
+def variant(name: str, model: Model, residuals: bool = False) -> str:
     """The name of the kernel that a model needs: of those that have variants, the one for what acts on it."""
-    return name + (" external" if model.external else "") + (" penalised" if penalised else "")
+    return name + (" external" if model.external else "") + (" residuals" if residuals else "")
 
 
 @functools.cache  # a kernel that is compiled stays so, and single steps ask thousands of times

@@ -203,7 +203,7 @@ def test_a_numba_with_other_internals(tmp_path):
 
 ANOTHER_FIRST = """
 from planner.kernels.precompile import compile_these
-compile_these(("tree derivatives", "tree dense external", "tree search external penalised"))
+compile_these(("tree derivatives", "tree dense external", "tree search external residuals"))
 """
 HUMAN_STEP = """
 import hashlib, planner

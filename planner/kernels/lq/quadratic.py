@@ -137,12 +137,12 @@ def _add_turned(w, M, width, turn, i, j, q):
 
 
 @inline
-def _add_penalties(w, M, n):
-    """The Hessian of the penalties of stage n, or of the end, onto the upper triangle of positions in M (x, x)."""
-    rows, width = w[W.penalised], w[W.width]
-    ld = (rows + WIDTH - 1) // WIDTH * WIDTH
-    P = at(floats(w, W.penalty_hessian), n * rows * ld)
-    for i in range(rows):
+def _add_residuals(w, M, n):
+    """The Hessian of the residuals of stage n, or of the end, onto the upper triangle of M (x, x)."""
+    columns, width = w[W.residual_columns], w[W.width]
+    ld = (columns + WIDTH - 1) // WIDTH * WIDTH
+    P = at(floats(w, W.residual_hessian), n * columns * ld)
+    for i in range(columns):
         for j in range(i // WIDTH * WIDTH, ld, WIDTH):
             o = i * width + j
             store4(M, o, load4(M, o) + load4(P, i * ld + j))
@@ -175,5 +175,5 @@ def add_weights(w, M, n):
                     _add_turned(w, M, width, turn, i, i, q)
                 else:
                     store(M, i * width + i, load(M, i * width + i) + q)
-    if w[W.penalised] > 0:
-        _add_penalties(w, M, n)
+    if w[W.residual_columns] > 0 and load(floats(w, W.residual_active), n) > 0.0:
+        _add_residuals(w, M, n)

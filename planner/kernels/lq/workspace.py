@@ -20,11 +20,11 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_hinges hinges exact penalised servos",
+    "control_terms bounded stage_hinges hinges exact residual_columns servos",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
-    "hinge_weight hinge_active T costates penalty_hessian range_lower range_upper servo_control servo_start servo_x "
+    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control servo_start servo_x "
     "servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
 )
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
@@ -63,7 +63,7 @@ class Workspace:
         hinge_weight: (N+1, hinges) zero until a solve sets them.
         T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
-        penalties: A kernels.tree.penalty_table.PenaltyTable, or None.
+        residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
         upper: (N, nu).
         lower_share: (N, nu, 2) the parts of a servo's two lines that bound it at the nominal states, 0 for numbers.
@@ -127,14 +127,15 @@ class Workspace:
         self._arrays |= {"range_lower": lower, "range_upper": upper, **_servo_arrays(servos)}
         self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
-        self._arrays |= {"T": self.T, "costates": self.costates, "penalty_hessian": np.zeros(0)}
-        self.penalties: Any = None
+        self._arrays |= {"T": self.T, "costates": self.costates, "residual_hessian": np.zeros(0)}
+        self._arrays |= {"residual_active": np.zeros(0)}
+        self.residuals: Any = None
         sizes = {
             "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
             "vectors": in_x.sum(), "quaternions": len(quaternions), "stage_terms": len(stage[0]),
             "stage_plain": stage[3], "final_terms": len(final[0]), "final_plain": final[3],
             "control_terms": len(control[0]), "bounded": bounds is not None, "stage_hinges": len(hinge_dx) - at_end,
-            "hinges": len(hinge_dx), "exact": False, "penalised": 0,
+            "hinges": len(hinge_dx), "exact": False, "residual_columns": 0,
             "servos": 0 if servos is None else len(servos.control),
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
@@ -150,12 +151,12 @@ class Workspace:
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[[W.T, W.costates]] = self.T.ctypes.data, self.costates.ctypes.data
 
-    def use_penalties(self, penalties: Any) -> None:
-        """Have the terms of a PenaltyTable in every sweep and rollout."""
-        self.penalties = penalties
-        self._arrays["penalty_hessian"] = lane_array(len(self.xs), penalties.rows, padded(penalties.rows))
-        self.table[W.penalised] = penalties.rows
-        self.table[W.penalty_hessian] = self._arrays["penalty_hessian"].ctypes.data
+    def use_residuals(self, residuals: Any) -> None:
+        """Have the terms of a ResidualTable in every sweep and rollout."""
+        self.residuals = residuals
+        self.table[W.residual_columns] = residuals.columns
+        self.table[W.residual_hessian] = residuals.hessian.ctypes.data
+        self.table[W.residual_active] = residuals.active.ctypes.data
 
 
 def _servo_arrays(servos: Any) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Functions of floats, V4 and (but for root and exponential) D4 alike: rounding, root, sines, exponential."""
+"""Functions of floats, V4 and (but for root and exponential) D4 alike: rounding, root, sines, exponential; and an angle on lanes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba.core import cgutils
 
 from planner.kernels.numba.duals import D4, value_of
 from planner.kernels.numba.jit import inline
-from planner.kernels.numba.lanes import V4, WIDTH, intrinsic
+from planner.kernels.numba.lanes import V4, WIDTH, intrinsic, select
 
 
 def _define_function(name: str, steps: bool) -> Any:
@@ -60,6 +60,30 @@ def sincos(x):
     s = s * z
     c = (c * z + _C1) * z
     return sign * (r + r * s), sign * (1.0 + c)
+
+
+# Rational approximation of (atan(x) - x) / x^3 on |x| <= 0.66, to 2e-16 of atan (Moshier, Cephes, atan.c).
+_P0, _P1, _P2, _P3, _P4 = (
+    -6.485021904942025371773e1, -1.228866684490136173410e2, -7.500855792314704667340e1, -1.615753718733365076637e1,
+    -8.750608600031904122785e-1,
+)  # fmt: skip
+_Q0, _Q1, _Q2, _Q3, _Q4 = (
+    1.945506571482613964425e2, 4.853903996359136964868e2, 4.328810604912902668951e2, 1.650270098316988542046e2,
+    2.485846490142306297962e1,
+)  # fmt: skip
+
+
+@inline
+def quarter_angle(y, x):
+    """The angle from 0 to pi/2 of the point (x, y), on lanes; neither is negative and one is above 0."""
+    small, large = select(y, x, y, x), select(y, x, x, y)
+    above, below = select(0.66 * large, small, small - large, small), select(0.66 * large, small, small + large, large)
+    t = above / below
+    z = t * t
+    upper = _P0 + z * (_P1 + z * (_P2 + z * (_P3 + z * _P4)))
+    lower = _Q0 + z * (_Q1 + z * (_Q2 + z * (_Q3 + z * (_Q4 + z))))
+    angle = select(0.66 * large, small, 0.25 * _PI, 0.0) + (t + t * z * (upper / lower))
+    return select(y, x, angle, 0.5 * _PI - angle)
 
 
 @intrinsic

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import difference
+from planner.kernels.integrators import RK4
 from planner.kernels.lq.quadratic import control_terms, hinges_of, state_terms
 from planner.kernels.lq.search import batches, choose, ladder, refine
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.penalties import penalty_cost
+from planner.kernels.tree.residuals.evaluate import residual_cost
 from planner.kernels.tree.step import stage
 
 
@@ -149,7 +150,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 def rollout(w, m, r, search, dt, feedback, external, p):
     """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
 
-    p is the table of penalties or, where there are none, None: then nothing of them is compiled.
+    p is the table of residuals or, where there are none, None: then nothing of them is compiled.
     """
     nx, nu, ndx, kept = w[W.nx], w[W.nu], w[W.ndx], r[MEMORY.kept]
     X_, U_, A_, e = lanes(w, W.trial_x), lanes(w, W.trial_u), lanes(r, MEMORY.trial_a), lanes(w, W.deviations)
@@ -162,8 +163,6 @@ def rollout(w, m, r, search, dt, feedback, external, p):
     for n in range(w[W.N]):
         X, U = at(X_, n * nx), at(U_, n * nu)
         J += _state_cost(w, X, n, e)
-        if p is not None:
-            J += penalty_cost(m, pointer(p), X, lanes(r, MEMORY.links), n)
         if feedback:
             _deviations(w, X, at(xs, n * nx), dx)
         _controls(w, n, alpha, feedback, dx, U)
@@ -171,11 +170,14 @@ def rollout(w, m, r, search, dt, feedback, external, p):
             _clip_servos(w, n, X, U)
         elif w[W.bounded] > 0:
             _clip(w, n, U)
-        J += _control_cost(w, U, n, lengths)
+        control = _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
+        if p is not None:  # but for RK4 the stage has left the links where X has them
+            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RK4)
+        J += control
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
-        J += penalty_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N])
+        J += residual_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N], False)
     store(search, COSTS, J)
 
 
@@ -190,7 +192,7 @@ def _take(w, m, r, lane):
 def search_step(w, m, r, search, rule, feedback, external, p):
     """Search along the direction and take a step, or with rule START only roll the controls out; (step, cost after).
 
-    The step is 0 when there is none. p is the table of penalties or None, external as in Model: what is None is not
+    The step is 0 when there is none. p is the table of residuals or None, external as in Model: what is None is not
     compiled.
     """
     w, m, r = pointer(w), pointer(m), pointer(r)

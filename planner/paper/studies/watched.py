@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.dynamics import CompiledDynamics, Dynamics, PenalisedDynamics
+from planner.dynamics import CompiledDynamics, Dynamics, ResidualDynamics
 from planner.model.space import space_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -31,8 +31,8 @@ class _Watched:
     """Compiled dynamics that note workspace and slope whenever a line search begins."""
 
     def __init__(self, dynamics: Any) -> None:
-        known = (Dynamics, CompiledDynamics, PenalisedDynamics)
-        kinds = known if isinstance(dynamics, PenalisedDynamics) else known[:2]
+        known = (Dynamics, CompiledDynamics, ResidualDynamics)
+        kinds = known if isinstance(dynamics, ResidualDynamics) else known[:2]
         names = {name for kind in kinds for name in dir(kind) if not name.startswith("_")}
         for name in names - {"search"}:
             setattr(self, name, getattr(dynamics, name))

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from weakref import WeakKeyDictionary
 
-from planner.dynamics import CompiledDynamics, PenalisedDynamics
+from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
-from planner.problem.costs.penalty import PenaltyCost
+from planner.problem.costs.residuals.arrays import ResidualArrays, joined
+from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.solvers.engine.compiled import CompiledEngine
+from planner.model.space import space_of
+from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import Engine, Outcome
 
@@ -49,18 +51,19 @@ def _has(dynamics: CompiledDynamics, problem: Problem, rule: int) -> bool:
     return rule != search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
-def compiled_costs(problem: Problem) -> tuple[TrackingCost, tuple[PenaltyCost, ...]] | None:
-    """The one TrackingCost and the PenaltyCosts that a cost is the sum of, if it is and kernels have them all."""
+def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
+    """The TrackingCost and the residuals that a cost is the sum of, if it is and kernels have them all."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
     tracking = [term for term in terms if isinstance(term, TrackingCost)]
-    penalties = tuple(term for term in terms if isinstance(term, PenaltyCost))
-    if len(tracking) != 1 or len(terms) != 1 + len(penalties):
+    residuals = [term for term in terms if isinstance(term, ResidualCost)]
+    if len(tracking) > 1 or len(terms) != len(tracking) + len(residuals):
         return None
     dynamics = problem.dynamics
-    if not penalties:
-        return tracking[0], ()
-    if isinstance(dynamics, PenalisedDynamics) and all(term.mechanism is dynamics.mechanism for term in penalties):
-        return tracking[0], penalties
+    if not residuals:
+        return tracking[0], None
+    if isinstance(dynamics, ResidualDynamics) and all(term.mechanism is dynamics.mechanism for term in residuals):
+        quadratic = tracking[0] if tracking else NoTracking(problem.N, space_of(dynamics), problem.dynamics.nu)
+        return quadratic, joined([term.measures_for(problem.N) for term in residuals])
     return None
 
 

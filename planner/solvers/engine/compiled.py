@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from planner.dynamics import CompiledDynamics, PenalisedDynamics
+from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
 from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.lq.quadratic import gradients
@@ -16,21 +15,35 @@ from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structu
 from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
 from planner.kernels.precompile import compile_together
-from planner.model.space import space_of
-from planner.problem.costs.penalty import PenaltyCost
-from planner.problem.costs.penalty_measures import joined
+from planner.model.space import StateSpace, space_of
+from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers.engine.protocol import Engine, Outcome, promised
 
 
+class NoTracking:
+    """The weights and references of a TrackingCost that weighs nothing."""
+
+    def __init__(self, N: int, space: StateSpace, nu: int) -> None:
+        self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
+        self.x_ref, self.u_ref = np.zeros((N + 1, space.nx)), np.zeros((N, nu))
+        for i, _ in space.quaternions:
+            self.x_ref[:, i] = 1.0
+
+
 class CompiledEngine(Engine):
-    """Dynamics and costs that are compiled: a tracking cost and, where dynamics take them, penalties."""
+    """Dynamics and costs that are compiled: a tracking cost and, where dynamics take them, residuals.
+
+    Attributes:
+        residuals: The table of the residuals, whose bounds and weights may change between iterations; or None.
+    """
 
     def __init__(
-        self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost, penalties: Sequence[PenaltyCost] = ()
-    ) -> None:
+        self, problem: Problem, dynamics: CompiledDynamics, cost: TrackingCost | NoTracking,
+        residuals: ResidualArrays | None = None,
+    ) -> None:  # fmt: skip
         self._bounds, self._dynamics = problem.bounds, dynamics
         ranges = problem.ranges
         hinges = None if ranges is None else (ranges.component, ranges.at_end)
@@ -38,10 +51,11 @@ class CompiledEngine(Engine):
         servos = None if problem.bounds is None else problem.bounds.servos
         self._w = Workspace(cost, space_of(dynamics), dynamics.structured, numbers, hinges, servos)
         self._memory = dynamics.memory(problem.N)
-        self._penalised = dynamics if penalties and isinstance(dynamics, PenalisedDynamics) else None
-        if self._penalised is not None:
-            self._w.use_penalties(self._penalised.penalties(joined([term.measures for term in penalties])))
-        self.largest_control_weight = float(np.abs(cost.R).max())
+        self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
+        if self._with_residuals is not None:
+            self._w.use_residuals(self._with_residuals.residuals(residuals))
+        self.residuals = self._w.residuals
+        self.largest_control_weight = float(np.abs(cost.R).max()) or 1.0
         self._second: Any = None
         self._exact = False
 
@@ -61,7 +75,7 @@ class CompiledEngine(Engine):
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
         more = self._dynamics.second_order_kernels if exact else ()
-        kernels = self._dynamics.kernels if self._penalised is None else self._penalised.penalised_kernels
+        kernels = self._dynamics.kernels if self._with_residuals is None else self._with_residuals.residual_kernels
         compile_together((sweep, "gradients", *kernels, *more))
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
@@ -81,8 +95,8 @@ class CompiledEngine(Engine):
         if fresh:
             dynamics.linearize_nominal(w, self._memory)  # Eq. 35
             gradients(w.table)
-            if self._penalised is not None:
-                self._penalised.penalise_nominal(w, self._memory)
+            if self._with_residuals is not None:
+                self._with_residuals.quadratize_nominal(w, self._memory)
             if self._exact:
                 costates(w.table, dynamics.dt)
                 dynamics.second_order_nominal(w, self._memory, self._second)

@@ -1,0 +1,198 @@
+"""Residuals on lanes: their cost over four candidates, their gradients and Hessians over four knots.
+
+The twin is problem.costs.residuals.cost. With the value e of a row, its bound b and its weight w, the cost is
+
+    1/2 w r^2,    r = e - b for a target, ramp(e - b) for at most b, ramp(b - e) for at least b,
+
+the gradient w r r' J and the Hessian of Gauss and Newton w r'^2 J'J, J the derivative of e and r' the slope of r by e.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.ramp import ramp
+from planner.kernels.lq.workspace import W
+from planner.kernels.numba.jit import inline, jit, part
+from planner.kernels.numba.lanes import (
+    WIDTH,
+    any_less,
+    as_floats,
+    at,
+    floats,
+    integers,
+    lanes,
+    load,
+    load4,
+    pointer,
+    spread,
+    store,
+)
+from planner.kernels.tree.linearize import scatter_row
+from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows
+from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
+from planner.kernels.tree.residuals.points import place_links, place_points
+from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
+from planner.kernels.tree.residuals.table import (
+    ANGULAR,
+    DISTANCE,
+    HEIGHT,
+    LAW_SIZE,
+    LINEAR,
+    MASS_CENTRE,
+    MOST_ROWS,
+    ORIENTATION,
+    POINTING,
+    POSE,
+    POSITION,
+    RESIDUALS,
+    VELOCITY,
+)
+from planner.kernels.tree.residuals.turns import turn_rows, turn_value
+from planner.kernels.tree.step import gather
+
+
+@part
+def _measure(m, p, q, ws, t, n, knots):
+    """The rows of term t's value, in RESIDUALS.value."""
+    kind = load(integers(p, RESIDUALS.kind), t)
+    if kind == HEIGHT or kind == DISTANCE or kind == VELOCITY:
+        scalar_value(p, t, kind)
+    elif kind == ORIENTATION or kind == POSE:
+        turn_value(p, ws, t, kind, n, knots)
+    elif kind == MASS_CENTRE:
+        mass_centre_value(m, p, q, ws, t)
+    else:
+        frame_value(p, ws, t, kind)
+
+
+@part
+def _differentiate(m, p, ws, t):
+    """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
+    kind = load(integers(p, RESIDUALS.kind), t)
+    if kind == HEIGHT or kind == DISTANCE:
+        scalar_row(m, p, ws, t, kind)
+    elif kind == VELOCITY:
+        velocity_row(m, p, ws, t)
+    elif kind == POSITION or kind == POINTING:
+        place_rows(m, p, ws, t, kind)
+    elif kind == ORIENTATION or kind == POSE:
+        turn_rows(m, p, ws, t, kind)
+    elif kind == LINEAR or kind == ANGULAR:
+        speed_rows(m, p, ws, t, kind)
+    elif kind == MASS_CENTRE:
+        mass_centre_rows(m, p, ws, t)
+
+
+@inline
+def _ramped(p, row, value, bound):
+    """The residual of a row, and its derivative by the value."""
+    law = at(floats(p, RESIDUALS.law), LAW_SIZE * row)
+    side, a = load(law, 0), load(law, 1)
+    if side == 0.0:
+        return value - bound, spread(1.0)
+    residual, slope = ramp(side * (value - bound), a, load(law, 2))
+    return residual, side * slope
+
+
+@part
+def residual_cost(m, p, x, ws, n, placed):
+    """Cost of the terms for four candidates x (nx lanes) at stage n; with `placed` ws has the links where they are."""
+    J = spread(0.0)
+    if load(floats(p, RESIDUALS.active), n) > 0.0:
+        if not placed:
+            place_links(m, p, x, ws)
+        place_points(p, x, ws, n, False)
+        weights, bounds, stride = floats(p, RESIDUALS.weight), floats(p, RESIDUALS.bound), p[RESIDUALS.stride]
+        first, value, on = integers(p, RESIDUALS.first_row), lanes(p, RESIDUALS.value), floats(p, RESIDUALS.on)
+        for t in range(p[RESIDUALS.terms]):
+            if load(on, t * stride + n) > 0.0:
+                _measure(m, p, x, ws, t, n, False)
+                start = load(first, t)
+                for row in range(start, load(first, t + 1)):
+                    weight = load(weights, row * stride + n)
+                    if weight > 0.0:
+                        bound = spread(load(bounds, row * stride + n))
+                        residual, _ = _ramped(p, row, load(value, row - start), bound)
+                        J += 0.5 * weight * (residual * residual)
+    return J
+
+
+@inline
+def _add_term(p, t, rows):
+    """Add to the Hessian what the rows' derivatives and curvatures make, and make the derivatives zero again."""
+    start, dof, row = integers(p, RESIDUALS.start), integers(p, RESIDUALS.dof), lanes(p, RESIDUALS.row)
+    scaled, factor, curvature = lanes(p, RESIDUALS.scaled), lanes(p, RESIDUALS.factor), lanes(p, RESIDUALS.curvature)
+    g, H, ld, end = lanes(p, RESIDUALS.gradient), lanes(p, RESIDUALS.hessian), p[RESIDUALS.ld], load(start, t + 1)
+    for k in range(load(start, t), end):
+        i = load(dof, k)
+        u = at(row, MOST_ROWS * i)
+        total = load(g, i)
+        for r in range(rows):
+            x = load(u, r)
+            total += load(factor, r) * x
+            store(scaled, r, load(curvature, r) * x)
+        store(g, i, total)
+        o = i * ld
+        for l in range(k, end):
+            j = load(dof, l)
+            v, total = at(row, MOST_ROWS * j), load(H, o + j)
+            for r in range(rows):
+                total += load(scaled, r) * load(v, r)
+            store(H, o + j, total)
+    for k in range(load(start, t), end):
+        u = at(row, MOST_ROWS * load(dof, k))
+        for r in range(rows):
+            store(u, r, 0.0)
+
+
+@inline
+def _scatter(w, p, first, present):
+    """Gradients of up to four stages onto W.l, Hessians into W.residual_hessian."""
+    columns, ld, width = p[RESIDUALS.columns], p[RESIDUALS.ld], w[W.width]
+    l, H = at(floats(w, W.l), w[W.first]), floats(w, W.residual_hessian)
+    g = as_floats(lanes(p, RESIDUALS.gradient))
+    for lane in range(present):
+        for i in range(columns):
+            k = (first + lane) * width + i
+            store(l, k, load(l, k) + load(g, i * WIDTH + lane))
+    for i in range(columns):
+        upper = i // WIDTH * WIDTH
+        scatter_row(
+            at(lanes(p, RESIDUALS.hessian), upper), i * ld, at(H, upper), first * columns * ld + i * ld, present,
+            columns * ld, ld - upper,
+        )  # fmt: skip
+
+
+@jit
+def quadratize_residuals(w, m, r, p):
+    """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.residual_hessian."""
+    w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
+    stages, nx, x, ws = w[W.N] + 1, w[W.nx], lanes(r, MEMORY.x), lanes(r, MEMORY.links)
+    weights, bounds, stride = floats(p, RESIDUALS.weight), floats(p, RESIDUALS.bound), p[RESIDUALS.stride]
+    active, on, first_row = floats(p, RESIDUALS.active), floats(p, RESIDUALS.on), integers(p, RESIDUALS.first_row)
+    value, columns, ld = lanes(p, RESIDUALS.value), p[RESIDUALS.columns], p[RESIDUALS.ld]
+    for first in range(0, stages, WIDTH):
+        if not any_less(0.0, load4(active, first)):
+            continue  # their Hessians are zero for good
+        gather(floats(w, W.xs), first, stages, nx, x)
+        place_links(m, p, x, ws)
+        place_points(p, x, ws, first, True)
+        for i in range(columns):
+            store(lanes(p, RESIDUALS.gradient), i, 0.0)
+            for j in range(i // WIDTH * WIDTH, ld):
+                store(lanes(p, RESIDUALS.hessian), i * ld + j, 0.0)
+        for t in range(p[RESIDUALS.terms]):
+            if any_less(0.0, load4(on, t * stride + first)):
+                _measure(m, p, x, ws, t, first, True)
+                start, end, moved = load(first_row, t), load(first_row, t + 1), False
+                for row in range(start, end):
+                    k, o = row - start, row * stride + first
+                    weight = load4(weights, o)
+                    residual, slope = _ramped(p, row, load(value, k), load4(bounds, o))
+                    store(lanes(p, RESIDUALS.factor), k, weight * slope * residual)
+                    store(lanes(p, RESIDUALS.curvature), k, weight * slope * slope)
+                    moved = moved or any_less(0.0, weight * slope * slope)
+                if moved:
+                    _differentiate(m, p, ws, t)
+                    _add_term(p, t, end - start)
+        _scatter(w, p, first, min(WIDTH, stages - first))

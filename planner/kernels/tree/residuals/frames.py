@@ -1,0 +1,78 @@
+"""Where the origin of a frame is, where an axis of it points, how fast it moves and turns: three rows in the world's axes.
+
+With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at V and turning at W:
+
+    position       d p / dq_i = v_i + w_i x p
+    pointing       d b / dq_i = w_i x b, b the axis; a target d for it leaves |b - d| = 2 sin(angle / 2)
+    linear         d V / dq_i = Y_i(p) + w_i x V,              d V / dqd_i = v_i + w_i x p,    Y_i = V_base x S_i
+    angular        d W / dq_i = W_base x w_i + w_i x W,        d W / dqd_i = w_i
+
+The twin is problem.costs.residuals.frames.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated, store3
+from planner.kernels.numba.jit import inline, part
+from planner.kernels.numba.lanes import integers, lanes, load, spread
+from planner.kernels.tree.model import TREE
+from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
+from planner.kernels.tree.residuals.points import constants_of, point_of
+from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, MOST_ROWS, PLACE_SIZE, POINTING, RESIDUALS
+
+
+@inline
+def link_of(p, t):
+    """The link that carries the frame of term t, or -1."""
+    return load(integers(p, RESIDUALS.point_link), point_of(p, t, 0))
+
+
+@part
+def frame_value(p, ws, t, kind):
+    """The position of a frame, an axis of it, or its linear or angular velocity."""
+    o, zero, link = PLACE_SIZE * point_of(p, t, 0), spread(0.0), link_of(p, t)
+    value = load3(lanes(p, RESIDUALS.places), o + 3)
+    if kind == POINTING:
+        own = load3(constants_of(p, t), 0)
+        value = rotated(load9(ws, link * RECORD), own) if link >= 0 else add((zero, zero, zero), own)
+    elif kind == LINEAR or kind == ANGULAR:
+        value = (zero, zero, zero)
+        if link >= 0:
+            value = load3(ws, link * RECORD + TWIST) if kind == ANGULAR else load3(lanes(p, RESIDUALS.places), o + 6)
+    store3(lanes(p, RESIDUALS.value), 0, value)
+
+
+@part
+def place_rows(m, p, ws, t, kind):
+    """The derivative of a position, or of an axis after its value."""
+    parent, row, j = integers(m, TREE.parent), lanes(p, RESIDUALS.row), link_of(p, t)
+    c, axis = load3(lanes(p, RESIDUALS.places), PLACE_SIZE * point_of(p, t, 0)), load3(lanes(p, RESIDUALS.value), 0)
+    while j >= 0:
+        b = j * RECORD + SCREW_AXIS
+        sw = load3(ws, b)
+        turned = cross(sw, axis) if kind == POINTING else add(load3(ws, b + 3), cross(sw, c))
+        store3(row, MOST_ROWS * j, turned)
+        j = load(parent, j)
+
+
+@part
+def speed_rows(m, p, ws, t, kind):
+    """The derivatives of a linear or angular velocity, by positions and by velocities."""
+    parent, base, nv = integers(m, TREE.parent), integers(m, TREE.base), m[TREE.nv]
+    row, link, o, zero = lanes(p, RESIDUALS.row), link_of(p, t), PLACE_SIZE * point_of(p, t, 0), spread(0.0)
+    c, V, j = load3(lanes(p, RESIDUALS.places), o), load3(lanes(p, RESIDUALS.places), o + 6), link
+    while j >= 0:
+        b, twist = j * RECORD + SCREW_AXIS, load(base, j) * RECORD + TWIST
+        sw, sv = load3(ws, b), load3(ws, b + 3)
+        bw, bv = (zero, zero, zero), (zero, zero, zero)
+        if load(base, j) >= 0:
+            bw, bv = load3(ws, twist), load3(ws, twist + 3)
+        Yw = cross(bw, sw)
+        if kind == ANGULAR:
+            by_q, by_v = add(Yw, cross(sw, load3(ws, link * RECORD + TWIST))), sw
+        else:
+            Yv = add(cross(bw, sv), cross(bv, sw))
+            by_q, by_v = add(add(Yv, cross(Yw, c)), cross(sw, V)), add(sv, cross(sw, c))
+        store3(row, MOST_ROWS * j, by_q)
+        store3(row, MOST_ROWS * (nv + j), by_v)
+        j = load(parent, j)

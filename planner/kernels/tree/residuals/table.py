@@ -1,0 +1,156 @@
+"""The residuals of a solve as kernels read them: one int64 table of sizes and addresses, and the arrays behind it.
+
+A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared with
+a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along its
+last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and about
+the origins of their trees (see kernels.tree.model).
+
+To add a kind: a number and its rows here, a file with its value and its derivative beside this one, their two lines in
+`evaluate`, and the NumPy twin in problem.costs.residuals.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.kernels.numba.lanes import WIDTH, lane_array, padded
+from planner.kernels.numba.layout import Layout
+from planner.kernels.tree.model import chain_of
+
+# Kinds of terms.
+HEIGHT, DISTANCE, VELOCITY, POSITION, ORIENTATION, POINTING, POSE, LINEAR, ANGULAR, MASS_CENTRE = range(10)
+ROWS = (1, 1, 1, 3, 3, 3, 6, 3, 3, 3)  # of each kind
+REFERENCES = (0, 0, 0, 0, 9, 0, 12, 0, 0, 0)  # numbers per stage of each kind
+FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
+MOST_ROWS = max(ROWS)
+PARALLEL = 1e-12
+"""Share of the squared lengths that keeps the nearest points of parallel lines in their middles."""
+TINY = 1e-40  # added to squares before their root or a division by them: a distance of zero has no direction
+POINT_SIZE = 4  # of a point's constants: its place in the link's frame (3), share
+PLACE_SIZE = 9  # of a point where it is: about its tree's origin (3), as terms see it (3); how its link moves it (3)
+LAW_SIZE = 3  # of a row: side (0 for a target, 1 for most, -1 for least), ramp and its inverse
+KEPT_SIZE = 32  # lanes that a term's value leaves for its derivative
+
+RESIDUALS = Layout(
+    "points terms stride constants columns ld moved fast massive",
+    "links point_link point_address point_value world active kind ends first_row constant first_reference reference "
+    "on bound weight law start dof tree_address places value kept factor curvature row scaled moments gradient hessian",
+)
+
+
+class ResidualTable:
+    """The ResidualArrays of a solve (problem.costs.residuals.arrays) of a Model, and scratch for one evaluation.
+
+    Bounds and weights may change between iterations of a solve; `changed` says so to the kernels.
+
+    Attributes:
+        bound: (M, N+1) of each row, a view of what the kernels read.
+        weight: (M, N+1), likewise.
+        columns: Of a row's derivative: nv, or 2 nv where velocities count.
+        hessian: (N+1, columns, ld) upper triangles, as the last quadratisation left them.
+    """
+
+    def __init__(self, model: Any, measures: Any) -> None:
+        m, parent, link, nv = measures, model.arrays["parent"], np.array(measures.link), model.nv
+        (rows, stages), T = m.weight.shape, len(m.kind)
+        fast = np.isin(m.kind, FAST)
+        massive = bool(np.any(m.kind == MASS_CENTRE))
+        columns = 2 * nv if fast.any() else nv  # of positions, and of velocities where these count
+        stride, ld = padded(stages), padded(columns)
+        carried = link >= 0
+        own, world = _own_points(model, m, link, carried)
+        chains = [chain_of(parent, i) for i in link]
+        dofs = [_dofs(m.kind[t], m.ends[t], chains, nv) for t in range(T)]
+        links = range(nv) if massive else sorted(set().union(*chains))
+        arrays = {
+            "links": np.array(links, dtype=np.int64), "point_link": link,
+            "point_address": np.where(carried, model.floating_address[link], -1),
+            "point_value": np.column_stack([own, m.share]),
+            "world": _along_stages(np.swapaxes(world, 1, 2), stride),
+            "kind": m.kind, "ends": m.ends, "first_row": m.first_row, "constant": _own_constants(model, m, link),
+            "first_reference": m.first_reference, "reference": _along_stages(m.reference, stride),
+            "bound": _along_stages(m.bound, stride), "weight": _along_stages(m.weight, stride),
+            "active": np.zeros(stride), "on": np.zeros((T, stride)),
+            "law": np.column_stack([m.side, m.ramp, _inverse(m.ramp)]),
+            "start": np.cumsum([0, *(len(one) for one in dofs)]),
+            "dof": np.array([dof for one in dofs for dof in one], dtype=np.int64),
+            "tree_address": np.where(parent[:nv] < 0, model.floating_address, -1),
+            "places": lane_array(PLACE_SIZE * len(link), WIDTH), "value": lane_array(MOST_ROWS, WIDTH),
+            "kept": lane_array(KEPT_SIZE, WIDTH), "row": lane_array(MOST_ROWS * columns, WIDTH),
+            "factor": lane_array(MOST_ROWS, WIDTH), "curvature": lane_array(MOST_ROWS, WIDTH),
+            "scaled": lane_array(MOST_ROWS, WIDTH), "moments": lane_array(3 * nv if massive else 1, WIDTH),
+            "gradient": lane_array(columns, WIDTH), "hessian": lane_array(columns * ld, WIDTH),
+        }  # fmt: skip
+        # contiguous, and kept alive: the kernels have their addresses
+        self._arrays = {name: np.ascontiguousarray(arrays[name]) for name in RESIDUALS.arrays}
+        self.columns, self._first_row = columns, np.array(m.first_row)
+        self.bound, self.weight = (self._arrays[name][:, :stages] for name in ("bound", "weight"))
+        self.active = self._arrays["active"]
+        self.hessian = lane_array(stages, columns, ld)
+        sizes = {
+            "points": len(link), "terms": T, "stride": stride, "constants": self._arrays["constant"].shape[1],
+            "columns": columns, "ld": ld, "moved": len(arrays["links"]), "fast": fast.any(), "massive": massive,
+        }  # fmt: skip
+        self.table = RESIDUALS.table(sizes, self._arrays)
+        self.changed()
+
+    def changed(self) -> None:
+        """Note which terms weigh something at which stage, after weights have been changed."""
+        on, stages = self._arrays["on"], self.weight.shape[1]
+        for t, row in enumerate(on):
+            row[:stages] = np.any(self.weight[self._first_row[t] : self._first_row[t + 1]] > 0.0, axis=0)
+        self.active[:] = np.any(on > 0.0, axis=0)
+        self.hessian[:] = 0.0  # what is no longer active must not stay
+
+
+def _own_points(model: Any, m: Any, link: np.ndarray, carried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) in the kernels' frames, and what is added to them in the world (P, N+1, 3)."""
+    frames = _inverse_frames(model, link)
+    own = np.einsum("pij,pj->pi", frames[:, :3, :3], m.offset) + frames[:, :3, 3]
+    at_rest = np.where(carried[:, None], model.origin[link], m.offset)
+    return own, m.world + (m.share[:, None] * at_rest)[:, None]
+
+
+def _inverse_frames(model: Any, link: np.ndarray) -> np.ndarray:
+    """From each link's frame to the kernels' (P, 4, 4)."""
+    if not len(model.own_frames):
+        return np.tile(np.eye(4), (len(link), 1, 1))
+    return np.where((link >= 0)[:, None, None], np.linalg.inv(model.own_frames[link]), np.eye(4))
+
+
+def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
+    """Constants of the terms, with rotations and axes of frames in the kernels' frames."""
+    constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
+    for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
+        turn = frames[ends[0]] if len(frames) else np.eye(3)
+        if kind in (ORIENTATION, POSE):
+            constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
+        elif kind == POINTING:
+            constant[t, :3] = turn @ constant[t, :3]
+        elif kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
+            roots = np.flatnonzero((model.arrays["parent"][: model.nv] < 0) & (model.floating_address < 0))
+            mass = model.arrays["subtree_mass"]
+            total = mass[np.flatnonzero(model.arrays["parent"][: model.nv] < 0)].sum()
+            constant[t, :3], constant[t, 3] = mass[roots] @ model.origin[roots] / total, 1.0 / total
+    return constant
+
+
+def _dofs(kind: int, ends: np.ndarray, chains: list[list[int]], nv: int) -> list[int]:
+    """The columns of a term's derivative that are not zero, in order."""
+    if kind == MASS_CENTRE:
+        return list(range(nv))
+    dofs = sorted(set().union(*(chains[p] for p in set(ends.tolist()))))
+    return dofs + [nv + i for i in dofs] if kind in FAST else dofs
+
+
+def _inverse(ramp: np.ndarray) -> np.ndarray:
+    """1 / ramp, so large for none that any error is beyond its end."""
+    return 1.0 / np.where(ramp > 0.0, ramp, 1e-300)
+
+
+def _along_stages(values: np.ndarray, stride: int) -> np.ndarray:
+    """(..., N+1) with zeros up to the stride, and at least one row."""
+    padding = [(0, 0)] * (values.ndim - 1) + [(0, stride - values.shape[-1])]
+    return np.pad(values, padding) if values.size else np.zeros((1, stride))

@@ -1,0 +1,136 @@
+"""Residuals as arrays over stages, for NumPy and kernels alike: names looked up, bounds and weights per stage.
+
+A term measures up to six numbers of the state, its rows (see kernels.tree.residuals.table for the kinds). Each row e is
+compared, stage by stage, with what is wanted, and costs w r^2 / 2:
+
+    target b     r = e - b
+    most b       r = ramp(e - b; a)          0, d^2 / 2a, d - a/2  for d < 0, 0..a, > a; a may be 0
+    least b      r = ramp(b - e; a)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from planner.kernels.tree.residuals.table import REFERENCES, ROWS
+
+CONSTANTS = 9  # numbers of a term that do not vary
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualArrays:
+    """T terms with M rows and S references in all, over P points, which kernels take too."""
+
+    link: np.ndarray  # (P,) that carries a point or frame, -1 for the world
+    offset: np.ndarray  # (P, 3) in the link's frame
+    share: np.ndarray  # (P,) how much of the link's motion the point has
+    world: np.ndarray  # (P, N+1, 3) m, added
+    kind: np.ndarray  # (T,)
+    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin
+    constant: np.ndarray  # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's
+    first_row: np.ndarray  # (T+1,) where the rows of a term begin
+    first_reference: np.ndarray  # (T+1,) where its references begin
+    reference: np.ndarray  # (S, N+1) a rotation that an orientation is compared with, a pose
+    side: np.ndarray  # (M,) +1 for most, -1 for least, 0 for a target
+    ramp: np.ndarray  # (M,)
+    bound: np.ndarray  # (M, N+1), 0 where a row is off
+    weight: np.ndarray  # (M, N+1), 0 where a row is off; times dt on the way
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+    def rows(self, t: int) -> slice:
+        """The rows of term t."""
+        return slice(int(self.first_row[t]), int(self.first_row[t + 1]))
+
+    def references(self, t: int) -> np.ndarray:
+        """What term t refers to, (stages, its number of references)."""
+        return self.reference[self.first_reference[t] : self.first_reference[t + 1]].T
+
+    def along(self, stages: Any) -> ResidualArrays:
+        """The same at some of the stages, in the order of their numbers."""
+        return replace(
+            self, world=self.world[:, stages], reference=self.reference[:, stages], bound=self.bound[:, stages],
+            weight=self.weight[:, stages],
+        )  # fmt: skip
+
+
+def resampled(measures: ResidualArrays, parts: int, ratio: float) -> ResidualArrays:
+    """The terms for stages divided into parts, whose weights are multiplied by ratio; the end stays as it is."""
+    N = measures.weight.shape[1] - 1
+    finer = measures.along(np.append(np.repeat(np.arange(N), parts), N))
+    weight = np.array(finer.weight)
+    weight[:, :-1] *= ratio
+    return replace(finer, weight=weight)
+
+
+def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
+    """The terms of several, of the same mechanism and horizon, as one."""
+    together = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ResidualArrays)}
+    first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
+    together["ends"] = np.concatenate([part.ends + k for part, k in zip(parts, first, strict=True)])
+    for name in ("first_row", "first_reference"):
+        sizes = np.concatenate([np.diff(getattr(part, name)) for part in parts])
+        together[name] = np.cumsum(np.concatenate([[0], sizes]), dtype=np.int64)
+    return ResidualArrays(**together)
+
+
+class ResidualList:
+    """Terms being put together for N stages: points once each, then terms that name them by number."""
+
+    def __init__(self, N: int) -> None:
+        self.N = N
+        self._numbers: dict[tuple[Any, ...], int] = {}
+        self._points: list[tuple[int, np.ndarray, float, np.ndarray]] = []
+        self._terms: list[tuple[Any, ...]] = []
+
+    def point(self, link: int, offset: np.ndarray, share: float = 1.0, world: Any = 0.0) -> int:
+        """The number of a point; it is added the first time."""
+        world = np.array(np.broadcast_to(world, (self.N + 1, 3)), dtype=float)
+        key = (int(link), np.asarray(offset, dtype=float).tobytes(), share, world.tobytes())
+        if key not in self._numbers:
+            self._numbers[key] = len(self._points)
+            self._points.append((int(link), np.asarray(offset, dtype=float), share, world))
+        return self._numbers[key]
+
+    def add(
+        self, kind: int, ends: Sequence[int], weight: Any, *, bound: Any = 0.0, constant: Any = (), reference: Any = (),
+        side: float = 0.0, ramp: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Add a term: weight and bound (rows, N+1) or what broadcasts to it, references (its number, N+1)."""
+        shape, constants = (ROWS[kind], self.N + 1), np.zeros(CONSTANTS)
+        constants[: np.size(constant)] = np.ravel(constant)
+        self._terms.append((
+            kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else 0]], constants,
+            np.asarray(reference, dtype=float).reshape(REFERENCES[kind], self.N + 1),
+            np.full(ROWS[kind], side), np.full(ROWS[kind], ramp), np.array(np.broadcast_to(bound, shape), dtype=float),
+            np.array(np.broadcast_to(weight, shape), dtype=float),
+        ))  # fmt: skip
+
+    @property
+    def count(self) -> int:
+        """How many terms there are."""
+        return len(self._terms)
+
+    def arrays(self) -> ResidualArrays:
+        """All of them."""
+        stages, terms = self.N + 1, self._terms
+        kind = np.array([term[0] for term in terms], dtype=np.int64)
+        rows, references = ([0, *(sizes[k] for k in kind)] for sizes in (ROWS, REFERENCES))
+        empty = (np.zeros((0, stages)), np.zeros(0), np.zeros(0), np.zeros((0, stages)), np.zeros((0, stages)))
+        reference, side, ramp, bound, weight = (
+            np.concatenate([none, *(term[i] for term in terms)]) for i, none in enumerate(empty, 3)
+        )
+        links, offsets, shares, worlds = ([point[i] for point in self._points] for i in range(4))
+        return ResidualArrays(
+            np.array(links, dtype=np.int64), np.array(offsets, dtype=float).reshape(-1, 3), np.array(shares, dtype=float),
+            np.array(worlds, dtype=float).reshape(-1, stages, 3), kind,
+            np.array([term[1] for term in terms], dtype=np.int64).reshape(-1, 4),
+            np.array([term[2] for term in terms], dtype=float).reshape(-1, CONSTANTS),
+            np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound, weight,
+        )  # fmt: skip

@@ -1,0 +1,157 @@
+"""ResidualCost: what PenaltyCost, FrameCost and CenterOfMassCost have in common, a weighted sum of squared residuals.
+
+    J = sum over stages and rows of w r^2 / 2,    gradient w r r' J,    Hessian w r'^2 J'J (Gauss and Newton)
+
+with the residual r of a row's value e (see residuals.arrays), r' its slope and J the derivative of e by a deviation of
+the state. It says nothing of the control. The twin of kernels.tree.residuals.evaluate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.contacts import ramp
+from planner.kernels.tree.residuals.table import (
+    ANGULAR,
+    DISTANCE,
+    HEIGHT,
+    LINEAR,
+    MASS_CENTRE,
+    ORIENTATION,
+    POINTING,
+    POSE,
+    POSITION,
+    VELOCITY,
+)
+from planner.model.coordinates import Coordinate
+from planner.model.mechanism import Mechanism
+from planner.problem.costs.residuals.arrays import ResidualArrays, resampled
+from planner.problem.costs.residuals.frames import framed
+from planner.problem.costs.residuals.mass_centre import mass_centre
+from planner.problem.costs.residuals.scalars import scalar
+from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.turns import turned
+from planner.problem.costs.terms import Quadratic, Term
+from planner.problem.costs.wanted import Wanted
+
+_MEASURES: dict[int, Callable[[Seen, int, bool], tuple[np.ndarray, np.ndarray]]] = {
+    HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,
+    ANGULAR: framed, ORIENTATION: turned, POSE: turned, MASS_CENTRE: mass_centre,
+}  # fmt: skip
+
+
+class Goal(NamedTuple):
+    """What rows of a term ask of the end."""
+
+    name: str
+    unit: str
+    term: int
+    rows: slice = slice(None)
+
+
+class ResidualCost(Term):
+    """The squared residuals of a mechanism, weighed; one term of a cost. With RigidBodyDynamics it is compiled.
+
+    Args:
+        mechanism: The machine.
+        measures: The terms; of N stages, or of one stage and the end for any horizon.
+        N: Stages; None for any horizon.
+        goals: What the end is asked for, where its weight is above zero.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, measures: ResidualArrays, N: int | None, goals: Sequence[Goal] = ()
+    ) -> None:
+        self.mechanism, self.measures, self.N, self._goals = mechanism, measures, N, tuple(goals)
+        self.space = mechanism.space
+        self.nx, self.ndx = self.space.nx, self.space.ndx
+
+    def measures_for(self, N: int) -> ResidualArrays:
+        """The terms for N stages."""
+        return self.measures if self.N is not None else resampled(self.measures, N, 1.0)
+
+    def resampled(self, parts: int, ratio: float) -> ResidualCost:
+        """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
+        cost = copy(self)
+        cost.N = None if self.N is None else parts * self.N
+        cost.measures = resampled(self.measures, 1 if self.N is None else parts, ratio)
+        return cost
+
+    def wanted(self, _: Sequence[Coordinate]) -> tuple[Wanted, ...]:
+        """What has a final weight of its own."""
+        weighed = [goal for goal in self._goals if self._rows_of(goal)[1].any()]
+        return tuple(Wanted(goal.name, goal.unit, partial(self._missed, goal)) for goal in weighed)
+
+    def _rows_of(self, goal: Goal) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers of a goal's rows, and whether the end weighs them."""
+        rows = np.arange(len(self.measures.weight))[self.measures.rows(goal.term)][goal.rows]
+        return rows, self.measures.weight[rows, -1] > 0.0
+
+    def _missed(self, goal: Goal, xs: np.ndarray) -> np.ndarray:
+        """(K,) the length of the residual along the rows that are weighed; infinite where a motion ran away."""
+        known, missed = np.isfinite(xs).all(axis=1), np.full(len(xs), np.inf)
+        rows, weighed = self._rows_of(goal)
+        missed[known] = np.linalg.norm(self._at_end(xs[known])[rows[weighed]], axis=0)
+        return missed
+
+    def final_cost(self, x: np.ndarray) -> float:
+        """The part of the value that the end x (nx,) has."""
+        return 0.5 * float(self.measures.weight[:, -1] @ self._at_end(x[None])[:, 0] ** 2)
+
+    def _at_end(self, xs: np.ndarray) -> np.ndarray:
+        """(M, K) residuals of states (K, nx), each as the end."""
+        last = self.measures.along(np.full(len(xs), -1))
+        return _residuals(last, self._values(last, xs))[0]
+
+    def _values(self, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
+        """(M, K) of the rows for states xs (K, nx), one for each stage of the measures."""
+        seen = Seen(self.mechanism, measures, xs)
+        values = [_MEASURES[int(kind)](seen, t, False)[0].T for t, kind in enumerate(measures.kind)]
+        return np.concatenate([np.empty((0, len(xs))), *values])
+
+    def value(self, xs: np.ndarray, us: np.ndarray) -> float:
+        """J of a trajectory xs (N+1, nx), us (N, nu)."""
+        if not np.isfinite(xs).all():  # a candidate that ran away: there is no pose
+            return float("inf")
+        stages, measures = self._weighing(len(us))
+        residuals, _ = _residuals(measures, self._values(measures, xs[stages]))
+        return 0.5 * float(np.sum(measures.weight * residuals**2))
+
+    def _weighing(self, N: int) -> tuple[np.ndarray, ResidualArrays]:
+        """The stages with any weight, and the terms there."""
+        measures = self.measures_for(N)
+        stages = np.flatnonzero(measures.weight.any(axis=0))
+        return stages, measures.along(stages)
+
+    def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+        """Gradient and Gauss-Newton Hessian; nothing of the control."""
+        N, nu = us.shape
+        model = Quadratic(
+            np.zeros((N + 1, self.ndx, self.ndx)), np.zeros((N + 1, self.ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu))
+        )
+        stages, measures = self._weighing(N)
+        seen = Seen(self.mechanism, measures, xs[stages])
+        for t, kind in enumerate(measures.kind):
+            value, J = _MEASURES[int(kind)](seen, t, True)
+            rows, n = measures.rows(t), J.shape[2]
+            residual, slope = _residuals(measures, value.T, rows)
+            J = slope.T[:, :, None] * J  # of the residuals
+            WJ = measures.weight[rows].T[:, :, None] * J
+            model.q[stages, :n] += np.einsum("nri,rn->ni", WJ, residual)
+            model.Q[stages, :n, :n] += np.swapaxes(J, 1, 2) @ WJ
+        return model
+
+
+def _residuals(m: ResidualArrays, values: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (M, K) of values (M, K) of some rows, and their derivatives by the values."""
+    side, a = m.side[rows, None], m.ramp[rows, None]
+    e = np.where(side == 0.0, 1.0, side) * (values - m.bound[rows])
+    residual, slope = ramp(e, a)
+    return np.where(side == 0.0, e, residual), np.where(side == 0.0, 1.0, side * slope)
+
+

@@ -1,0 +1,97 @@
+"""The terms of a PenaltyCost as ResidualArrays: names looked up, bounds and weights per stage, tolerances in the weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, shown
+from planner.base.errors import PlannerError
+from planner.kernels.tree.residuals.table import DISTANCE, HEIGHT, VELOCITY
+from planner.model.contact.laws import Contact
+from planner.model.mechanism import Frame, Mechanism
+from planner.problem.costs.penalty_terms import Distance, Gap, Height, Penalty, Point, Segment, Velocity
+from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
+
+_SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
+
+
+def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -> ResidualArrays:
+    """Terms of planner.problem.costs.penalty_terms as arrays for N stages of length dt."""
+    measures = ResidualList(N)
+    for t, term in enumerate(terms):
+        name = f"terms[{t}]"
+        kind, points, constant = _measured(measures, mechanism, term, name)
+        bound, weight = _wanted(name, term, N, dt)
+        measures.add(
+            kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.wanted], ramp=term.ramp
+        )
+    return measures.arrays()
+
+
+def _measured(
+    measures: ResidualList, mechanism: Mechanism, term: Any, name: str
+) -> tuple[int, list[int], tuple[float, ...]]:
+    """Kind, points and constants (direction, level) of a term."""
+
+    def number(point: Point) -> int:
+        return _point(measures, mechanism, point, name)
+
+    if isinstance(term, Height):
+        return HEIGHT, 4 * [number(term.point)], (*term.normal, 0.0)
+    if isinstance(term, Velocity):
+        return VELOCITY, 2 * [number(term.point), number(term.relative)], (*term.direction, 0.0)
+    if isinstance(term, Gap):
+        contact = _contact(mechanism, term.contact, name)
+        plane, T_centre = contact.plane, np.eye(4)
+        T_centre[:3, 3] = contact.centre
+        point = number(Point(Frame(contact.link, T_centre)))
+        return HEIGHT, 4 * [point], (*plane.normal, contact.radius + plane.offset)
+    if isinstance(term, Distance):
+        lines = [Segment(part, part) if isinstance(part, Point) else part for part in (term.a, term.b)]
+        points = [number(end) for line in lines for end in (line.start, line.end)]
+        return DISTANCE, points, (0.0, 0.0, 0.0, sum(line.radius for line in lines))
+    raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance, Gap or Velocity.")
+
+
+def _point(measures: ResidualList, mechanism: Mechanism, point: Point, name: str) -> int:
+    """The number of a point."""
+    frame = Frame(-1, np.eye(4)) if point.frame is None else point.frame
+    if isinstance(frame, str):
+        known = [*mechanism.sites, *filter(None, mechanism.body_names)]
+        frame = mechanism.frame(choice(f"{name}'s frame", frame, known))
+    if frame.link >= mechanism.nv:
+        raise PlannerError(f"{name}'s frame is on link {frame.link}, expected one below {mechanism.nv}.")
+    offset = frame.T[:3, :3] @ point.offset + frame.T[:3, 3]
+    return measures.point(frame.link, offset, point.share, _stages(f"{name}'s world", point.world, measures.N, 1))
+
+
+def _stages(name: str, value: np.ndarray, N: int, rest: int = 0) -> np.ndarray:
+    """Something given once or per stage, as (N+1, ...) with so many axes beyond the stages'."""
+    if value.ndim > rest and len(value) != N + 1:
+        raise PlannerError(f"{name} has {len(value)} rows, expected N+1 = {N + 1}.")
+    return np.array(np.broadcast_to(value, (N + 1, *value.shape[value.ndim - rest :])))
+
+
+def _contact(mechanism: Mechanism, name: Any, term: str) -> Contact:
+    """A contact by its name, or by that of its geom alone."""
+    known = {contact.name: contact for contact in mechanism.contacts}
+    if not known:
+        raise PlannerError(f"{term}'s contact is {shown(name)}, but the mechanism has no contacts.")
+    if len(known) < len(mechanism.contacts):
+        raise PlannerError(f"{term}'s contact is {shown(name)}, but contacts of the mechanism share a name.")
+    for full, contact in list(known.items()):
+        known.setdefault(full.removeprefix("geom '").replace("'", ""), contact)
+    return known[choice(f"{term}'s contact", name, known)]
+
+
+def _wanted(name: str, term: Penalty, N: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bound and weight (N+1,) of a term, both 0 where it is off."""
+    bound = _stages(f"{name}.{term.wanted}", getattr(term, term.wanted), N)
+    weight = dt * _stages(f"{name}.weight", term.weight, N)
+    if term.final_weight is not None:
+        weight[N] = term.final_weight
+    off = np.isnan(bound)
+    return np.where(off, 0.0, bound), np.where(off, 0.0, weight / term.tolerance**2)
