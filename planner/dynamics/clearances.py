@@ -65,7 +65,7 @@ class Clearances:
         is seen from the other's.
         """
         T, screws, origin = link_places(Batch(self.mechanism, q=q))
-        centres = self._places(T)[:, :, :3, 3]
+        centres = self._places(T)[..., :3, 3]
         found = np.zeros((len(T), len(self._pairs)))
         for k, (a, b) in enumerate(self._pairs):
             for i in np.flatnonzero(self._sign[k]):
@@ -83,8 +83,9 @@ class Clearances:
     def _measured(self, T: np.ndarray, beyond: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distances (K, P), directions and places (K, P, 3) where solids are at T (K, S, 4, 4)."""
         a, b = self._pairs.T
-        way = T[:, a, :3, 3] - T[:, b, :3, 3]
-        far = np.where(self._flat, np.einsum("kpi,kpi->kp", way, T[:, b, :3, 2]), np.sqrt(np.sum(way * way, axis=-1)))
+        way = T[:, a][..., :3, 3] - T[:, b][..., :3, 3]
+        over = np.sum(way * T[:, b][..., :3, 2], axis=-1)
+        far = np.where(self._flat, over, np.sqrt(np.sum(way * way, axis=-1)))
         values = far - self._reach[a] - np.where(self._flat, 0.0, self._reach[b])
         n, p = np.zeros((2, *values.shape, 3))
         near = values < beyond
