@@ -1,5 +1,6 @@
 # The public names, written once: type checkers read this file, and planner/__init__.py looks names up in it.
 from planner import cases as cases
+from planner import constraints as constraints
 from planner import contact as contact
 from planner import costs as costs
 from planner import dynamics as dynamics
@@ -13,6 +14,7 @@ from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
+from planner.problem.constraints.constraint import Constraint as Constraint
 from planner.problem.costs.center_of_mass import CenterOfMassCost as CenterOfMassCost
 from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost

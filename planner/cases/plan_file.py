@@ -101,10 +101,8 @@ def _fitting(plan: Plan, problem: Problem) -> Problem:
     """The problem, when a plan's arrays and maps are of its sizes."""
     if plan.stored_space != space_of(problem.dynamics) or plan.us.shape != (problem.N, problem.dynamics.nu):
         raise PlannerError(f"its arrays do not fit its {f'case {plan.recipe.name!r}' if plan.recipe else 'problem'}.")
-    if plan.hinges is not None and (
-        problem.ranges is None or plan.hinges.weight.shape[1] != len(problem.ranges.component)
-    ):
-        raise PlannerError("the penalties of its ranges do not fit the ranges of its problem.")
+    if plan.hinges is not None and (problem.kept is None or plan.hinges.weight.shape[1] != problem.kept.size):
+        raise PlannerError("the penalties of its ranges and constraints do not fit those of its problem.")
     if plan.twin is not None and len(plan.twin.to_x) != problem.dynamics.nx:
         raise PlannerError(f"its twin is of {len(plan.twin.to_x)} states, expected {problem.dynamics.nx}.")
     return problem

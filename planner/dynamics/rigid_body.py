@@ -273,6 +273,18 @@ class RigidBodyDynamics:
         names = (f"{search} solids", f"{residuals} solids") if solids else (search, residuals)
         return names[0], *self.kernels[1:], names[1]
 
+    def take(self, w: Workspace, memory: TreeMemory, lane: int) -> None:
+        """Make candidate `lane` of a search that took none the nominal trajectory."""
+        w.take(lane)
+        memory.take(lane)
+
+    def nominal_jacobians(self, w: Workspace) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, as linearize_nominal left them."""
+        by_u, by_x = w.F[:, :, : self.nu], w.F[:, :, w.first : w.first + self.ndx]
+        if self.structured:
+            return self._semi_implicit(by_x, w.transport), self._semi_implicit_inputs(by_u, w.transport)
+        return by_x, by_u
+
     def residuals(self, measures: Any) -> ResidualTable:
         """The kernels' table of the terms of costs, from their problem.costs.residuals.arrays.ResidualArrays."""
         return ResidualTable(self._model, measures)
@@ -283,4 +295,6 @@ class RigidBodyDynamics:
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""
-        tree_second.second_order(self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.T)
+        tree_second.second_order(
+            self._model.table, memory.table, second.table, self.dt, w.xs, w.us, w.costates, w.T[:-1]
+        )

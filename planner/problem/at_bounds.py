@@ -1,4 +1,4 @@
-"""Where a plan is at the bounds of its controls or outside of the ranges of its states, in words."""
+"""Where a plan is at the bounds of its controls, or outside of ranges and constraints, in words."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from planner.problem.problem import Problem
 
 _NEAR = 1e-6  # of a range: at its bound
 _OFTEN = 0.1  # of the stages: then bounds are what a motion hangs on
+_MOST = 3  # constraints that are named
 _GAINED = 1e-3  # of the cost: a second half of a solve that gains less has stalled
 
 
@@ -48,6 +49,21 @@ def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> str:
     name, unit = ranges.coordinates[worst]
     where = "from its exact goal" if worst >= len(ranges.component) - ranges.at_end else "outside of its range"
     return f"{name} is {beyond[n, worst]:.3g} {unit}".rstrip() + f" {where} at t = {t[n]:.3g} s"
+
+
+def constraints_broken(problem: Problem, xs: np.ndarray, us: np.ndarray, t: np.ndarray) -> str:
+    """The constraints that states xs (N+1, nx) and controls us (N, nu) break, how far and when; "" where none is."""
+    rows = None if problem.kept is None else problem.kept.rows
+    if rows is None or not np.isfinite(xs).all():
+        return ""
+    broken = [one for one in rows.violations(xs, us) if not one.value <= one.constraint.allowed()]
+    broken.sort(key=lambda one: -one.value / one.constraint.allowed())
+    said = [
+        f"{one.constraint} is broken by {one.value:.3g} {one.constraint.unit}".rstrip() + f" at t = {t[one.at]:.3g} s"
+        for one in broken[:_MOST]
+    ]
+    more = len(broken) - _MOST
+    return ", ".join(said) + (f", and {more} more" if more > 0 else "")
 
 
 def stalled(history: Sequence[Any], cost: float) -> bool:

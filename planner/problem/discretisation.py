@@ -48,6 +48,7 @@ def finer(problem: Problem) -> Problem:
     return replace(
         problem, dynamics=_with_step(problem.dynamics, dt, FINEST), horizon=parts * problem.N,
         us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
+        constraints=[one.resampled(parts) for one in problem.constraints],
         cost=problem.cost if parts == 1 else remade(problem.cost, "resampled", parts, 1.0 / parts),
     )  # fmt: skip
 

@@ -33,7 +33,7 @@ def in_parts(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
     dynamics, twin = problem.dynamics, problem.twin
     if type(dynamics) is not RigidBodyDynamics or type(problem.cost) is not TrackingCost:
         return None
-    if problem.requirements is not None or twin is None:
+    if problem.requirements is not None or problem.constraints or twin is None:
         return None
     own = twin_of(dynamics.mechanism, dynamics.prescribed)
     if any(getattr(twin, part) != getattr(own, part) for part in ("mjcf", "source", "curves")):

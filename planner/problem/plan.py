@@ -27,7 +27,7 @@ from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
 from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
-from planner.problem.at_bounds import control_at_bound, stalled, state_outside
+from planner.problem.at_bounds import constraints_broken, control_at_bound, stalled, state_outside
 from planner.problem.costs.wanted import stored_tolerance
 from planner.problem.criteria import plain
 from planner.problem.parts import in_parts
@@ -50,8 +50,8 @@ class Status(StrEnum):
         "controls, or take a shorter stage or more substeps."
     )
     OUTSIDE_LIMITS = (
-        "The limits were not met to their tolerance within the rounds of the augmented Lagrangian; give the motion "
-        "more time or wider limits, or start from a guess that meets them."
+        "The limits and constraints were not met to their tolerance within the rounds of the augmented Lagrangian; "
+        "give the motion more time or wider bounds, or start from a guess that meets them."
     )
     NOT_PERIODIC = (
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
@@ -129,8 +129,8 @@ class Plan(Built):
         starts: How each start of a solve with several ended; empty for a single one.
         options: How it was solved: the arguments of solve(), the seed among them.
         changed: Parts of its file that were changed after it was written; empty for none, or for no file.
-        hinges: Terms that ranges of states added to the cost in the last round of the augmented Lagrangian: with them
-            the gradient, its norm and the gains. None where nothing was added.
+        hinges: Terms that ranges of states and constraints added to the cost in the last round of the augmented
+            Lagrangian: with them the gradient, its norm and the gains. None where nothing was added.
         space: Where the states lie.
         versions: Of the software that made the plan.
     """
@@ -181,7 +181,8 @@ class Plan(Built):
         outside = state_outside(self.problem, self.xs, self.t)
         held = control_at_bound(self.problem, self.us)
         if self.status is Status.OUTSIDE_LIMITS:
-            found = ", and ".join(filter(None, (outside, held)))
+            broken = constraints_broken(self.problem, self.xs, self.us, self.t)
+            found = ", and ".join(filter(None, (outside, broken, held)))
             return f"{self.status.value[:-1]}: {found}." if found else self.status.value
         if not held or (self.status is Status.MAX_ITERATIONS and not stalled(self.history, self.cost)):
             return self.status.value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,11 +17,14 @@ from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.constraints.kept import Kept
+from planner.problem.constraints.rows import Rows
 from planner.problem.control_bounds import ControlBounds
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.costs.wanted import checked_tolerance
-from planner.problem.limits import Limits
+from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
 from planner.problem.recipe import Built, Recipe
@@ -65,6 +68,7 @@ class Problem(Built):
         appearance: How the machine is shown.
         requirements: The case's own rules for a proof; None for the general rules.
         limits: Bounds of the controls, ranges of the states, exact goals; None for none.
+        constraints: planner.Constraint of terms or functions, which hold along the plan; () for none.
         objective: The weights of planner.costs.with_objective; None for a cost as it was given.
         decrease_tolerance: Of planner.solve when it is given none, where a cost is flat towards its end and the last
             digits of it are worth no iterations; None for solve's own.
@@ -74,13 +78,14 @@ class Problem(Built):
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
             joints and frames. None: 2 % of the way, see planner.problem.goals.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
-            start or horizon were replaced.
+            start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
         ranges: Of the states, of the limits; None for none.
+        kept: Ranges and constraints together, as the solver keeps them; None for none.
 
     Raises:
-        PlannerError: Shapes that do not fit together, numbers that are not finite, or a start that is not on the
-            mechanism's couplings.
+        PlannerError: Shapes that do not fit together, numbers that are not finite, a start that is not on the
+            mechanism's couplings or breaks a constraint.
     """
 
     dynamics: Dynamics
@@ -93,6 +98,7 @@ class Problem(Built):
     requirements: Requirements | None = None
     recipe: Recipe | None = None
     limits: Limits | None = None
+    constraints: Sequence[Constraint] = ()
     objective: Objective | None = None
     periodic: Periodic | None = None
     tolerance: float | Mapping[str, float] | None = None
@@ -100,6 +106,7 @@ class Problem(Built):
     gain_tolerance: float = 0.0
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
+    kept: Kept | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self._check_parts()
@@ -131,7 +138,7 @@ class Problem(Built):
             raise PlannerError("the cost has its quaternions elsewhere, expected it to be made with dynamics.space.")
         if self.recipe is not None:
             cost = self.cost if self.objective is None else self.objective.base
-            object.__setattr__(self, "recipe", self.recipe.of(self.dynamics, cost, self.x0, N))
+            object.__setattr__(self, "recipe", self.recipe.of(self.dynamics, cost, self.x0, N, self.constraints))
         if self.decrease_tolerance is not None:
             number("decrease_tolerance", self.decrease_tolerance, least=0.0)
         number("gain_tolerance", self.gain_tolerance, least=0.0)
@@ -142,6 +149,7 @@ class Problem(Built):
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
             object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
+        self._keep(us)
         if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and self.dynamics.mechanism.mjcf:
             object.__setattr__(self, "twin", twin_of(self.dynamics.mechanism, self.dynamics.prescribed))
         if self.twin is not None and len(self.twin.to_x_offset) != nx:
@@ -154,6 +162,10 @@ class Problem(Built):
             what = f"expected dynamics with nx, nu, dt, step and linearize (no {missing[0]} there)"
             raise PlannerError(f"dynamics is {shown(self.dynamics)}, {what}.")
         check_cost("cost", self.cost)
+        given = self.constraints
+        if not isinstance(given, Sequence) or not all(isinstance(one, Constraint) for one in given):
+            raise PlannerError(f"constraints is {shown(given)}, expected a list of planner.Constraint.")
+        object.__setattr__(self, "constraints", tuple(given))
         parts = (
             ("twin", Twin), ("appearance", Appearance), ("requirements", Requirements), ("limits", Limits),
             ("periodic", Periodic), ("recipe", Recipe), ("objective", Objective),
@@ -162,6 +174,13 @@ class Problem(Built):
             part = getattr(self, name)
             if part is not None and not isinstance(part, kind):
                 raise PlannerError(f"{name} is {shown(part)}, expected {kind.__name__} or None.")
+
+    def _keep(self, us: np.ndarray) -> None:
+        """Set what a plan keeps: ranges of the limits, and constraints."""
+        tolerance = TOLERANCE if self.limits is None else self.limits.tolerance
+        rows = Rows(self.constraints, self.dynamics, self.x0, us, tolerance) if self.constraints else None
+        if rows is not None or self.ranges is not None:
+            object.__setattr__(self, "kept", Kept(self.ranges, rows, tolerance))
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

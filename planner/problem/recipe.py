@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,15 +37,18 @@ class Recipe:
     build: Callable[..., Any] | None = field(default=None, compare=False, repr=False)
     _parts: tuple[Any, ...] = field(default=(), compare=False, repr=False)  # of the problem that was built
 
-    def of(self, dynamics: Any, cost: Any, x0: np.ndarray, horizon: int) -> Recipe | None:
+    def of(
+        self, dynamics: Any, cost: Any, x0: np.ndarray, horizon: int, constraints: Sequence[Any] = ()
+    ) -> Recipe | None:
         """The recipe of a problem with these parts; None where another problem was built by it.
 
         dataclasses.replace(problem, cost=...) makes a problem that no recipe describes.
         """
         if not self._parts:
-            return replace(self, _parts=(dynamics, cost, x0, horizon))
-        own_dynamics, own_cost, own_start, own_horizon = self._parts
+            return replace(self, _parts=(dynamics, cost, x0, horizon, constraints))
+        own_dynamics, own_cost, own_start, own_horizon, own_constraints = self._parts
         same = dynamics is own_dynamics and cost is own_cost and horizon == own_horizon
+        same = same and constraints == own_constraints
         return self if same and np.array_equal(x0, own_start) else None
 
     def rebuilt(self, **changes: Any) -> Any:

@@ -15,6 +15,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.proof.constraints import planned_violations
 from planner.proof.more_steps import STEPS, more_steps
 from planner.proof.scales import COST_BOUND, has_kinks, judged_cost, limit_violations
 from planner.solvers import lq
@@ -48,8 +49,8 @@ def recomputed(
         missed = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
         quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if plan.hinges is not None and problem.ranges is not None:
-            quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
+        if plan.hinges is not None and problem.kept is not None:
+            quadratic = problem.kept.added(plan.hinges, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
@@ -92,6 +93,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     note = f"changed after the file was written: {', '.join(plan.changed)}" if plan.changed else "of the plan's file"
     measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
     measured += limit_violations(problem, plan.xs, plan.us, "at the plan's knots")
+    measured += planned_violations(plan, problem)
     return Section("plan", tuple(measured))
 
 

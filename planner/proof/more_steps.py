@@ -24,8 +24,8 @@ def more_steps(plan: Plan, problem: Problem) -> float:
     for _ in range(STEPS):
         A, B = problem.dynamics.linearize(xs, us)
         quadratic = problem.cost.quadratize(xs, us)
-        if plan.hinges is not None and problem.ranges is not None:
-            quadratic = problem.ranges.added(plan.hinges, quadratic, xs)
+        if plan.hinges is not None and problem.kept is not None:
+            quadratic = problem.kept.added(plan.hinges, quadratic, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.moves(xs, us)
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
         if sweep is None:
@@ -60,6 +60,6 @@ def _cost(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float
     if not np.isfinite(xs).all():
         return np.inf
     cost = float(problem.cost.value(xs, us))
-    if plan.hinges is not None and problem.ranges is not None:
-        cost += problem.ranges.value(plan.hinges, xs)
+    if plan.hinges is not None and problem.kept is not None:
+        cost += problem.kept.value(plan.hinges, xs, us)
     return cost

@@ -15,6 +15,7 @@ from planner.base.measured import Measured, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import Goal, goals_of, terms_of
 from planner.problem.problem import Problem
+from planner.proof.constraints import replayed_violations
 from planner.proof.replays.replaying import Replay
 from planner.proof.scales import (
     COST_BOUND,
@@ -39,6 +40,7 @@ def tracking(run: Replay, problem: Problem) -> Section:
         Measured("simulator_warnings", float(len(run.warnings)), "", 0.0, " ".join(run.warnings)),
         Measured("ranges_reached", float(len(run.reached)), "", None, " ".join(run.reached) or _NO_RANGES),
         *limit_violations(problem, run.xs, _controls(run), "of the replay", path_bounds(run.plan)),
+        *replayed_violations(run, problem),
     )
     if problem.requirements is not None and problem.requirements.tracking is not None:
         section = problem.requirements.tracking(run)

@@ -34,6 +34,7 @@ from planner.model.twin import Twin
 from planner.problem.goals import Goal
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.constraints import replayed_violations
 from planner.proof.left_out import lacking
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.curve_callback import curves_acting
@@ -114,7 +115,8 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Meas
         for name, (found, meaning) in sentences.items()
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
-    return [*judged, *_goals(run, problem, goals), *_path(run), *_forces(run, overlaps), step]
+    kept = replayed_violations(run, problem)
+    return [*judged, *_goals(run, problem, goals), *kept, *_path(run), *_forces(run, overlaps), step]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:

@@ -1,6 +1,6 @@
-"""Ranges of the states and exact goals by augmented Lagrangian (Hestenes, Powell, Rockafellar): SLQ inside a loop.
+"""Ranges, exact goals and constraints by augmented Lagrangian (Hestenes, Powell, Rockafellar): SLQ inside a loop.
 
-    repeat   minimise J + hinges at shifted bounds, from the last controls       solvers.slq, problem.state_ranges
+    repeat   minimise J + hinges at shifted bounds, from the last controls       solvers.slq, problem.constraints.kept
              multiplier <- max(0, multiplier + weight (e - bound))               of every bound and stage
              raise the weights of components that came not much nearer
     until    no state is further outside than the tolerance, and no bound pulls that the motion has left
@@ -16,8 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.problem.constraints.kept import Kept
 from planner.problem.plan import Plan, Status
-from planner.problem.state_ranges import Hinges, StateRanges
+from planner.problem.state_ranges import Hinges
 
 MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
@@ -29,67 +30,67 @@ Minimise = Callable[[np.ndarray, Hinges | None, int, int], Plan]
 
 
 def within_ranges(
-    ranges: StateRanges, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int
+    kept: Kept, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int
 ) -> Plan:
-    """The plan of a problem with ranges of its states; its history counts the iterations of all rounds.
+    """The plan of a problem with ranges of its states or constraints; its history counts the iterations of all rounds.
 
     Args:
-        ranges: Of the problem.
-        tolerance: How far outside a state may be.
+        kept: Of the problem.
+        tolerance: How far outside what is kept may be.
         minimise: One solve.
         first_guess: (N, nu).
         max_iterations: Limit of all rounds together.
     """
     plan = minimise(first_guess, None, max_iterations, 0)
-    history, hinges, before = list(plan.history), ranges.free(), np.full(len(ranges.component), np.inf)
+    history, hinges, before = list(plan.history), kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
     for round_ in range(MOST_ROUNDS):
-        error = _error(ranges, hinges, plan.xs)
+        error = _error(kept, hinges, plan)
         if error.max(initial=0.0) <= tolerance or plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), hinges=hinges if round_ else None)
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
-        hinges = _begun(ranges, plan) if round_ == 0 else _updated(ranges, hinges, plan.xs, error, before)
+        hinges = _begun(kept, plan) if round_ == 0 else _updated(kept, hinges, plan, error, before)
         before = error.max(axis=0)
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history))
         history += plan.history
-    status = plan.status if _error(ranges, hinges, plan.xs).max() <= tolerance else Status.OUTSIDE_LIMITS
+    status = plan.status if _error(kept, hinges, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, hinges=hinges)
 
 
-def _multipliers(ranges: StateRanges, hinges: Hinges) -> tuple[np.ndarray, np.ndarray]:
+def _multipliers(kept: Kept, hinges: Hinges) -> tuple[np.ndarray, np.ndarray]:
     """Over the weight: by how much (N+1, H) the bounds are shifted, inwards."""
     with np.errstate(invalid="ignore"):
-        shifts = hinges.lower - ranges.lower, ranges.upper - hinges.upper
+        shifts = hinges.lower - kept.lower, kept.upper - hinges.upper
     return np.nan_to_num(shifts[0], nan=0.0), np.nan_to_num(shifts[1], nan=0.0)
 
 
-def _error(ranges: StateRanges, hinges: Hinges, xs: np.ndarray) -> np.ndarray:
+def _error(kept: Kept, hinges: Hinges, plan: Plan) -> np.ndarray:
     """(N+1, H) how far states are outside, or from a bound that still pulls them."""
-    e, (low, high) = ranges.deviations(xs), _multipliers(ranges, hinges)
-    above, below = np.maximum(e - ranges.upper, -high), np.maximum(ranges.lower - e, -low)
-    exact = ranges.lower == ranges.upper
-    return np.where(exact, np.abs(e - np.where(exact, ranges.upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
+    e, (low, high) = kept.deviations(plan.xs, plan.us), _multipliers(kept, hinges)
+    above, below = np.maximum(e - kept.upper, -high), np.maximum(kept.lower - e, -low)
+    exact = kept.lower == kept.upper
+    return np.where(exact, np.abs(e - np.where(exact, kept.upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
 
 
-def _begun(ranges: StateRanges, plan: Plan) -> Hinges:
+def _begun(kept: Kept, plan: Plan) -> Hinges:
     """Weights from what a solve without hinges cost and how far it was outside."""
-    outside = float(np.sum(ranges.beyond(plan.xs) ** 2))
+    outside = float(np.sum(kept.beyond(plan.xs, plan.us) ** 2))
     weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside
-    used = (np.isfinite(ranges.lower) | np.isfinite(ranges.upper)).astype(float)
-    return Hinges(ranges.lower.copy(), ranges.upper.copy(), weight * used)
+    used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
+    return Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
 
 
-def _updated(ranges: StateRanges, hinges: Hinges, xs: np.ndarray, error: np.ndarray, before: np.ndarray) -> Hinges:
+def _updated(kept: Kept, hinges: Hinges, plan: Plan, error: np.ndarray, before: np.ndarray) -> Hinges:
     """Multipliers after a solve, and weights raised where it brought little."""
-    e, weight = ranges.deviations(xs), hinges.weight
+    e, weight = kept.deviations(plan.xs, plan.us), hinges.weight
     low, high = np.maximum(hinges.lower - e, 0.0), np.maximum(e - hinges.upper, 0.0)  # multipliers over the weight
     raised = np.where(error.max(axis=0) > NEARER * before, RAISED, 1.0)
     raised = np.where(weight.max(axis=0) * raised > STEEPEST, 1.0, raised)
     low, high = low / raised, high / raised
-    exact = ranges.lower == ranges.upper
+    exact = kept.lower == kept.upper
     shift = np.where(exact, high - low, 0.0)  # one multiplier of either sign
-    lower = ranges.lower + np.where(exact, -shift, low)
-    upper = ranges.upper - np.where(exact, shift, high)
+    lower = kept.lower + np.where(exact, -shift, low)
+    upper = kept.upper - np.where(exact, shift, high)
     return Hinges(lower, np.where(exact, lower, upper), weight * raised)

@@ -161,10 +161,10 @@ class _Search:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = solve(replace(plain(problem), limits=None), **_single(options))
+            free = solve(replace(plain(problem), limits=None, constraints=()), **_single(options))
             problem = replace(problem, us=warm_start(free, problem))
         plan = self.last = solve(problem, **options)
-        outside = 0.0 if problem.ranges is None else float(np.max(problem.ranges.beyond(plan.xs), initial=0.0))
+        outside = 0.0 if problem.kept is None else float(np.max(problem.kept.beyond(plan.xs, plan.us), initial=0.0))
         line = Tried(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
         self.tried.append(line)
         if self.callback is not None:

@@ -95,8 +95,10 @@ def solve_periodic(
     passes = problem.periodic.passes if passes is None else count("passes", passes)
     step = problem.periodic.step if step is None else choice("step", step, STEPS)
     by_newton = step == "newton"
-    if by_newton and problem.ranges is not None:
-        raise PlannerError('ranges of states are no part of the step "newton", expected step="follow" with them.')
+    if by_newton and problem.kept is not None:
+        raise PlannerError(
+            'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
+        )
     tracking(problem)
     search = _Search(problem, by_newton, passes, callback, options)
     try:

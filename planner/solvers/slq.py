@@ -11,7 +11,7 @@ Two updates. "open-loop" is the paper's, U + alpha dU. "feedback" rolls out u = 
 direction to first order, and it stays near the trajectory where the dynamics are unstable.
 
 With limits (see problem.limits) the controls stay within their bounds all along, and for ranges of the states
-this is done several times over (see solvers.augmented).
+and constraints (see problem.constraints) this is done several times over (see solvers.augmented).
 
 It ends in a local minimum, the one its first guess leads to; with several starts solve() looks for a better one.
 """
@@ -189,9 +189,9 @@ def _descend(
 ) -> Plan:  # fmt: skip
     """One solve from one first guess (N, nu)."""
     minimise = partial(_minimise, problem, descent, callback)
-    if problem.ranges is None or problem.limits is None:
+    if problem.kept is None:
         return minimise(first_guess, None, max_iterations, 0)
-    return within_ranges(problem.ranges, problem.limits.tolerance, minimise, first_guess, max_iterations)
+    return within_ranges(problem.kept, problem.kept.tolerance, minimise, first_guess, max_iterations)
 
 
 def _minimise(
@@ -200,13 +200,14 @@ def _minimise(
 ) -> Plan:  # fmt: skip
     """A minimum of the cost, and of hinges where there are any."""
     engine = borrow(problem, descent.rule)
-    if problem.ranges is not None:
+    if problem.kept is not None:
         engine.hinge(hinges)
     cost = engine.start(problem.x0, first_guess, descent.exact)
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
     regularisation, history = Regularisation(engine, descent.exact, problem.bounds is not None), list[Iteration]()
+    kinked = problem.limits is not None or problem.kept is not None
     fresh, at_minimum, status = True, False, Status.MAX_ITERATIONS
     try:
         for i in range(first_line, first_line + max_iterations):
@@ -229,7 +230,7 @@ def _minimise(
             if regularisation.try_plain(fresh, flat):
                 continue
             if fresh:
-                regularisation.lower(done.step, problem.limits is not None and done.expected <= little)
+                regularisation.lower(done.step, kinked and done.expected <= little)
                 continue
             regularisation.raise_()
             if regularisation.exhausted:

@@ -177,6 +177,8 @@ def begin(w):
     for i in range(0, width * width, WIDTH):
         store4(M, i, zero)
     add_weights(w, M, w[W.N])
+    if w[W.exact]:
+        add_second(w, M, w[W.N])
     first = w[W.first]
     for i in range(0, width - first, WIDTH):
         mirror(M, first * width + first, width, i, width - first)

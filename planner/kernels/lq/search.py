@@ -17,6 +17,7 @@ import numpy as np
 from planner.kernels.numba.jit import jit, part
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
+TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
@@ -32,6 +33,8 @@ def ladder(rule, alpha, bracket):
     for i in range(alpha.shape[0]):
         if rule == START:
             alpha[i] = 0.0
+        elif rule == TRY:
+            continue
         elif rule == ARMIJO:
             alpha[i] = 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
@@ -43,6 +46,8 @@ def ladder(rule, alpha, bracket):
 @jit
 def batches(rule):
     """How many batches of candidates a rule may ask for."""
+    if rule == TRY:
+        return 1
     return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 
 
@@ -87,6 +92,8 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
     if rule == START:
         return 0
+    if rule == TRY:
+        return -1
     if rule == EXACT:
         return _choose_exact(alpha, J, J0, bracket)
     for i in range(alpha.shape[0]):
@@ -103,6 +110,8 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
 @jit
 def refine(rule, alpha, bracket):
     """The next candidates: shorter by powers of two (armijo), else inside the bracket or beyond its open end."""
+    if rule == TRY:
+        return
     lanes = alpha.shape[0]
     low, high, best = bracket[0], bracket[1], bracket[2]
     before = lanes // 2  # of the exact rule's candidates, so many between low and best

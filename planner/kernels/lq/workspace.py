@@ -24,8 +24,8 @@ W = Layout(
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
-    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control servo_start servo_x "
-    "servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
+    "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
+    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
 )
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
 ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)
@@ -61,7 +61,8 @@ class Workspace:
         hinge_lower: (N+1, hinges) of the deviation from x_ref.
         hinge_upper: (N+1, hinges).
         hinge_weight: (N+1, hinges) zero until a solve sets them.
-        T: (N, width, width) the second-order terms of the dynamics, upper triangles; empty until they are asked for.
+        T: (N+1, width, width) the second-order terms of the dynamics, upper triangles, zero at the end, and what
+            rows of constraints add (solvers.engine.with_rows); empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
         residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
@@ -141,13 +142,22 @@ class Workspace:
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
 
+    def trial(self, lane: int) -> tuple[np.ndarray, np.ndarray]:
+        """States (N+1, nx) and controls (N, nu) of candidate `lane`."""
+        xs, us = self._arrays["trial_x"][:, lane], self._arrays["trial_u"][:, lane]
+        return xs.reshape(self.xs.shape), us.reshape(self.us.shape)
+
+    def take(self, lane: int) -> None:
+        """Make candidate `lane` the nominal trajectory."""
+        self.xs[:], self.us[:] = self.trial(lane)
+
     def use_second_order(self, exact: bool) -> None:
         """Whether the sweep adds T, whose memory is taken when it is first asked for."""
         self.table[W.exact] = exact
         if exact and not len(self.T):
             N, width = len(self.us), self.T.shape[1]
             rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
-            self.T, self.costates = lane_array(N, width, width), rows[:-WIDTH].reshape(N + 1, width)
+            self.T, self.costates = lane_array(N + 1, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
             self.table[[W.T, W.costates]] = self.T.ctypes.data, self.costates.ctypes.data
 

@@ -1,4 +1,7 @@
-"""Functions of floats, V4 and (but for root and exponential) D4 alike: rounding, root, sines, exponential; and an angle on lanes."""
+"""Functions of floats, V4 and (but for root and exponential) D4 alike: rounding, root, sines, exponential.
+
+And the angle of a point, on lanes alone.
+"""
 
 from __future__ import annotations
 

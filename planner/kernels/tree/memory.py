@@ -51,3 +51,7 @@ class TreeMemory:
             "substeps": substeps, "kept": kept,
         }  # fmt: skip
         self.table = MEMORY.table(sizes, self._arrays)
+
+    def take(self, lane: int) -> None:
+        """Keep the accelerations of candidate `lane`, as Workspace.take its states."""
+        self._arrays["accelerations"][:] = self._arrays["trial_a"][:, lane]

@@ -22,15 +22,15 @@ class FrameCost(ResidualCost):
 
         position            r = p(q) - position                      3, m, in the world's axes
         orientation         r = log(R_ref' R(q))                     3, rad, in the axes of the frame as it should be
-        pose                r = log(T_ref^-1 T(q)) of SE(3)          6, m and rad, in the axes of the frame as it should be
+        pose                r = log(T_ref^-1 T(q)) of SE(3)          6, m and rad, in the same axes
         pointing            r = R(q) axis - direction                3, of length 2 sin(angle / 2), in the world's axes
         velocity            r = v(q, qd) - velocity                  3, m/s, of the frame's origin in the world's axes
         angular_velocity    r = w(q, qd) - angular_velocity          3, rad/s, in the world's axes
 
     It says nothing of the control, so it is one term of a cost: TrackingCost(...) + FrameCost(...). With
-    RigidBodyDynamics it is part of the compiled solver. Each weight is a number, one per row of the residual, or one per
-    stage and row (N+1, rows). Weights on the way are multiplied by dt, final ones are not; a final weight that is not
-    given is that of the way.
+    RigidBodyDynamics it is part of the compiled solver. Each weight is a number, one per row of the residual, or one
+    per stage and row (N+1, rows). Weights on the way are multiplied by dt, final ones are not; a final weight that is
+    not given is that of the way.
 
     Args:
         machine: RigidBodyDynamics or a Mechanism.

@@ -191,6 +191,7 @@ def with_acceleration(problem: Problem, **changes: Any) -> Problem:
     return replace(
         problem, dynamics=dynamics, x0=x0, twin=None, requirements=None,
         cost=extended_cost(problem.cost, problem.dynamics.space, dynamics.space),
+        constraints=[replace(one, states=one.states or problem.dynamics.nx) for one in problem.constraints],
         **changes,
     )  # fmt: skip
 

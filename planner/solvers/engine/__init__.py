@@ -9,17 +9,18 @@ from weakref import WeakKeyDictionary
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
+from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
-from planner.model.space import space_of
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import Engine, Outcome
+from planner.solvers.engine.with_rows import RowsEngine
 
-__all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "borrow", "give_back"]
+__all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "RowsEngine", "borrow", "give_back"]
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
 # problem, or no problem would ever be freed.
@@ -34,7 +35,11 @@ def borrow(problem: Problem, rule: int = search.ARMIJO) -> Engine:
         pass
     dynamics, costs = problem.dynamics, compiled_costs(problem)
     if costs is not None and isinstance(dynamics, CompiledDynamics) and _has(dynamics, problem, rule):
-        return CompiledEngine(problem, dynamics, *costs)
+        kept = problem.kept
+        if kept is None or kept.rows is None:
+            return CompiledEngine(problem, dynamics, *costs)
+        if hasattr(dynamics, "nominal_jacobians"):
+            return RowsEngine(problem, kept, dynamics, *costs)
     return NumpyEngine(problem)
 
 

@@ -82,7 +82,7 @@ class CompiledEngine(Engine):
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
-        return self._dynamics.search(self._w, self._memory, search.START, False, math.inf, 0.0)[1]
+        return self._search(search.START, False, math.inf, 0.0)[1]
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
@@ -99,9 +99,10 @@ class CompiledEngine(Engine):
             gradients(w.table)
             if self._with_residuals is not None:
                 self._with_residuals.quadratize_nominal(w, self._memory)
+            self._quadratize_more()
             if self._exact:
                 costates(w.table, dynamics.dt)
-                dynamics.second_order_nominal(w, self._memory, self._second)
+                self._second_order()
         if self._bounds is not None:
             return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
         riccati = riccati_structured if dynamics.structured else riccati_dense
@@ -112,7 +113,7 @@ class CompiledEngine(Engine):
             return Outcome(CONVERGED, norm, slope, 0.0, -0.5 * slope, cost)
         if not feedback:
             direction(w.table, dynamics.dt)
-        step, after = dynamics.search(w, self._memory, rule, feedback, cost, slope)  # Eq. 36
+        step, after = self._search(rule, feedback, cost, slope)  # Eq. 36
         if step == 0.0:
             return Outcome(NO_STEP, norm, slope, 0.0, -0.5 * slope, cost)
         return Outcome(ACCEPTED, norm, slope, step, -slope * step * (1.0 - 0.5 * step), after)
@@ -131,10 +132,20 @@ class CompiledEngine(Engine):
         if norm <= gradient_tolerance or -value <= decrease_tolerance:
             return Outcome(CONVERGED, norm, 2.0 * value, 0.0, -value, cost)
         slope = bounded_direction(w.table, dynamics.dt)
-        step, after = dynamics.search(w, self._memory, rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)
+        step, after = self._search(rule, feedback, cost, slope) if slope < 0.0 else (0.0, cost)
         if step == 0.0:
             return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
         return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
+
+    def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
+        """The step that is taken and the cost after it."""
+        return self._dynamics.search(self._w, self._memory, rule, feedback, cost, slope)
+
+    def _quadratize_more(self) -> None:
+        """What a subclass adds to gradients and Hessians along the trajectory."""
+
+    def _second_order(self) -> None:
+        self._dynamics.second_order_nominal(self._w, self._memory, self._second)
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

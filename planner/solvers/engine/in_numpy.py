@@ -26,7 +26,7 @@ class NumpyEngine(Engine):
     def __init__(self, problem: Problem) -> None:
         announce(search.choose)
         self._dynamics, self._cost, self._bounds = problem.dynamics, problem.cost, problem.bounds
-        self._ranges = problem.ranges
+        self._kept = problem.kept
         self._hinges: Hinges | None = None
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
         self._together = bool(getattr(problem.dynamics, "batched", True))
@@ -45,11 +45,13 @@ class NumpyEngine(Engine):
 
     def _value(self, xs: np.ndarray, us: np.ndarray) -> float:
         J = self._cost.value(xs, us)
-        return J if self._hinges is None or self._ranges is None else J + self._ranges.value(self._hinges, xs)
+        return J if self._hinges is None or self._kept is None else J + self._kept.value(self._hinges, xs, us)
 
-    def _quadratized(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
+    def _quadratized(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
         model = self._cost.quadratize(xs, us)
-        return model if self._hinges is None or self._ranges is None else self._ranges.added(self._hinges, model, xs)
+        if self._hinges is None or self._kept is None:
+            return model
+        return self._kept.added(self._hinges, model, xs, us, A, B)
 
     def _moves(self, xs: np.ndarray, us: np.ndarray) -> Moves | None:
         """How far each control may change from us (N, nu) along the states xs (N+1, nx)."""
@@ -91,7 +93,7 @@ class NumpyEngine(Engine):
     def _slope(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray | None) -> float:
         """dJ/dalpha of the update at one candidate xs (N+1, nx), us (N, nu)."""
         A, B = self._dynamics.linearize(xs, us)
-        model, moves = self._quadratized(xs, us), self._moves(xs, us)
+        model, moves = self._quadratized(xs, us, A, B), self._moves(xs, us)
         if K is not None and self._space.quaternions:  # the deviation from the nominal turns as x does
             K = K @ self._space.difference_jacobian(self._space.difference(xs[:-1], self._nominal[0][:-1]))
         dx, total = np.zeros(self._space.ndx), 0.0
@@ -129,7 +131,7 @@ class NumpyEngine(Engine):
         if fresh:
             self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
             _check_jacobians(self._A, self._B, *self._gains)
-            self._model = self._quadratized(xs0, us0)
+            self._model = self._quadratized(xs0, us0, self._A, self._B)
             moves = self._moves(xs0, us0)
             with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
                 self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)

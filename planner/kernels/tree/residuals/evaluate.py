@@ -28,27 +28,21 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows
+from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed_rows, tilt_row, tilt_value
 from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
 from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
 from planner.kernels.tree.residuals.solids import solid_row, solid_value
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
-    BOXES,
-    DISTANCE,
-    HEIGHT,
     LAW_SIZE,
     LINE_BOX,
-    LINEAR,
     MASS_CENTRE,
     MOST_ROWS,
-    ORIENTATION,
-    OVER_PLANE,
     POINTING,
     POSE,
-    POSITION,
     RESIDUALS,
+    TILT,
     VELOCITY,
 )
 from planner.kernels.tree.residuals.turns import turn_rows, turn_value
@@ -60,17 +54,19 @@ def _measure(m, p, q, ws, t, n, knots, solids):
     """The rows of term t's value, in RESIDUALS.value."""
     kind = load(integers(p, RESIDUALS.kind), t)
     if solids is not None:
-        if kind == LINE_BOX or kind == BOXES or kind == OVER_PLANE:
+        if kind >= LINE_BOX:
             solid_value(p, ws, t, kind, n, knots)
             return
-    if kind == HEIGHT or kind == DISTANCE or kind == VELOCITY:
+    if kind <= VELOCITY:
         scalar_value(p, t, kind)
-    elif kind == ORIENTATION or kind == POSE:
+    elif kind <= ANGULAR:
+        frame_value(p, ws, t, kind)
+    elif kind <= POSE:
         turn_value(p, ws, t, kind, n, knots)
     elif kind == MASS_CENTRE:
         mass_centre_value(m, p, q, ws, t)
-    else:
-        frame_value(p, ws, t, kind)
+    elif kind == TILT:
+        tilt_value(p, ws, t)
 
 
 @part
@@ -78,21 +74,23 @@ def _differentiate(m, p, ws, t, solids):
     """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
     kind = load(integers(p, RESIDUALS.kind), t)
     if solids is not None:
-        if kind == LINE_BOX or kind == BOXES or kind == OVER_PLANE:
+        if kind >= LINE_BOX:
             solid_row(m, p, ws, t)
             return
-    if kind == HEIGHT or kind == DISTANCE:
+    if kind < VELOCITY:
         scalar_row(m, p, ws, t, kind)
     elif kind == VELOCITY:
         velocity_row(m, p, ws, t)
-    elif kind == POSITION or kind == POINTING:
+    elif kind <= POINTING:
         place_rows(m, p, ws, t, kind)
-    elif kind == ORIENTATION or kind == POSE:
-        turn_rows(m, p, ws, t, kind)
-    elif kind == LINEAR or kind == ANGULAR:
+    elif kind <= ANGULAR:
         speed_rows(m, p, ws, t, kind)
+    elif kind <= POSE:
+        turn_rows(m, p, ws, t, kind)
     elif kind == MASS_CENTRE:
         mass_centre_rows(m, p, ws, t)
+    elif kind == TILT:
+        tilt_row(m, p, ws, t)
 
 
 @inline

@@ -1,10 +1,13 @@
-"""Where the origin of a frame is, where an axis of it points, how fast it moves and turns: three rows in the world's axes.
+"""Where a frame is, where an axis of it points, how fast it moves and turns: three rows each. Its tilt: one row.
+
+All are in the world's axes.
 
 With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at V and turning at W:
 
     position       d p / dq_i = v_i + w_i x p
     pointing       d b / dq_i = w_i x b, b the axis; a target d for it leaves |b - d| = 2 sin(angle / 2)
     linear         d V / dq_i = Y_i(p) + w_i x V,              d V / dqd_i = v_i + w_i x p,    Y_i = V_base x S_i
+    tilt           theta = atan2(|b x d|, b'd),    d theta / dq_i = -w_i'(b x d) / |b x d|
     angular        d W / dq_i = W_base x w_i + w_i x W,        d W / dqd_i = w_i
 
 The twin is problem.costs.residuals.frames.
@@ -12,13 +15,16 @@ The twin is problem.costs.residuals.frames.
 
 from __future__ import annotations
 
-from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated, store3
+import math
+
+from planner.kernels.algebra.spatial import add, cross, dot, load3, load9, rotated, scaled, store3
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import integers, lanes, load, spread
+from planner.kernels.numba.lane_math import quarter_angle, sqrt
+from planner.kernels.numba.lanes import integers, lanes, load, select, spread, store
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.residuals.points import constants_of, point_of
-from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, MOST_ROWS, PLACE_SIZE, POINTING, RESIDUALS
+from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, MOST_ROWS, PLACE_SIZE, POINTING, RESIDUALS, TINY
 
 
 @inline
@@ -35,11 +41,34 @@ def frame_value(p, ws, t, kind):
     if kind == POINTING:
         own = load3(constants_of(p, t), 0)
         value = rotated(load9(ws, link * RECORD), own) if link >= 0 else add((zero, zero, zero), own)
-    elif kind == LINEAR or kind == ANGULAR:
+    elif kind >= LINEAR:
         value = (zero, zero, zero)
         if link >= 0:
             value = load3(ws, link * RECORD + TWIST) if kind == ANGULAR else load3(lanes(p, RESIDUALS.places), o + 6)
     store3(lanes(p, RESIDUALS.value), 0, value)
+
+
+@part
+def tilt_value(p, ws, t):
+    """The angle between an axis of a frame and a direction; b x d / |b x d| goes to KEPT."""
+    own, link, zero = constants_of(p, t), link_of(p, t), spread(0.0)
+    b, d = load3(own, 0), load3(own, 3)
+    b = rotated(load9(ws, link * RECORD), b) if link >= 0 else add((zero, zero, zero), b)
+    about, cosine = cross(b, d), dot(b, d)
+    sine = sqrt(dot(about, about) + TINY)
+    angle = quarter_angle(sine, select(cosine, 0.0, -1.0 * cosine, cosine))
+    store3(lanes(p, RESIDUALS.kept), 0, scaled(1.0 / sine, about))
+    store(lanes(p, RESIDUALS.value), 0, select(cosine, 0.0, math.pi - angle, angle))
+
+
+@part
+def tilt_row(m, p, ws, t):
+    """The derivative of a tilt, after its value."""
+    parent, row, j = integers(m, TREE.parent), lanes(p, RESIDUALS.row), link_of(p, t)
+    about = load3(lanes(p, RESIDUALS.kept), 0)
+    while j >= 0:
+        store(row, MOST_ROWS * j, -1.0 * dot(load3(ws, j * RECORD + SCREW_AXIS), about))
+        j = load(parent, j)
 
 
 @part

@@ -2,7 +2,8 @@
 
     c = sum m_i c_i / M,      d c / dq_i = (m v_i + w_i x h) / M,    h = sum of m_k c_k and m = sum of m_k
 
-over the links k that i carries, i included, about the origin of i's tree. The twin is problem.costs.residuals.mass_centre.
+over the links k that i carries, i included, about the origin of i's tree. The twin is
+problem.costs.residuals.mass_centre.
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ def constants_of(p, t):
 @inline
 def reference(p, t, k, n, knots):
     """Number k of what term t refers to at stage n, or at four from there on."""
-    stride = p[RESIDUALS.stride]
-    return stage_value(floats(p, RESIDUALS.reference), (load(integers(p, RESIDUALS.first_reference), t) + k) * stride + n, knots)
+    row = load(integers(p, RESIDUALS.first_reference), t) + k
+    return stage_value(floats(p, RESIDUALS.reference), row * p[RESIDUALS.stride] + n, knots)
 
 
 @inline

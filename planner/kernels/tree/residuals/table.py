@@ -1,9 +1,9 @@
 """The residuals of a solve as kernels read them: one int64 table of sizes and addresses, and the arrays behind it.
 
-A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared with
-a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along its
-last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and about
-the origins of their trees (see kernels.tree.model).
+A term has a kind, up to four points, some constants, references per stage, and up to six rows. Each row is compared
+with a bound (or target) per stage, one-sided or not, and weighed per stage. What varies over the stages has them along
+its last axis, so that four knots are one load. Points and frames are given in the kernels' frames of their links and
+about the origins of their trees (see kernels.tree.model).
 
 To add a kind: a number and its rows here, a file with its value and its derivative beside this one, their two lines in
 `evaluate`, and the NumPy twin in problem.costs.residuals.
@@ -19,11 +19,11 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.model import chain_of
 
-# Kinds of terms.
-HEIGHT, DISTANCE, VELOCITY, POSITION, ORIENTATION, POINTING, POSE, LINEAR, ANGULAR, MASS_CENTRE = range(10)
-LINE_BOX, BOXES, OVER_PLANE = range(10, 13)
-ROWS = (1, 1, 1, 3, 3, 3, 6, 3, 3, 3, 1, 1, 1)  # of each kind
-REFERENCES = (0, 0, 0, 0, 9, 0, 12, 0, 0, 0, 0, 0, 0)  # numbers per stage of each kind
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; of frames, tilt; and solids.
+HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
+LINE_BOX, BOXES, OVER_PLANE = range(11, 14)
+ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 1, 1, 1)  # of each kind
+REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0)  # numbers per stage of each kind
 FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
 SOLIDS = (LINE_BOX, BOXES, OVER_PLANE)  # kinds of two solids
 FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
@@ -60,7 +60,7 @@ class ResidualTable:
 
     def __init__(self, model: Any, measures: Any) -> None:
         m, parent, link, nv = measures, model.arrays["parent"], np.array(measures.link), model.nv
-        (rows, stages), T = m.weight.shape, len(m.kind)
+        stages, T = m.weight.shape[1], len(m.kind)
         fast = np.isin(m.kind, FAST)
         massive = bool(np.any(m.kind == MASS_CENTRE))
         columns = 2 * nv if fast.any() else nv  # of positions, and of velocities where these count
@@ -134,7 +134,7 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
         turn = frames[ends[0]] if len(frames) else np.eye(3)
         if kind in (ORIENTATION, POSE):
             constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
-        elif kind == POINTING:
+        elif kind in (POINTING, TILT):
             constant[t, :3] = turn @ constant[t, :3]
         elif kind == MASS_CENTRE:  # where the trees that do not float stand, and the inverse of the mass
             roots = np.flatnonzero((model.arrays["parent"][: model.nv] < 0) & (model.floating_address < 0))

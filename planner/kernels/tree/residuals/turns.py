@@ -29,7 +29,7 @@ _NEAR = 0.04  # rad^2, below it a series: its next term is below rounding
 
 @inline
 def _quaternion_of(a, b, c):
-    """A quaternion of the rotation with rows a, b, c, not of length one: of 4 q q' the row with the largest diagonal."""
+    """A quaternion, not of length one, of the rotation with rows a, b, c: of 4 q q' that with the largest diagonal."""
     w, x = 1.0 + a[0] + b[1] + c[2], 1.0 + a[0] - b[1] - c[2]
     y, z = 1.0 - a[0] + b[1] - c[2], 1.0 - a[0] - b[1] + c[2]
     wx, wy, wz = c[1] - b[2], a[2] - c[0], b[0] - a[1]
@@ -62,8 +62,9 @@ def _log(a, b, c):
     f = (1.0 - half * cot) / square
     slope = ((half * (1.0 + cot * cot) - cot) / (8.0 * half) - f) / square
     s = square
-    f = select(square, _NEAR, 1.0 / 12.0 + s * (1.0 / 720.0 + s * (1.0 / 30240.0 + s * (1.0 / 1209600.0 + s / 47900160.0))), f)
-    slope = select(square, _NEAR, 1.0 / 720.0 + s * (1.0 / 15120.0 + s * (1.0 / 403200.0 + s / 11975040.0)), slope)
+    near = 1.0 / 12.0 + s * (1.0 / 720.0 + s * (1.0 / 30240.0 + s * (1.0 / 1209600.0 + s * (1.0 / 47900160.0))))
+    near_slope = 1.0 / 720.0 + s * (1.0 / 15120.0 + s * (1.0 / 403200.0 + s * (1.0 / 11975040.0)))
+    f, slope = select(square, _NEAR, near, f), select(square, _NEAR, near_slope, slope)
     return (scale * x, scale * y, scale * z), f, slope
 
 

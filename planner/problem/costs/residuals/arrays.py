@@ -129,9 +129,11 @@ class ResidualList:
         )
         links, offsets, shares, worlds = ([point[i] for point in self._points] for i in range(4))
         return ResidualArrays(
-            np.array(links, dtype=np.int64), np.array(offsets, dtype=float).reshape(-1, 3), np.array(shares, dtype=float),
+            np.array(links, dtype=np.int64), np.array(offsets, dtype=float).reshape(-1, 3),
+            np.array(shares, dtype=float),
             np.array(worlds, dtype=float).reshape(-1, stages, 3), kind,
             np.array([term[1] for term in terms], dtype=np.int64).reshape(-1, 4),
             np.array([term[2] for term in terms], dtype=float).reshape(-1, CONSTANTS),
-            np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound, weight,
+            np.cumsum(rows, dtype=np.int64), np.cumsum(references, dtype=np.int64), reference, side, ramp, bound,
+            weight,
         )  # fmt: skip

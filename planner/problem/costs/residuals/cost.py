@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from planner.kernels.tree.residuals.table import (
     POINTING,
     POSE,
     POSITION,
+    TILT,
     VELOCITY,
 )
 from planner.model.coordinates import Coordinate
@@ -47,7 +48,25 @@ _MEASURES: dict[int, Callable[[Seen, int, bool], tuple[np.ndarray, np.ndarray]]]
     HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,
     ANGULAR: framed, ORIENTATION: turned, POSE: turned, MASS_CENTRE: mass_centre,
     LINE_BOX: apart, BOXES: apart, OVER_PLANE: apart,
+    TILT: framed,
 }  # fmt: skip
+
+
+def values_of(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
+    """(M, K) of all rows for states xs (K, nx), one for each stage of the measures."""
+    seen = Seen(mechanism, measures, xs)
+    values = [_MEASURES[int(kind)](seen, t, False)[0].T for t, kind in enumerate(measures.kind)]
+    return np.concatenate([np.empty((0, len(xs))), *values])
+
+
+def measured(mechanism: Mechanism, measures: ResidualArrays, xs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values (K, M) of all rows for states xs (K, nx), one for each stage, and their derivatives (K, M, ndx)."""
+    seen, M = Seen(mechanism, measures, xs), len(measures.weight)
+    values, by_x = np.empty((len(xs), M)), np.zeros((len(xs), M, mechanism.space.ndx))
+    for t, kind in enumerate(measures.kind):
+        value, J = _MEASURES[int(kind)](seen, t, True)
+        values[:, measures.rows(t)], by_x[:, measures.rows(t), : J.shape[2]] = value, J
+    return values, by_x
 
 
 class Goal(NamedTuple):
@@ -115,9 +134,7 @@ class ResidualCost(Term):
 
     def _values(self, measures: ResidualArrays, xs: np.ndarray) -> np.ndarray:
         """(M, K) of the rows for states xs (K, nx), one for each stage of the measures."""
-        seen = Seen(self.mechanism, measures, xs)
-        values = [_MEASURES[int(kind)](seen, t, False)[0].T for t, kind in enumerate(measures.kind)]
-        return np.concatenate([np.empty((0, len(xs))), *values])
+        return values_of(self.mechanism, measures, xs)
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
@@ -158,5 +175,3 @@ def _residuals(m: ResidualArrays, values: np.ndarray, rows: slice = slice(None))
     e = np.where(side == 0.0, 1.0, side) * (values - m.bound[rows])
     residual, slope = ramp(e, a)
     return np.where(side == 0.0, e, residual), np.where(side == 0.0, 1.0, side * slope)
-
-

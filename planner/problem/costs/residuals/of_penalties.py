@@ -1,4 +1,4 @@
-"""The terms of a PenaltyCost as ResidualArrays: names looked up, bounds and weights per stage, tolerances in the weights."""
+"""The terms of a PenaltyCost as ResidualArrays: names looked up, bounds per stage, tolerances in the weights."""
 
 from __future__ import annotations
 
@@ -26,9 +26,7 @@ def measures_of(mechanism: Mechanism, N: int, terms: Sequence[Any], dt: float) -
         name = f"terms[{t}]"
         kind, points, constant = _measured(measures, mechanism, term, name)
         bound, weight = _wanted(name, term, N, dt)
-        measures.add(
-            kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.wanted], ramp=term.ramp
-        )
+        measures.add(kind, points, weight, bound=bound, constant=constant, side=_SIDES[term.wanted], ramp=term.ramp)
     return measures.arrays()
 
 

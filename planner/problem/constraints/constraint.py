@@ -1,0 +1,155 @@
+"""Constraint: one thing that a plan keeps, of the states or of states and controls. Data.
+
+    h(x, u) = equal,   or   least <= h(x, u) <= most,   one of the two sides or both
+
+to a tolerance, by the augmented Lagrangian of planner.solvers.augmented. What h is:
+
+    a term of planner.costs (Height, Distance, Gap, Velocity, ...), which says itself what it wants
+    a quantity of planner.constraints (Power, ...), which has `measure(dynamics, N)` (see measures)
+    h(xs) of states (K, nx), kept at every knot but the start, which is given
+    h(xs, us) of states and controls (K, nu), kept at both ends of every stage, since a control is held over it
+
+A function gives (K,) or (K, R) for K states at once, each row of that state alone: R things that are kept.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import number, numbers, set_fields, shown
+from planner.base.errors import PlannerError
+from planner.problem.costs.penalty_terms import Penalty, Velocity
+from planner.problem.costs.terms import per_stage
+
+ALWAYS, END = "always", "end"
+RELATIVE = 1e-4  # of a bound, and of 1 in its unit: the tolerance where none is given
+_NEAR = 1e-9  # of a time: a knot that is nearer to an end of a span is in it
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """One thing that a plan keeps.
+
+    Attributes:
+        of: A term of planner.costs, with its own least, most or target and tolerance; a quantity; or a function.
+        equal: Of a quantity or function: a number, (R,), or (N+1, R) by stages with NaN where it is not asked for.
+        least: The same.
+        most: The same; beside least or alone.
+        when: "always", "end", or (from, to) in s.
+        tolerance: How far beyond passes, in the unit of h. By default that of the term, or 1e-4 of the largest bound
+            and no less than 1e-4.
+        name: For a reader; by default that of the term or function.
+        unit: Of h.
+        derivatives: Of a function, of the same arguments: (K, R, ndx), and where it takes controls a pair of that and
+            (K, R, nu). By default central differences.
+        states: How many of a state's numbers the function takes, the first ones; None for all.
+
+    Raises:
+        PlannerError: What is no term or function, bounds that contradict each other, a bad time or tolerance.
+    """
+
+    of: Any
+    equal: Any = None
+    least: Any = None
+    most: Any = None
+    when: Any = ALWAYS
+    tolerance: float | None = None
+    name: str = ""
+    unit: str = ""
+    derivatives: Callable[..., Any] | None = None
+    states: int | None = None
+
+    def __post_init__(self) -> None:
+        term, quantity = isinstance(self.of, Penalty), hasattr(self.of, "measure")
+        if not (term or quantity or callable(self.of)):
+            raise PlannerError(
+                f"a constraint is of {shown(self.of)}, expected a term of planner.costs or planner.constraints, or a "
+                "function h(xs) or h(xs, us)."
+            )
+        for name in ("name", "unit"):
+            if not isinstance(getattr(self, name), str):
+                raise PlannerError(f"a constraint's {name} is {shown(getattr(self, name))}, expected a text.")
+        own = str(self.of) if term or quantity else getattr(self.of, "__name__", "h")
+        set_fields(self, name=self.name or own.replace("<lambda>", "h"))
+        unit = ("m/s" if isinstance(self.of, Velocity) else "m") if term else getattr(self.of, "unit", "")
+        set_fields(self, unit=self.unit or unit)
+        given = [name for name in ("equal", "least", "most") if getattr(self, name) is not None]
+        if term and given:
+            raise PlannerError(f"{self} has {given[0]} beside a term, expected it in the term: {given[0]}=.")
+        if not term and not given:
+            raise PlannerError(f"{self} has no bound, expected equal=, least= or most=.")
+        if "equal" in given and len(given) > 1:
+            raise PlannerError(f"{self} has equal and {given[1]}, expected equal alone, or least and most.")
+        if self.derivatives is not None and (term or quantity or not callable(self.derivatives)):
+            raise PlannerError(f"{self} has derivatives={shown(self.derivatives)}, expected those of a function.")
+        for name in given:
+            bound = numbers(f"{self}'s {name}", getattr(self, name))
+            if bound.ndim > 2 or np.isinf(bound).any():
+                raise PlannerError(
+                    f"{self} has {name} = {shown(getattr(self, name))}, expected finite numbers: one, (R,) or "
+                    "(N+1, R), with NaN where it is not asked for."
+                )
+            set_fields(self, **{name: bound})
+        if self.tolerance is not None:
+            set_fields(self, tolerance=number(f"{self}'s tolerance", self.tolerance, above=0.0))
+        set_fields(self, when=self._when())
+
+    def __str__(self) -> str:
+        return f"the constraint {self.name!r}"
+
+    def _when(self) -> Any:
+        if isinstance(self.when, str):
+            if self.when in (ALWAYS, END):
+                return self.when
+        elif isinstance(self.when, (Sequence, np.ndarray)) and len(self.when) == 2:
+            first, last = (number(f"{self}'s when", one, least=0.0) for one in self.when)
+            if first <= last:
+                return first, last
+        raise PlannerError(
+            f"{self} has when = {shown(self.when)}, expected {ALWAYS!r}, {END!r}, or (from, to) in s, which rise."
+        )
+
+    @property
+    def takes_controls(self) -> bool:
+        """Whether a function takes controls too: by the number of its arguments."""
+        try:
+            taken = inspect.signature(self.of).parameters.values()
+        except (TypeError, ValueError):  # some builtins tell nothing
+            return False
+        needed = [one for one in taken if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        return len([one for one in needed if one.default is one.empty]) >= 2
+
+    def stages(self, N: int, dt: float) -> np.ndarray:
+        """(N+1,) whether it is asked for at each knot."""
+        if isinstance(self.when, str):
+            return np.ones(N + 1, dtype=bool) if self.when == ALWAYS else np.arange(N + 1) == N
+        (first, last), t = self.when, dt * np.arange(N + 1)
+        within = (t >= first - _NEAR * dt * N) & (t <= last + _NEAR * dt * N)
+        if not within.any():
+            raise PlannerError(
+                f"{self} is from {first:g} to {last:g} s, expected a time with a knot: 0 to {dt * N:g} s in steps of "
+                f"{dt:g} s."
+            )
+        return within
+
+    def allowed(self) -> float:
+        """How far beyond passes."""
+        if self.tolerance is not None:
+            return self.tolerance
+        if isinstance(self.of, Penalty):
+            return self.of.tolerance
+        sizes = [np.abs(one) for one in (self.equal, self.least, self.most) if one is not None]
+        return RELATIVE * max(1.0, *(float(np.nanmax(one, initial=0.0)) for one in sizes))
+
+    def resampled(self, parts: int) -> Constraint:
+        """The same over stages divided into parts."""
+        changed = {
+            name: per_stage(bound, parts) for name in ("equal", "least", "most")
+            if (bound := getattr(self, name)) is not None and bound.ndim == 2
+        }  # fmt: skip
+        return replace(self, **changed)

@@ -1,0 +1,81 @@
+"""Power: what an actuator gives the machine, its force times the speed at which it acts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.base.arguments import choice
+from planner.dynamics import Dynamics
+from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.problem.constraints.of_terms import machine_of
+from planner.problem.costs.weights import places
+
+
+@dataclass(frozen=True)
+class Power:
+    """force times moment'qd of an actuator, W: above 0 where it drives, below where it brakes.
+
+    The force is that of planner.model.mechanism, without what its clamps leave of it.
+
+    Attributes:
+        actuator: Its name.
+    """
+
+    actuator: str
+    unit = "W"
+
+    def __str__(self) -> str:
+        return f"power of {self.actuator}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> PowerMeasure:
+        """Of a machine.
+
+        Raises:
+            PlannerError: It has no such actuator.
+        """
+        mechanism = machine_of(dynamics, self)
+        inputs = places(mechanism, ())[1]
+        index = inputs[choice("the actuator of a power", self.actuator, inputs)].start
+        return PowerMeasure(mechanism, index, dynamics.nu)
+
+
+class PowerMeasure:
+    """The power of actuator a of a mechanism; of its control, or of its state where it has one."""
+
+    rows = 1
+
+    def __init__(self, mechanism: Mechanism, a: int, nu: int) -> None:
+        one = mechanism.actuators
+        self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
+        self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
+        self.of_controls = bool(one.dynamics[a] == DIRECT)
+        self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # where it has one
+        screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
+        self._screws, self._address = screws, mechanism.q_address[screws]
+        self._ndx = mechanism.space.ndx
+
+    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force and speed (K,)."""
+        speed = xs[:, self._nq : self._nq + self._nv] @ self._moment
+        length = xs[:, self._address] @ self._moment[self._screws]
+        input_ = us[:, self._a] if self.of_controls else xs[:, self._state]
+        return self._gain * input_ + self._bias[0] + self._bias[1] * length + self._bias[2] * speed, speed
+
+    def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, 1) W."""
+        force, speed = self._parts(xs, us)
+        return (force * speed)[:, None]
+
+    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 1, ndx) and (K, 1, nu)."""
+        force, speed = self._parts(xs, us)
+        by_x, by_u = np.zeros((len(xs), 1, self._ndx)), np.zeros((len(xs), 1, self._nu))
+        by_x[:, 0, self._nv : 2 * self._nv] = (force + self._bias[2] * speed)[:, None] * self._moment
+        by_x[:, 0, self._screws] = (self._bias[1] * speed)[:, None] * self._moment[self._screws]
+        if self.of_controls:
+            by_u[:, 0, self._a] = self._gain * speed
+        else:
+            by_x[:, 0, self._state - self._nq + self._nv] = self._gain * speed
+        return by_x, by_u
