@@ -49,10 +49,9 @@ def way_around(
     return None
 
 
-def along(way: np.ndarray, duration: float, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The motion along a way (K, n) from rest to rest in the middle of N stages: q, qd, qdd, each (N, n)."""
+def along(way: np.ndarray, duration: float, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The motion along a way (W, n) from rest to rest at parts s (K,) of its duration: q, qd, qdd, each (K, n)."""
     curve = CubicSpline(np.linspace(0.0, 1.0, len(way)), way)
-    s = (np.arange(N) + 0.5) / N
     at = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
     speed = (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4)[:, None] / duration
     pull = (60.0 * s - 180.0 * s**2 + 120.0 * s**3)[:, None] / duration**2

@@ -6,7 +6,8 @@
     until    no state is further outside than the tolerance, and no bound pulls that the motion has left
 
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
-found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does.
+found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
+has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
 """
 
 from __future__ import annotations
@@ -41,17 +42,18 @@ def within_ranges(
         first_guess: (N, nu).
         max_iterations: Limit of all rounds together.
     """
-    plan = minimise(first_guess, None, max_iterations, 0)
-    history, hinges, before = list(plan.history), kept.free(), np.full(kept.size, np.inf)
+    first = kept.first()
+    plan = minimise(first_guess, first, max_iterations, 0)
+    history, hinges, before = list(plan.history), first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
     for round_ in range(MOST_ROUNDS):
         error = _error(kept, hinges, plan)
         if error.max(initial=0.0) <= tolerance or plan.status is Status.INTERRUPTED:
-            return replace(plan, history=tuple(history), hinges=hinges if round_ else None)
+            return replace(plan, history=tuple(history), hinges=hinges if round_ else first)
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
-        hinges = _begun(kept, plan) if round_ == 0 else _updated(kept, hinges, plan, error, before)
+        hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
         before = error.max(axis=0)
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history))
         history += plan.history
@@ -74,12 +76,17 @@ def _error(kept: Kept, hinges: Hinges, plan: Plan) -> np.ndarray:
     return np.where(exact, np.abs(e - np.where(exact, kept.upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
 
 
-def _begun(kept: Kept, plan: Plan) -> Hinges:
-    """Weights from what a solve without hinges cost and how far it was outside."""
-    outside = float(np.sum(kept.beyond(plan.xs, plan.us) ** 2))
-    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside
+def _begun(kept: Kept, plan: Plan, first: Hinges) -> Hinges:
+    """Weights from what a solve without hinges cost and how far it was outside; multipliers of what had hinges."""
+    had, beyond = first.weight > 0.0, kept.beyond(plan.xs, plan.us)
+    outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
+    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
-    return Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
+    begun = Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
+    if not had.any():
+        return begun
+    updated = _updated(kept, first, plan, beyond, np.full(kept.size, np.inf))
+    return Hinges(*(np.where(had, new, other) for new, other in zip(updated, begun, strict=True)))
 
 
 def _updated(kept: Kept, hinges: Hinges, plan: Plan, error: np.ndarray, before: np.ndarray) -> Hinges:

@@ -47,6 +47,20 @@ def led(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
         return _written_down(problem, _leading(problem, goal))
 
 
+def followed(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | None:
+    """Controls (N, nu) of gains that follow a motion xs (N+1, nx) and its controls; None if they run away."""
+    space, K = space_of(problem.dynamics), np.zeros(0)
+
+    def control(n: int, now: np.ndarray) -> np.ndarray:
+        nonlocal K
+        if n % _AGAIN == 0:
+            K = _regulator(problem, _at_rest(problem, xs[n]))[1]
+        return us[n] + K @ space.difference(now, xs[n])
+
+    with np.errstate(all="ignore"):
+        return _written_down(problem, control)
+
+
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
     """The controls (N, nu), within their bounds, that a controller gives from the start on; None where it runs away."""
     xs, us = np.empty((problem.N + 1, problem.dynamics.nx)), np.empty((problem.N, problem.dynamics.nu))

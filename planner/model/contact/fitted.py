@@ -30,7 +30,12 @@ class Fit(NamedTuple):
 
 def fitted(points: np.ndarray) -> Fit:
     """The line around points (n, 3), or the box where it is tighter."""
-    corners = _corners(points)
+    return _fitted(np.ascontiguousarray(points, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=256)  # a problem is built again for every finer step
+def _fitted(points: bytes) -> Fit:
+    corners = _corners(np.frombuffer(points).reshape(-1, 3))
     line = min((_search(corners, start) for start in _starts(corners, lines=True)), key=lambda fit: fit.excess)
     box = min((_search(corners, start) for start in _starts(corners, lines=False)), key=lambda fit: fit.excess)
     return box if box.excess < TIGHTER * line.excess else line

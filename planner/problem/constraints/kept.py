@@ -47,6 +47,15 @@ class Kept:
         """Hinges that weigh nothing."""
         return Hinges(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
 
+    def first(self) -> Hinges | None:
+        """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
+        hinges = self.free()
+        for part in () if self.rows is None else self.rows.parts:
+            columns = slice(self._split + part.columns.start, self._split + part.columns.stop)
+            weight = getattr(part.measure, "first_weight", 0.0) / self.rows.scale[part.columns] ** 2
+            hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
+        return hinges if hinges.weight.any() else None
+
     def of_ranges(self, hinges: Hinges) -> Hinges:
         """The columns of ranges."""
         return hinges if self.rows is None else Hinges(*(part[:, : self._split] for part in hinges))
