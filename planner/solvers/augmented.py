@@ -5,6 +5,8 @@
              raise the weights of components that came not much nearer
     until    no state is further outside than the tolerance, and no bound pulls that the motion has left
 
+Where shapes are kept apart, bounds of stages rise on which they come too near between the knots, and it goes on.
+
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
 found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
 has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
@@ -24,6 +26,7 @@ from planner.problem.state_ranges import Hinges
 MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
+MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
 
 # One solve from first controls (N, nu) with hinges: an iteration limit and the number of the first line.
@@ -47,9 +50,17 @@ def within_ranges(
     history, hinges, before = list(plan.history), first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
+    raised = 0
     for round_ in range(MOST_ROUNDS):
         error = _error(kept, hinges, plan)
-        if error.max(initial=0.0) <= tolerance or plan.status is Status.INTERRUPTED:
+        ended = error.max(initial=0.0) <= tolerance
+        if ended and raised < MOST_RAISED and plan.status is not Status.INTERRUPTED:
+            more = kept.short_between(plan.problem.dynamics, plan.xs, plan.us)
+            if more.any():
+                kept, raised, ended = kept.raised(more), raised + 1, False
+                hinges = hinges._replace(lower=hinges.lower + more)
+                error = _error(kept, hinges, plan)
+        if ended or plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), hinges=hinges if round_ else first)
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)

@@ -20,6 +20,11 @@
 
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
+    [avoid]                             # optional: what is kept apart, see planner.problem.avoid
+    self = true                         # the machine from itself
+    world = true                        # and from what is at rest
+    clearance = 0.02                    # m
+
 In place of a machine of one's own the file may name a case of the package, with its parameters:
 
     case = "human-step"
@@ -62,6 +67,7 @@ from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
+from planner.problem.avoid import Avoid
 from planner.problem.costs.tracking import TrackingCost, states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
@@ -72,7 +78,7 @@ from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "settle", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -174,6 +180,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     elif isinstance(contacts, dict):
         contacts = _contact_law(contacts, opened(contacts="off"))
     mechanism = opened(contacts=contacts)
+    if "avoid" in table and contacts == "auto" and mechanism.contacts_mode == "model":
+        mechanism = opened(contacts="avoid")  # the shapes are not to touch
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
         joints = json.dumps([joint for joint in mechanism.joint_names if joint], ensure_ascii=False)
@@ -214,6 +222,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if notes:
         reasons["settle"] = " ".join(notes)
+    apart = Avoid(**table["avoid"]).constraint(mechanism, x0, goal) if "avoid" in table else None
+    if apart is not None:
+        reasons["avoid"] = " ".join(apart.notes)
     table = _resolved(table, dynamics, x0, goal, reasons)
     line = (
         straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
@@ -226,6 +237,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
         tolerance=table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
+        constraints=() if apart is None else (apart.constraint,),
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal))
     check_departure(problem)

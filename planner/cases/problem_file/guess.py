@@ -1,10 +1,11 @@
 """The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
 
 line   the straight line in joint space by inverse dynamics, for machines whose actuators reach every joint
+around a way in joint space on which nothing that the problem avoids comes too near, followed by gains
 led    gains of a regulator that is led along that line, for any other machine
 hold   what holds the start against gravity, as far as the actuators can
 zero   nothing
-auto   line where there is one, else led where that ends nearer to the goal than hold does, else hold
+auto   around where something is avoided and there is such a way, line where there is one, else led where that ends nearer to the goal than hold does, else hold
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.model.mjcf.driven import driven_dofs
+from planner.problem.avoid import motion_around
+from planner.problem.constraints.apart import apart_of
 from planner.problem.guess import holding_controls, rolled, straight_line
 from planner.problem.problem import Problem
-from planner.solvers.steadied import led
+from planner.solvers.steadied import followed, led
 
-GUESSES = ("auto", "line", "led", "hold", "zero")
+GUESSES = ("auto", "line", "around", "led", "hold", "zero")
 
 
 def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | None:
@@ -32,6 +35,17 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | N
     if kind == "zero":
         return None
     dynamics: Any = problem.dynamics  # of a mechanism
+    apart = apart_of(problem.constraints)
+    if apart is not None and kind in ("around", "auto") and not dynamics.prescribed:
+        motion = motion_around(apart, dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+        found = None if motion is None else followed(problem, *motion)
+        if found is not None:
+            return found
+    if kind == "around":
+        raise PlannerError(
+            "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
+            "machines of hinges and slides that avoid something, at rest at both ends, whose actuators reach every joint."
+        )
     if kind in ("line", "auto") and not dynamics.prescribed:
         line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
         if line is not None:

@@ -20,7 +20,7 @@ KEYS = {
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
-    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), led (gains along that "
+    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way in joint space on which nothing that is avoided comes too near), led (gains along that "
     "line), hold (the start against gravity), zero; auto is line where every joint has an actuator, else the better of "
     "led and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
@@ -38,6 +38,13 @@ KEYS = {
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
     "durations": "[shortest, longest] s, between which an objective with time chooses",
     "limits": 'table, below; by default the model\'s own, "off" for none',
+    "avoid": "table, below: what is kept apart; nothing by default",
+}
+AVOID = {
+    "self": "whether shapes of the machine are kept from each other; true by default",
+    "world": "whether they are kept from what is at rest; true by default",
+    "clearance": "m between them; by default 0.01",
+    "more": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
 }
 LIMITS = {
     "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '

@@ -13,13 +13,14 @@ import numpy as np
 
 from planner.base.arguments import number, set_fields
 from planner.dynamics import Dynamics
-from planner.dynamics.clearances import Clearances
+from planner.dynamics.clearances import Clearances, lowest
 from planner.model.mjcf.near_pairs import NearPair
 from planner.problem.constraints.of_terms import ResidualMeasure, machine_of
 from planner.problem.costs.penalty_terms import Clearance
 from planner.problem.costs.residuals.of_penalties import measures_of
 
 KNOWN = 2.0  # of what a pair is kept apart by, up to which its distance is computed
+PARTS = 8  # of a stage, at which pairs are looked at between knots
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ class ApartMeasure(ResidualMeasure):
         ]
         super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
         self._clearances = Clearances(mechanism, [pair[:2] for pair in what.pairs])
+        self._least = what.least
         self._lift = np.array([pair.lift for pair in what.pairs])
         self._known = KNOWN * np.abs(what.least) + what.soft - self._lift
         self.first_weight = dynamics.dt / what.soft**2
@@ -79,6 +81,24 @@ class ApartMeasure(ResidualMeasure):
         own = self._clearances.derivatives(self._q(xs), self._known)[1]
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
+
+    def short(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """By how much (N, P) m pairs come nearer than they may on each stage of a motion xs (N+1, nx), us (N, nu).
+
+        At parts of the stage, by the plan's own integrator; and where pairs move so fast that they may have touched
+        between two of these, by what that takes.
+        """
+        N = len(us)
+        times = np.tile(dynamics.dt / PARTS * np.arange(PARTS), N)
+        inside = dynamics.step(np.repeat(xs[:-1], PARTS, axis=0), np.repeat(us, PARTS, axis=0), times)
+        inside[::PARTS] = xs[:-1]
+        states = np.concatenate([inside, xs[-1:]])
+        values = self.values(states, us, np.arange(len(states)))
+        way = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
+        moved = self._clearances.moved(self._q(states[:-1]), way[:, : self.mechanism.nv])
+        nearest = np.minimum(values[:-1], values[1:])
+        short = np.maximum(self._least - nearest, -lowest(values, moved))
+        return short.reshape(N, PARTS, -1).max(axis=1)
 
     def _q(self, xs: np.ndarray) -> np.ndarray:
         return xs[:, : self.mechanism.nq]

@@ -11,8 +11,11 @@ rows of constraints; where these are the only ones this file adds nothing to the
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
+from planner.dynamics import Dynamics
 from planner.problem.constraints.rows import Rows
 from planner.problem.costs.terms import Quadratic
 from planner.problem.state_ranges import Hinges, StateRanges
@@ -55,6 +58,25 @@ class Kept:
             weight = getattr(part.measure, "first_weight", 0.0) / self.rows.scale[part.columns] ** 2
             hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return hinges if hinges.weight.any() else None
+
+    def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too."""
+        more = np.zeros_like(self.lower)
+        for part in () if self.rows is None else self.rows.parts:
+            if not hasattr(part.measure, "short"):
+                continue
+            columns = slice(self._split + part.columns.start, self._split + part.columns.stop)
+            short = part.measure.short(dynamics, xs, us) * self.rows.scale[part.columns]
+            short = np.where(short > self.tolerance, short, 0.0)
+            more[1:, columns] = short
+            more[:-1, columns] = np.maximum(more[:-1, columns], short)
+        return more
+
+    def raised(self, more: np.ndarray) -> Kept:
+        """The same with lower bounds (N+1, H) raised."""
+        raised = copy(self)
+        raised.lower = self.lower + more
+        return raised
 
     def of_ranges(self, hinges: Hinges) -> Hinges:
         """The columns of ranges."""
