@@ -1,7 +1,7 @@
 """A way in joint space from start to goal on which nothing comes too near, as a first guess where the straight one does.
 
-Two trees grow from start and goal towards random poses and towards each other (RRT-Connect, Kuffner and LaValle 2000);
-what they find is shortened and rounded. A solver only changes a motion a little at a time: it makes this one good, but
+Two trees grow from start and goal towards random poses and towards each other (RRT-Connect, Kuffner and LaValle 2000),
+which are sought about the straight way, farther and farther from it; what they find is shortened and rounded. A solver only changes a motion a little at a time: it makes this one good, but
 it does not find from which side to pass a post, or a window.
 """
 
@@ -14,7 +14,8 @@ from scipy.interpolate import CubicSpline
 
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are looked at
 REACH = 10  # steps by which a tree grows at once
-MOST = 3000  # poses tried
+MOST = 600  # poses tried
+NEAR, FAR = 0.1, 1.5  # rad or m from the straight way, in which poses are sought at first and at last
 SHORTCUTS = 200
 SAMPLES = 200  # of a way that is rounded
 ROUNDED = (0.3, 0.2, 0.1, 0.05, 0.0)  # of its length, the widest that stays free
@@ -34,9 +35,10 @@ def way_around(
         return _even(np.stack([start, goal]))
     rng = np.random.default_rng(seed)
     trees: list[tuple[list[np.ndarray], list[int]]] = [([start], [-1]), ([goal], [-1])]
-    for _ in range(MOST):
+    for k in range(MOST):
         grown, other = trees
-        to = rng.uniform(lower, upper)
+        wide = NEAR * (FAR / NEAR) ** (k / MOST)
+        to = np.clip(start + rng.uniform() * (goal - start) + wide * rng.normal(size=len(start)), lower, upper)
         new = _grow(free, *grown, to, REACH)
         if new is not None:
             met = _grow(free, *other, grown[0][new], 10**6)

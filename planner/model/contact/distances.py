@@ -15,6 +15,7 @@ with the velocities V of both bodies there, whichever way n turns. The kernels r
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,32 +60,40 @@ def line_and_box(a: Placed, b: Placed) -> Near:
     """A line and a box."""
     x, d = _into(b, a.centre - b.centre), _into(b, _along(a))
     e, at = _line_from_box(x, d, b.half)
-    length = np.sqrt(np.sum(e * e, axis=-1))
-    within, n_in, p_in = _line_in_box(x, d, b.half)
-    apart = length > TOUCHING
-    n = np.where(apart[:, None], e / np.where(apart, length, 1.0)[:, None], n_in)
-    return Near(np.where(apart, length, within) - a.radius - b.radius, *_out_of(b, n, np.where(apart[:, None], at, p_in)))
+    return _signed(a, b, e, at, lambda k: _line_in_box(x[k], d[k], b.half[k]))
 
 
 def of_boxes(a: Placed, b: Placed) -> Near:
     """Two boxes: outside of each other an edge of the first or a corner of the second is nearest."""
-    x = _into(b, a.centre - b.centre)
+    x, h = _into(b, a.centre - b.centre), a.half
     R = np.swapaxes(b.axes, 1, 2) @ a.axes
-    best, e, at = np.full(len(x), np.inf), np.zeros_like(x), np.zeros_like(x)
+    K, signs = len(x), (-1.0, 1.0)
+    middles, edges = [], []
     for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # edges along each axis of the first
-        for sj, sk in itertools.product((-1.0, 1.0), repeat=2):
-            middle = x + sj * a.half[:, j : j + 1] * R[:, :, j] + sk * a.half[:, k : k + 1] * R[:, :, k]
-            best, e, at = _nearer(best, e, at, *_line_from_box(middle, a.half[:, i : i + 1] * R[:, :, i], b.half))
-    for signs in itertools.product((-1.0, 1.0), repeat=3):
-        corner = np.array(signs) * b.half
-        y = np.einsum("nji,nj->ni", R, corner - x)
-        back = np.clip(y, -a.half, a.half) - y  # from the corner to the first box
-        best, e, at = _nearer(best, e, at, np.einsum("nij,nj->ni", R, back), corner)
-    length = np.sqrt(best)
-    within, n_in, p_in = _box_in_box(x, R, a.half, b.half)
-    apart = length > TOUCHING
-    n = np.where(apart[:, None], e / np.where(apart, length, 1.0)[:, None], n_in)
-    return Near(np.where(apart, length, within) - a.radius - b.radius, *_out_of(b, n, np.where(apart[:, None], at, p_in)))
+        for sj, sk in itertools.product(signs, repeat=2):
+            middles.append(x + sj * h[:, j : j + 1] * R[:, :, j] + sk * h[:, k : k + 1] * R[:, :, k])
+            edges.append(h[:, i : i + 1] * R[:, :, i])
+    e, at = _line_from_box(np.concatenate(middles), np.concatenate(edges), np.tile(b.half, (12, 1)))
+    corners = np.array(list(itertools.product(signs, repeat=3)))[:, None] * b.half  # (8, K, 3)
+    y = np.einsum("nji,cnj->cni", R, corners - x)
+    back = np.clip(y, -h, h) - y  # from the corners to the first box
+    e = np.concatenate([e.reshape(12, K, 3), np.einsum("nij,cnj->cni", R, back)])
+    at = np.concatenate([at.reshape(12, K, 3), corners])
+    best, every = np.argmin(np.sum(e * e, axis=-1), axis=0), np.arange(K)
+    return _signed(a, b, e[best, every], at[best, every], lambda k: _box_in_box(x[k], R[k], h[k], b.half[k]))
+
+
+def _signed(
+    a: Placed, b: Placed, e: np.ndarray, at: np.ndarray,
+    within: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
+) -> Near:  # fmt: skip
+    """The distance of cores that are e (K, 3) apart at a point, in the axes of b; by `within` for those that touch."""
+    length = np.sqrt(np.sum(e * e, axis=-1))
+    n, p = e / np.maximum(length, TOUCHING)[:, None], at.copy()
+    touching = np.flatnonzero(length <= TOUCHING)
+    if len(touching):
+        length[touching], n[touching], p[touching] = within(touching)
+    return Near(length - a.radius - b.radius, *_out_of(b, n, p))
 
 
 def from_plane(a: Placed, b: Placed) -> Near:
@@ -197,12 +206,6 @@ def _normal(e: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mm, ff = np.sum(m * m, axis=-1), np.sum(f * f, axis=-1)
     size = mm > PARALLEL * ff
     return m / np.sqrt(np.where(size, mm, 1.0))[:, None], size
-
-
-def _nearer(best: np.ndarray, e: np.ndarray, at: np.ndarray, e_new: np.ndarray, at_new: np.ndarray) -> tuple:
-    length = np.sum(e_new * e_new, axis=-1)
-    less = length < best
-    return np.where(less, length, best), np.where(less[:, None], e_new, e), np.where(less[:, None], at_new, at)
 
 
 def _wider(best: np.ndarray, n: np.ndarray, p: np.ndarray, found: np.ndarray, m: np.ndarray, at: np.ndarray) -> tuple:
