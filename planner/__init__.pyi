@@ -14,6 +14,7 @@ from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
+from planner.problem.avoid import Avoid as Avoid
 from planner.problem.constraints.constraint import Constraint as Constraint
 from planner.problem.costs.center_of_mass import CenterOfMassCost as CenterOfMassCost
 from planner.problem.costs.frame import FrameCost as FrameCost

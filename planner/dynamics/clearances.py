@@ -44,7 +44,7 @@ class Clearances:
     def values(self, q: Any, beyond: np.ndarray | float = np.inf) -> np.ndarray:
         """Distances (K, P) in poses q (K, nq).
 
-        What is above `beyond` (P,) need not be known: it may be the distance of the balls around the two, which is less.
+        What is above `beyond` (P,) need not be known: it may be the distance of the balls around both, which is less.
         """
         T = self._places(link_places(Batch(self.mechanism, q=q))[0])
         return self._measured(T, beyond)[0]
@@ -100,7 +100,7 @@ class Clearances:
 
 
 def lowest(values: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """The least distances (K-1, P) that pairs can have had between poses, from those there (K, P) and how far they moved.
+    """The least distances (K-1, P) that pairs can have had between poses, from those there (K, P) and how they moved.
 
     A distance changes no faster than its pair moves: between two poses that are `moved` (K-1, P) m apart it is at least
     half of their sum less half of that.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -28,8 +29,11 @@ from planner.problem.way_around import along, way_around
 EXACT = 0.02  # of the clearance: how far below it passes
 SOFT = 0.1  # of the clearance, see Apart.soft
 ROOM = 0.5  # of the clearance beyond which a first guess keeps apart, where it can
+CUT = 0.1  # of the clearance that it keeps where its corners are rounded
 
 _surveys: WeakKeyDictionary[Mechanism, Survey] = WeakKeyDictionary()
+_ways: WeakKeyDictionary[Mechanism, dict[Any, np.ndarray | None]] = WeakKeyDictionary()
+"""Ways that were found: a problem is built again for every finer step."""
 
 
 class KeptApart(NamedTuple):
@@ -55,7 +59,7 @@ class Avoid:
     clearance: float = 0.01
     more: Any = None
 
-    def __post_init__(a) -> None:  # noqa: N805 - a field is called self
+    def __post_init__(a) -> None:
         for name in ("self", "world"):
             if not isinstance(getattr(a, name), bool):
                 raise PlannerError(f"{name} of avoid is {shown(getattr(a, name))}, expected true or false.")
@@ -69,7 +73,7 @@ class Avoid:
             more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
         )  # fmt: skip
 
-    def constraint(a, mechanism: Mechanism, start: Any, goal: Any = None) -> KeptApart:  # noqa: N805
+    def constraint(a, mechanism: Mechanism, start: Any, goal: Any = None) -> KeptApart:
         """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
 
         Raises:
@@ -80,9 +84,7 @@ class Avoid:
         survey = survey_of(mechanism)
         poses = {"start": start} | ({} if goal is None else {"goal": goal})
         poses = {name: np.asarray(x)[: mechanism.nq] for name, x in poses.items()}
-        near = near_pairs(
-            survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey)
-        )
+        near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
         if not near.pairs:
             raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
         return KeptApart(_constraint(near, a.clearance, a.more), near.notes)
@@ -104,7 +106,7 @@ def _known(mechanism: Mechanism, survey: Survey) -> Collection[frozenset[int]]:
 
 
 def _constraint(near: Near, clearance: float, more: Mapping[str, float]) -> Constraint:
-    added = np.array([more.get(pair.names, 0.0) for pair in near.pairs])
+    added = np.array([min(more.get(pair.names, 0.0), pair.room) for pair in near.pairs])
     apart = Apart(near.pairs, added, SOFT * clearance)
     return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
 
@@ -131,8 +133,17 @@ def motion_around(
         return None
 
 
-def free_way(apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
+def free_way(
+    apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int = 0
+) -> np.ndarray | None:
     """Poses (K, nq) from start to goal on which nothing is nearer than it may be, some room more if that can be."""
+    ways, key = _ways.setdefault(mechanism, {}), (start.tobytes(), goal.tobytes(), apart.least.tobytes(), seed)
+    if key not in ways:
+        ways[key] = _way(apart, mechanism, start, goal, seed)
+    return ways[key]
+
+
+def _way(apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
     clearances = Clearances(mechanism, [pair[:2] for pair in apart.pairs])
     lift = np.array([pair.lift for pair in apart.pairs])
     ends = (clearances.values(np.stack([start, goal])) + lift).min(axis=0)
@@ -146,7 +157,8 @@ def free_way(apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.nda
             return np.all(clearances.values(q, least - lift) + lift >= least, axis=1)
 
         way = way_around(free, start, goal, np.minimum(low, np.minimum(start, goal)),
-                         np.maximum(high, np.maximum(start, goal)), seed)  # fmt: skip
+                         np.maximum(high, np.maximum(start, goal)), seed,
+                         partial(free, least=np.minimum(CUT * apart.least, least)))  # fmt: skip
         if way is not None:
             return way
     return None

@@ -1,8 +1,9 @@
-"""A way in joint space from start to goal on which nothing comes too near, as a first guess where the straight one does.
+"""A way in joint space from start to goal on which nothing comes too near: a first guess.
 
 Two trees grow from start and goal towards random poses and towards each other (RRT-Connect, Kuffner and LaValle 2000),
-which are sought about the straight way, farther and farther from it; what they find is shortened and rounded. A solver only changes a motion a little at a time: it makes this one good, but
-it does not find from which side to pass a post, or a window.
+which are sought about the straight way, farther and farther from it; what they find is shortened and rounded. A solver
+only changes a motion a little at a time: it makes this one good, but it does not find from which side to pass a post,
+or a window.
 """
 
 from __future__ import annotations
@@ -18,18 +19,27 @@ MOST = 600  # poses tried
 NEAR, FAR = 0.1, 1.5  # rad or m from the straight way, in which poses are sought at first and at last
 SHORTCUTS = 200
 SAMPLES = 200  # of a way that is rounded
-ROUNDED = (0.3, 0.2, 0.1, 0.05, 0.0)  # of its length, the widest that stays free
+ROUNDED = (
+    0.5,
+    0.4,
+    0.3,
+    0.2,
+    0.15,
+    0.1,
+    0.05,
+)  # of its length, over which its corners are averaged: the widest that may be
 
 Free = Callable[[np.ndarray], np.ndarray]
 """Whether poses (K, n) are free, (K,)."""
 
 
 def way_around(
-    free: Free, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, seed: int = 0
-) -> np.ndarray | None:
+    free: Free, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, seed: int = 0,
+    nearly: Free | None = None,
+) -> np.ndarray | None:  # fmt: skip
     """Poses (SAMPLES + 1, n) along a free way from start to goal (n,), between bounds; None where none was found.
 
-    The straight way where that is free.
+    The straight way where that is free. Where corners are rounded, poses need only be `nearly` free.
     """
     if _reached(free, start, goal) is None:
         return _even(np.stack([start, goal]))
@@ -46,7 +56,7 @@ def way_around(
                 ways = [_back(*grown, new), _back(*other, met)]
                 if not np.array_equal(ways[0][0], start):
                     ways = ways[::-1]
-                return _rounded(free, _shortened(free, np.array([*ways[0], *ways[1][-2::-1]]), rng))
+                return _rounded(nearly or free, _shortened(free, np.array([*ways[0], *ways[1][-2::-1]]), rng))
         trees.reverse()
     return None
 
@@ -124,8 +134,6 @@ def _rounded(free: Free, way: np.ndarray) -> np.ndarray:
     """The way with its corners averaged away, as far as it stays free; its ends stay."""
     for part in ROUNDED:
         half = int(0.5 * part * SAMPLES)
-        if half == 0:
-            break
         ends = 2.0 * way[0] - way[half:0:-1], 2.0 * way[-1] - way[-2 : -half - 2 : -1]
         longer = np.concatenate([ends[0], way, ends[1]])
         window = np.hanning(2 * half + 3)[1:-1]

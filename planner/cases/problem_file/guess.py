@@ -5,7 +5,8 @@ around a way in joint space on which nothing that the problem avoids comes too n
 led    gains of a regulator that is led along that line, for any other machine
 hold   what holds the start against gravity, as far as the actuators can
 zero   nothing
-auto   around where something is avoided and there is such a way, line where there is one, else led where that ends nearer to the goal than hold does, else hold
+auto   around where something is avoided and there is such a way, line where there is one, else led where that ends
+       nearer to the goal than hold does, else hold
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | N
     if kind == "around":
         raise PlannerError(
             "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
-            "machines of hinges and slides that avoid something, at rest at both ends, whose actuators reach every joint."
+            "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
         )
     if kind in ("line", "auto") and not dynamics.prescribed:
         line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)

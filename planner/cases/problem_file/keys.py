@@ -20,9 +20,9 @@ KEYS = {
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
-    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way in joint space on which nothing that is avoided comes too near), led (gains along that "
-    "line), hold (the start against gravity), zero; auto is line where every joint has an actuator, else the better of "
-    "led and hold",
+    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way on which "
+    "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; auto "
+    "is around where something is avoided, line where every joint has an actuator, else the better of led and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
     "their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "

@@ -51,7 +51,8 @@ def rim_points(radius: float, half: float, count: int = 32) -> np.ndarray:
     angle = 2.0 * np.pi * np.arange(count) / count
     out = radius / np.cos(np.pi / count)
     rim = np.column_stack([out * np.cos(angle), out * np.sin(angle), np.zeros(count)])
-    return np.concatenate([rim + [0.0, 0.0, half], rim - [0.0, 0.0, half]])
+    up = np.array([0.0, 0.0, half])
+    return np.concatenate([rim + up, rim - up])
 
 
 @lru_cache(maxsize=4)
@@ -74,7 +75,7 @@ def _corners(points: np.ndarray) -> np.ndarray:
 
 
 def _starts(corners: np.ndarray, lines: bool) -> list[np.ndarray]:
-    """Cores to begin with: a turn (3,), a centre (3,) and half lengths, along the axes of the spread and of the file."""
+    """Cores to begin with: a turn (3,), a centre (3,) and half lengths, along the axes of the file and the spread."""
     frames = [np.eye(3), np.linalg.svd(corners - corners.mean(axis=0), full_matrices=True)[2].T]
     found = []
     for axes in frames:

@@ -21,6 +21,7 @@ from planner.model.mjcf.solids import has_solid, shape_name, solids_of
 from planner.model.mjcf.survey import Survey, contact_pairs
 
 MOST_NAMED = 3
+TRIED = 20  # poses of what turns on a base
 SLACK = 1e-6  # m by which a pair that starts nearer than the clearance may come nearer still: rounding
 
 
@@ -32,12 +33,14 @@ class NearPair(NamedTuple):
         b: The second; a plane or box is never before a line.
         least: m, that they are kept apart: the clearance, or what the start leaves of it.
         lift: m that is added to the solids' distance, where fits are nearer at the start than what they stand for.
+        room: m, by which they can be kept further apart than `least`: what the start and the goal leave.
     """
 
     a: Solid
     b: Solid
     least: float
     lift: float
+    room: float
 
     @property
     def names(self) -> str:
@@ -76,17 +79,18 @@ def near_pairs(
     found = [pair for pair in asked if pair not in unknown and can_meet(survey, pair, clearance)]
     at = {name: distances_in(model, qpos, found, 2.0 * clearance) for name, qpos in poses.items()}
     flush = FLUSH * min(1.0, float(model.stat.extent))
-    drawn = [pair for pair in found if at["start"][pair] <= flush and not _is_met(model, pair)]
+    drawn = [pair for pair in found if at["start"][pair] <= flush and not _is_met(survey, pair, poses["start"], flush)]
     found = [pair for pair in found if pair not in drawn]
     for name, distances in at.items():
-        _check(survey, name, {pair: distances[pair] for pair in found}, clearance)
+        _check(survey, name, poses[name], {pair: distances[pair] for pair in found}, clearance)
     solids = solids_of(survey, sorted({geom for pair in found for geom in pair}))
     pairs, close, lifted = [], [], []
     for pair in found:
         least = min(clearance, *(distances[pair] - SLACK for distances in at.values()))
         a, b = in_order(solids[pair[0]], solids[pair[1]])
-        lift = max(0.0, *(least - _between(survey, qpos, a, b) for qpos in poses.values()))
-        pairs.append(NearPair(a, b, least, lift))
+        apart = min(_between(survey, qpos, a, b) for qpos in poses.values())
+        lift = max(0.0, least - apart)
+        pairs.append(NearPair(a, b, least, lift, max(0.0, apart + lift - least - SLACK)))
         close += [pairs[-1]] if least < clearance else []
         lifted += [pairs[-1]] if lift > SLACK else []
     return Near(tuple(pairs), _notes(survey, pairs, drawn, unknown, close, lifted, clearance))
@@ -153,7 +157,7 @@ def _turned(arm: np.ndarray, axis: np.ndarray, low: float, high: float) -> tuple
 def distances_in(
     model: Any, qpos: np.ndarray, pairs: Collection[tuple[int, int]], most: float
 ) -> dict[tuple[int, int], float]:
-    """Distances that MuJoCo measures between geoms in a pose, none of them above `most`; negative where they overlap."""
+    """Distances that MuJoCo measures between geoms in a pose, none of them above `most`; negative for overlaps."""
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -184,13 +188,33 @@ def _is_own(model: Any, pair: tuple[int, int]) -> bool:
     return bool((root[0] == root[1] and root[0] > 0) or np.all(model.body_weldid[bodies] > 0))
 
 
-def _is_met(model: Any, pair: tuple[int, int]) -> bool:
-    """Whether a pair is of a machine and something at rest that none of its joints holds."""
-    weld = model.body_weldid[model.geom_bodyid[list(pair)]]
-    return not _is_own(model, pair) and int(model.body_weldid[model.body_parentid[weld.max()]]) != 0
+def _is_met(survey: Survey, pair: tuple[int, int], qpos: np.ndarray, apart: float) -> bool:
+    """Whether a pair is of a machine and something at rest that its joints can take further apart.
+
+    What turns on a base that is drawn into the world cannot leave it: the pair is as near in all its poses.
+    """
+    model, kinds = survey.model, load_mujoco().mjtJoint
+    if _is_own(model, pair):
+        return False
+    body = int(model.body_weldid[model.geom_bodyid[list(pair)]].max())
+    if int(model.body_weldid[model.body_parentid[body]]) != 0:
+        return True
+    first, rng = int(model.body_jntadr[body]), np.random.default_rng(0)
+    for _ in range(TRIED):
+        pose = np.array(qpos)
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            if model.jnt_type[joint] not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+                return True
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+            pose[model.jnt_qposadr[joint]] = rng.uniform(low, high)
+        if distances_in(model, pose, [pair], apart + 1.0)[pair] > apart:
+            return True
+    return False
 
 
-def _check(survey: Survey, name: str, distances: dict[tuple[int, int], float], clearance: float) -> None:
+def _check(
+    survey: Survey, name: str, qpos: np.ndarray, distances: dict[tuple[int, int], float], clearance: float
+) -> None:
     """Refuse a pose in collision with the world or too near to it."""
     model = survey.model
     if not distances:
@@ -202,9 +226,10 @@ def _check(survey: Survey, name: str, distances: dict[tuple[int, int], float], c
             f"the {name} is in collision: {names} overlap by {-distances[pair]:.3g} m, expected a {name} where nothing "
             "touches; move one of the two, or exclude the pair in the model (<contact><exclude>)."
         )
-    met = {pair: distance for pair, distance in distances.items() if _is_met(model, pair)}
-    pair = min(met, key=lambda pair: met[pair], default=pair)
-    if met and met[pair] < clearance:
+    met = {pair: distance for pair, distance in distances.items()
+           if distance < clearance and _is_met(survey, pair, qpos, clearance)}  # fmt: skip
+    if met:
+        pair = min(met, key=lambda pair: met[pair])
         names = " and ".join(shape_name(model, geom) for geom in pair)
         raise PlannerError(
             f"the {name} has {names} {met[pair]:.3g} m apart, expected at least the clearance {clearance:g} m: write "
@@ -244,7 +269,7 @@ def _notes(
         notes.append(f"Not kept apart, since one is a height field or an SDF: {_some(kinds)}.")
     if close:
         notes.append(
-            f"Nearer than the clearance at the start or goal, and let come no nearer: {_some([p.names for p in close])}."
+            f"Nearer than the clearance at the start or goal, and to come no nearer: {_some([p.names for p in close])}."
         )
     if lifted:
         most = max(lifted, key=lambda pair: pair.lift)

@@ -66,7 +66,7 @@ class ApartMeasure(ResidualMeasure):
         ]
         super().__init__(dynamics, what, measures_of(mechanism, N, terms, dynamics.dt))
         self._clearances = Clearances(mechanism, [pair[:2] for pair in what.pairs])
-        self._least = what.least
+        self.least = what.least
         self._lift = np.array([pair.lift for pair in what.pairs])
         self._known = KNOWN * np.abs(what.least) + what.soft - self._lift
         self.first_weight = dynamics.dt / what.soft**2
@@ -97,7 +97,7 @@ class ApartMeasure(ResidualMeasure):
         way = self.mechanism.space.difference(states[1:, : self._nx], states[:-1, : self._nx])
         moved = self._clearances.moved(self._q(states[:-1]), way[:, : self.mechanism.nv])
         nearest = np.minimum(values[:-1], values[1:])
-        short = np.maximum(self._least - nearest, -lowest(values, moved))
+        short = np.maximum(self.least - nearest, -lowest(values, moved))
         return short.reshape(N, PARTS, -1).max(axis=1)
 
     def _q(self, xs: np.ndarray) -> np.ndarray:

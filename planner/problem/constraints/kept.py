@@ -59,18 +59,25 @@ class Kept:
             hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
         return hinges if hinges.weight.any() else None
 
-    def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too."""
-        more = np.zeros_like(self.lower)
+    def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
+        """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too.
+
+        Those of both ends of a stage. Where a pair may have touched between two knots, those of all stages: the motion
+        may have gone through, and from there it leads no way around. Returned beside it is whether any did.
+        """
+        more, through = np.zeros_like(self.lower), False
         for part in () if self.rows is None else self.rows.parts:
             if not hasattr(part.measure, "short"):
                 continue
             columns = slice(self._split + part.columns.start, self._split + part.columns.stop)
-            short = part.measure.short(dynamics, xs, us) * self.rows.scale[part.columns]
+            short = part.measure.short(dynamics, xs, us)
+            touched = (short > part.measure.least).any(axis=0)
+            short = np.where(touched, short.max(axis=0), short) * self.rows.scale[part.columns]
             short = np.where(short > self.tolerance, short, 0.0)
             more[1:, columns] = short
             more[:-1, columns] = np.maximum(more[:-1, columns], short)
-        return more
+            through |= bool(touched.any())
+        return more, through
 
     def raised(self, more: np.ndarray) -> Kept:
         """The same with lower bounds (N+1, H) raised."""

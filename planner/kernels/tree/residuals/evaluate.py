@@ -53,7 +53,7 @@ from planner.kernels.tree.step import gather
 def _measure(m, p, q, ws, t, n, knots, solids):
     """The rows of term t's value, in RESIDUALS.value."""
     kind = load(integers(p, RESIDUALS.kind), t)
-    if solids is not None:
+    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
         if kind >= LINE_BOX:
             solid_value(p, ws, t, kind, n, knots)
             return
@@ -73,7 +73,7 @@ def _measure(m, p, q, ws, t, n, knots, solids):
 def _differentiate(m, p, ws, t, solids):
     """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
     kind = load(integers(p, RESIDUALS.kind), t)
-    if solids is not None:
+    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
         if kind >= LINE_BOX:
             solid_row(m, p, ws, t)
             return

@@ -30,11 +30,11 @@ from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS
 from planner.kernels.tree.residuals.points import constants_of, point_of, stage_value
 from planner.kernels.tree.residuals.table import (
-    BOXES,
     FIRST_AXES,
     FIRST_HALF,
     LINE_BOX,
     MOST_ROWS,
+    OVER_PLANE,
     PLACE_SIZE,
     REACH,
     RESIDUALS,
@@ -265,7 +265,7 @@ def solid_value(p, ws, t, kind, n, knots):
     a, b = load3(term, FIRST_HALF), load3(term, SECOND_HALF)
     row = load(integers(p, RESIDUALS.first_row), t) * p[RESIDUALS.stride] + n
     asked = stage_value(floats(p, RESIDUALS.bound), row, knots)
-    if kind == LINE_BOX or kind == BOXES:
+    if kind != OVER_PLANE:
         far = sqrt(dot(way, way)) - load(term, REACH)
         if any_less(far - off, asked):
             bx, by, bz = _axes(p, ws, t, 1, SECOND_AXES)

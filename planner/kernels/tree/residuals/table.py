@@ -19,7 +19,7 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.model import chain_of
 
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; of frames, tilt; and solids.
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); solids.
 HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
 LINE_BOX, BOXES, OVER_PLANE = range(11, 14)
 ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 1, 1, 1)  # of each kind

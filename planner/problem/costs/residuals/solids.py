@@ -1,7 +1,7 @@
 """Signed distances of two solids: one row each. The readable twin of kernels.tree.residuals.solids.
 
-With the direction n and the point p of model.contact.distances the derivative is n'(J_1(p) - J_2(p)), J the Jacobians of
-what is fixed to each link and at p.
+With the direction n and the point p of model.contact.distances the derivative is n'(J_1(p) - J_2(p)), J the Jacobians
+of what is fixed to each link and at p.
 """
 
 from __future__ import annotations
