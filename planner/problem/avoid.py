@@ -59,7 +59,7 @@ class Avoid:
     clearance: float = 0.01
     more: Any = None
 
-    def __post_init__(a) -> None:
+    def __post_init__(a) -> None:  # pyright: ignore[reportSelfClsParameterName] - a field is called self
         for name in ("self", "world"):
             if not isinstance(getattr(a, name), bool):
                 raise PlannerError(f"{name} of avoid is {shown(getattr(a, name))}, expected true or false.")
@@ -73,7 +73,9 @@ class Avoid:
             more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
         )  # fmt: skip
 
-    def constraint(a, mechanism: Mechanism, start: Any, goal: Any = None) -> KeptApart:
+    def constraint(  # pyright: ignore[reportSelfClsParameterName]
+        a, mechanism: Mechanism, start: Any, goal: Any = None
+    ) -> KeptApart:
         """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
 
         Raises:

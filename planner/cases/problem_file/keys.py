@@ -21,8 +21,8 @@ KEYS = {
     "integrator": f"one of {', '.join(INTEGRATORS)}",
     "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way on which "
-    "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; auto "
-    "is around where something is avoided, line where every joint has an actuator, else the better of led and hold",
+    "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; "
+    "auto around where something is avoided, line where all joints have actuators, else the better of led and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
     "their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
