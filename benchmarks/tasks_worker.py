@@ -6,10 +6,12 @@ Joints are named, since the two libraries order them differently: what comes and
 from __future__ import annotations
 
 import importlib.util
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from serving import Answer, serve, timed
+from serving import Answer, serve
 
 THEIRS = importlib.util.find_spec("crocoddyl") is not None
 Task = dict[str, Any]
@@ -27,12 +29,13 @@ class Ours:
         self.mechanism = planner.Mechanism.from_urdf(task["urdf"], base=base)
         dynamics = planner.RigidBodyDynamics(self.mechanism, task["dt"], task["integrator"])
         self.joints = self.mechanism.joint_names[task["free"] :]
+        self.motors = self.mechanism.actuators.names  # those of their joints, in the file's order
         x0, us = self.states([task["q0"]], [{}])[0], self.inputs(task["us"])
-        N, velocity = task["N"], {name: task["velocity"] for name in self.joints}
-        end = {name: task["final_velocity"] for name in self.joints}
+        N, velocity = task["N"], dict.fromkeys(self.joints, task["velocity"])
+        end = dict.fromkeys(self.joints, task["final_velocity"])
         cost = planner.TrackingCost.joints(
             dynamics, x0, N, effort=task["effort"], velocity=velocity, final_velocity=end,
-            position={name: task["posture"] for name in self.joints},
+            position=dict.fromkeys(self.joints, task["posture"]),
         )  # fmt: skip
         if task["joint_goal"]:  # the same arm in joint space, for comparison
             cost = planner.TrackingCost.joints(
@@ -45,18 +48,18 @@ class Ours:
                     dynamics, frame, pose=pose, pose_weight=task["running"], final_pose_weight=task["final"]
                 )
             if task["centre"] is not None:
-                cost = cost + CenterOfMassCost(
-                    dynamics, task["centre"], position_weight=task["running"], final_position_weight=task["final"]
-                )
+                cost = cost + CenterOfMassCost(dynamics, task["centre"], final_position_weight=task["final"])
         limits = None
         if task["bounds"] is not None:
-            limits = planner.Limits(control=np.array([task["bounds"][name] for name in self.joints]))
+            most = np.array([task["bounds"][name] for name in self.motors])
+            limits = planner.Limits(control=(-most, most))
         self.problem = planner.Problem(dynamics, cost, x0, us, limits=limits)
         self.stop, self.iterations = task["stop"], 1000
         self.engine = borrow(self.problem)
         self.rewind()
         self.first = self.cost
-        self.stepped = self.iterate().cost
+        outcome = self.iterate()
+        self.stepped, self.step = outcome.cost, outcome.step
 
     def states(self, qs: list[Any], vs: list[Any]) -> np.ndarray:
         """States of positions and velocities by name; a base stands at the origin, at rest."""
@@ -69,11 +72,12 @@ class Ours:
 
     def inputs(self, us: list[Any]) -> np.ndarray:
         """Controls by name."""
-        return np.array([[u.get(name, 0.0) for name in self.joints] for u in us])
+        return np.array([[u.get(name, 0.0) for name in self.motors] for u in us])
 
-    def named(self, us: np.ndarray) -> list[dict[str, float]]:
-        """The reverse."""
-        return [dict(zip(self.joints, u.tolist(), strict=True)) for u in us]
+    @staticmethod
+    def named(names: Any, rows: np.ndarray) -> list[dict[str, float]]:
+        """The reverse, of joints or motors."""
+        return [dict(zip(names, row.tolist(), strict=True)) for row in rows]
 
     def probe(self, qs: list[Any], vs: list[Any], us: list[Any]) -> Answer:
         """Accelerations of the joints at states, by name; and what a task needs of a state."""
@@ -89,8 +93,8 @@ class Ours:
             for name in self.mechanism.body_names[1:]
         }
         return {
-            "accelerations": self.named(rates), "holding": self.named(holding), "poses": poses,
-            "centre": planner.dynamics.center_of_mass(self.mechanism, q[0]).tolist(),
+            "accelerations": self.named(self.joints, rates), "holding": self.named(self.joints, holding),
+            "poses": poses, "centre": planner.dynamics.center_of_mass(self.mechanism, q[0]).tolist(),
         }  # fmt: skip
 
     def rewind(self) -> None:
@@ -118,7 +122,7 @@ class Ours:
 
     def result(self) -> Answer:
         """Of the last solve."""
-        return {"cost": self.plan.cost, "iterations": self.plan.nit, "us": self.named(self.plan.us)}
+        return {"cost": self.plan.cost, "iterations": self.plan.nit, "us": self.named(self.motors, self.plan.us)}
 
 
 class Theirs:
@@ -138,6 +142,7 @@ class Theirs:
         x0 = self.states([task["q0"]], [{}])[0]
         nu, nv, n = actuation.nu, self.model.nv, len(self.joints)
 
+        # The free forward dynamics of 3.2.1 leave pinocchio's centre of mass at zero on the way: the end alone has it.
         def stage(goal: float, posture: float, velocity: float, effort: float) -> Any:
             costs = crocoddyl.CostModelSum(state, nu)
             weights = np.zeros(2 * nv)
@@ -153,7 +158,7 @@ class Theirs:
                 there = pin.SE3(pin.Quaternion(np.array([*pose[4:], pose[3]])).toRotationMatrix(), np.array(pose[:3]))
                 residual = crocoddyl.ResidualModelFramePlacement(state, self.model.getFrameId(frame), there, nu)
                 costs.addCost(frame, crocoddyl.CostModelResidual(state, residual), goal)
-            if goal and task["centre"] is not None:
+            if not effort and task["centre"] is not None:
                 residual = crocoddyl.ResidualModelCoMPosition(state, np.array(task["centre"]), nu)
                 costs.addCost("centre", crocoddyl.CostModelResidual(state, residual), goal)
             return crocoddyl.DifferentialActionModelFreeFwdDynamics(state, actuation, costs)
@@ -184,7 +189,11 @@ class Theirs:
         self.solver.th_stop, self.iterations = task["stop"], 1000
         self.stepper.solve(self.xs, self.us, 1, True)
         self.stepper.preg = self.stepper.dreg = 0.0
+        self.step = 1.0
         self.stepped = self.step_once()
+        while self.stepped is None:  # the longest step that does not run away: one rollout, as few as there can be
+            self.step *= 0.5
+            self.stepped = self.step_once()
 
     def states(self, qs: list[Any], vs: list[Any]) -> np.ndarray:
         """States of positions and velocities by name; a base stands at the origin, at rest."""
@@ -218,20 +227,21 @@ class Theirs:
         self.stepper.setCandidate(self.xs, self.us, True)
 
     def step_once(self) -> float | None:
-        """The cost after one iteration; None where the full step runs away."""
+        """The cost after one iteration; None where the step runs away."""
         import crocoddyl
 
         self.rewind()
         try:
-            return float(self.stepper.cost - self.iterate())
+            improvement = self.iterate()
         except crocoddyl.Exception:
             return None
+        return float(self.stepper.cost - improvement)
 
     def iterate(self) -> float:
-        """Linearise, sweep, try the full step."""
+        """Linearise, sweep, try one step."""
         self.stepper.calcDiff()
         self.stepper.backwardPass()
-        return self.stepper.tryStep(1.0)
+        return self.stepper.tryStep(self.step)
 
     def until(self, enough: float | None) -> None:
         """Solve once, and limit further solves to the iterations that reach a cost."""
@@ -261,6 +271,19 @@ class Theirs:
 _cases: dict[str, Any] = {}
 
 
+def timed(call: Callable[[], Any], prepare: Callable[[], Any], repeats: int, seconds: float) -> Answer:
+    """Seconds of each call by the clock, and of the processor, which no neighbour on the machine takes part in."""
+    wall: list[float] = []
+    processor: list[float] = []
+    while len(wall) < repeats and sum(wall) < seconds:
+        prepare()
+        began, spent = time.perf_counter(), time.process_time()
+        call()
+        wall.append(time.perf_counter() - began)
+        processor.append(time.process_time() - spent)
+    return {"wall": wall, "times": processor}
+
+
 def hello() -> Answer:
     """What is installed."""
     if not THEIRS:
@@ -273,7 +296,7 @@ def load(task: Task) -> Answer:
     """Build a task; its cost at the first guess and after an iteration."""
     _cases.clear()
     case = _cases["now"] = (Theirs if THEIRS else Ours)(task)
-    return {"joints": list(case.joints), "cost": case.first, "stepped_cost": case.stepped}
+    return {"joints": list(case.joints), "cost": case.first, "stepped_cost": case.stepped, "step": case.step}
 
 
 def probe(qs: list[Any], vs: list[Any], us: list[Any]) -> Answer:
@@ -284,7 +307,7 @@ def probe(qs: list[Any], vs: list[Any], us: list[Any]) -> Answer:
 def iterate(repeats: int, seconds: float) -> Answer:
     """Times of single iterations from the first trajectory."""
     case = _cases["now"]
-    return {"times": timed(case.iterate, case.rewind, repeats, seconds)}
+    return timed(case.iterate, case.rewind, repeats, seconds)
 
 
 def until(enough: float | None) -> Answer:
@@ -297,7 +320,7 @@ def until(enough: float | None) -> Answer:
 def solve(repeats: int, seconds: float) -> Answer:
     """Times of whole solves."""
     case = _cases["now"]
-    return {"times": timed(case.solve, lambda: None, repeats, seconds), **case.result()}
+    return {**timed(case.solve, lambda: None, repeats, seconds), **case.result()}
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from planner.base.errors import ModelError as ModelError
 from planner.base.errors import PlannerError as PlannerError
 from planner.cases.plan_file import load_plan as load_plan
 from planner.cases.problem_file import load_problem as load_problem
+from planner.cases.problem_file.in_python import task as task
 from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
 from planner.model.twin import Twin as Twin
 from planner.problem.avoid import Avoid as Avoid
 from planner.problem.constraints.constraint import Constraint as Constraint
-from planner.problem.costs.center_of_mass import CenterOfMassCost as CenterOfMassCost
 from planner.problem.costs.frame import FrameCost as FrameCost
 from planner.problem.costs.penalty import PenaltyCost as PenaltyCost
 from planner.problem.costs.terms import Cost as Cost
@@ -25,6 +25,8 @@ from planner.problem.limits import Limits as Limits
 from planner.problem.plan import Plan as Plan
 from planner.problem.plan import Status as Status
 from planner.problem.problem import Problem as Problem
+from planner.problem.tasks.follow import Follow as Follow
+from planner.problem.tasks.goal import Goal as Goal
 from planner.proof.compare.model_parity import parity as parity
 from planner.proof.refinement import refine as refine
 from planner.proof.replays.replaying import Replay as Replay

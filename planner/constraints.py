@@ -4,7 +4,7 @@ Beside these the terms of planner.costs (Height, Distance, Gap, Velocity) and an
 """
 
 from planner.problem.constraints.constraint import Constraint
-from planner.problem.constraints.of_terms import MassCentre, Place, Tilt, Turn
+from planner.problem.constraints.of_terms import Along, MassCentre, Place, Tilt, Turn
 from planner.problem.constraints.power import Power
 
-__all__ = ["Constraint", "MassCentre", "Place", "Power", "Tilt", "Turn"]
+__all__ = ["Along", "Constraint", "MassCentre", "Place", "Power", "Tilt", "Turn"]

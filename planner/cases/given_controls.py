@@ -28,6 +28,7 @@ from planner.cases.problem_file.build import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.refuse import KINDS
+from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.guess import follow, rolled
 from planner.problem.plan import Plan, Status
@@ -44,11 +45,11 @@ _EFFORT = 1e-6  # of controls that nobody optimized: the cost is only shown
 def plan_of_controls(
     path: str | Path, model: str | Path, *, start: Any = None, goal: Any = None, tolerance: Any = None
 ) -> Plan:
-    """The plan whose controls are in a CSV file, of the machine in an MJCF file.
+    """The plan whose controls are in a CSV file, of the machine in an MJCF or URDF file.
 
     Args:
         path: The CSV file.
-        model: The MJCF file.
+        model: The MJCF or URDF file.
         start: A keyframe, numbers, or positions by joint; by default the model's own, at rest, or the file's first row.
         goal: The same, for the proof to judge the end by; None for none.
         tolerance: How far from the goal passes, as of Problem.
@@ -112,11 +113,11 @@ def _planned(
 def _readable(model: str | Path) -> Mechanism:
     """The machine without what a plan cannot have; contacts are kept where they are modelled."""
     try:
-        return Mechanism.from_mjcf(model, ignore=KINDS)
+        return read_model(model, ignore=KINDS)
     except ModelError as error:
         if "contacts" not in str(error):
             raise
-        return Mechanism.from_mjcf(model, ignore=KINDS, contacts="off")
+        return read_model(model, ignore=KINDS, contacts="off")
 
 
 def _table(path: Path) -> tuple[list[str], np.ndarray]:

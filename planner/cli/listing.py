@@ -30,7 +30,12 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
         console.table(("  flag", "default", ""), rows, COLUMNS)
         parameters = {parameter.name: parameter.default for parameter in shown}
         document.append({"case": name, "summary": summary(case), "parameters": parameters})
-    keys = {**problem_keys.KEYS, **{f"weights.{name}": text for name, text in problem_keys.WEIGHTS.items()}}
+    tables = {
+        "weights": problem_keys.WEIGHTS, "goal": problem_keys.GOAL, "follow": problem_keys.FOLLOW,
+        "attach": problem_keys.ATTACH,
+    }  # fmt: skip
+    more = {f"{table}.{name}": text for table, names in tables.items() for name, text in names.items()}
+    keys = problem_keys.KEYS | more
     defaults = problem_keys.DEFAULTS
     console.say(f"{PROBLEM_FILE}: A machine of your own, an MJCF file; see docs/own-machine.md")
     lines = [(f"  {key}", json.dumps(defaults[key]) if key in defaults else "", text) for key, text in keys.items()]

@@ -228,7 +228,7 @@ def build() -> argparse.ArgumentParser:
         "prove", "Replay a stored plan in MuJoCo and judge it, or anybody's controls.",
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; none where --controls are given."},
          "--controls": _takes("FILE", "In place of a plan: a CSV of time and controls, or of joint positions."),
-         "--model": _takes("FILE", "The MJCF that the controls are for."),
+         "--model": _takes("FILE", "The MJCF or URDF that the controls are for."),
          "--start": _takes("STATE", "Of the controls: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
          "--goal": _takes("STATE", "Of the controls: where they are to end, in the same form."),
          "--save": _takes("FILE", "Write the plan that the controls make, for planner render."),

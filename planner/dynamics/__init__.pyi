@@ -8,6 +8,7 @@ from planner.dynamics.algorithms import mass_matrix as mass_matrix
 from planner.dynamics.algorithms import mass_matrix_derivatives as mass_matrix_derivatives
 from planner.dynamics.algorithms import rnea as rnea
 from planner.dynamics.algorithms import rnea_derivatives as rnea_derivatives
+from planner.dynamics.assembly import assembled as assembled
 from planner.dynamics.contacts import ContactForces as ContactForces
 from planner.dynamics.contacts import body_contact_forces as body_contact_forces
 from planner.dynamics.contacts import contact_forces as contact_forces
@@ -18,6 +19,7 @@ from planner.dynamics.kinematics import forward_kinematics_derivatives as forwar
 from planner.dynamics.kinematics import frame_pose as frame_pose
 from planner.dynamics.kinematics import jacobian as jacobian
 from planner.dynamics.kinematics import jacobian_derivatives as jacobian_derivatives
+from planner.dynamics.loops import closed_dynamics as closed_dynamics
 from planner.dynamics.momentum import angular_momentum as angular_momentum
 from planner.dynamics.momentum import center_of_mass as center_of_mass
 from planner.dynamics.protocol import INTEGRATORS as INTEGRATORS

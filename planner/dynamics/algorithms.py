@@ -49,10 +49,19 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
         qdd (..., nv), m/s^2 and rad/s^2.
 
     Raises:
-        PlannerError: A wrong shape or a number that is not finite.
+        PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
+    _check_tree(mechanism)
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
     return b.out(_accelerations(b))
+
+
+def _check_tree(mechanism: Mechanism) -> None:
+    if mechanism.loops or mechanism.cams:
+        raise PlannerError(
+            f"the mechanism has {(*mechanism.loops, *mechanism.cams)[0].name}, which closes a chain, and these are "
+            "dynamics of a tree, expected planner.dynamics.closed_dynamics, or RigidBodyDynamics(...).rates."
+        )
 
 
 def _accelerations(b: Batch) -> np.ndarray:
@@ -105,6 +114,7 @@ def hybrid_dynamics(
 def _prescribed(mechanism: Mechanism, names: Collection[str]) -> np.ndarray:
     if not isinstance(names, (str, Collection)):
         raise PlannerError(f"prescribed is {names!r}, expected names of joints.")
+    _check_tree(mechanism)
     if mechanism.couplings:
         raise PlannerError(
             f"the mechanism has {mechanism.couplings[0].name} and hybrid dynamics know no couplings, expected "
@@ -261,8 +271,9 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
         couplings G (G' M G)^-1 G'), each (..., nv, nv).
 
     Raises:
-        PlannerError: A wrong shape or a number that is not finite.
+        PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
+    _check_tree(mechanism)
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
     qdd = _accelerations(b)
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)

@@ -11,7 +11,6 @@ Between two bodies J is the difference of both links', and the normal turns: the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,18 +44,39 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
         PlannerError: A wrong shape or a number that is not finite.
     """
     q, qd, single = _states(mechanism, q, qd)
-    places = [PlanePlace(mechanism, contact, q, qd) for contact in mechanism.contacts]
-    return _forces(places, q, single)
+    contacts = mechanism.contacts
+    centres, e = _penetrations(mechanism, q)
+    lifts, radii, normals = _numbers(mechanism)
+    points = centres + (0.5 * (e - lifts) - radii)[..., None] * normals
+    forces = np.zeros_like(points)
+    for k in np.flatnonzero((e > 0.0).any(axis=0)):  # most are in the air
+        forces[:, k] = _force(PlanePlace(mechanism, contacts[k], q, qd))[0]
+    return ContactForces(*(value[0] if single else value for value in (points, e - lifts, forces)))
+
+
+def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lifts (P,), radii (P,) and normals (P, 3) of a mechanism's contacts with planes."""
+    contacts = mechanism.contacts
+    lifts, radii = ([one.law.lift for one in contacts], [one.radius for one in contacts])
+    return np.array(lifts), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
+
+
+def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (K, P, 3) of contacts with planes, and how deep (K, P) they are in the laws' surfaces."""
+    contacts = mechanism.contacts
+    if not contacts:
+        return np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
+    links, offsets = np.array([one.link for one in contacts]), np.array([one.centre for one in contacts])
+    centres, _ = kinematics.points_of(mechanism, q, links, offsets, moving=False)
+    lifts, radii, normals = _numbers(mechanism)
+    levels = np.array([one.plane.offset for one in contacts])
+    return centres, radii + lifts + levels - np.einsum("kpa,pa->kp", centres, normals)
 
 
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """Where and with what force two bodies touch, in the order of body_contacts; arguments as of contact_forces."""
     q, qd, single = _states(mechanism, q, qd)
     places = [BodyPlace(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
-    return _forces(places, q, single)
-
-
-def _forces(places: Sequence[PlanePlace | BodyPlace], q: np.ndarray, single: bool) -> ContactForces:
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
@@ -120,7 +140,10 @@ def _states(mechanism: Mechanism, q: Any, qd: Any) -> tuple[np.ndarray, np.ndarr
 
 
 def _places(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> list[PlanePlace | BodyPlace]:
-    return [place_of(mechanism, contact, q, qd) for contact in (*mechanism.contacts, *mechanism.body_contacts)]
+    """Of all contacts, but for those with planes that are in the air at every state."""
+    touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
+    near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
+    return [place_of(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
 
 
 def place_of(

@@ -13,7 +13,6 @@ M a + bias = tau + f(a).
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from planner.model.mechanism import Mechanism
 
@@ -49,6 +48,8 @@ def with_friction(mechanism: Mechanism, M: np.ndarray, tau: np.ndarray, qd: np.n
         tau: (nv,) all forces but friction, less the bias.
         qd: (nv,).
     """
+    from scipy.optimize import root_scalar  # half a second that `planner run` does not pay
+
     qdd = np.where(mechanism.friction_loss > 0.0, -mechanism.friction_rate * qd, 0.0)  # as if friction held every joint
     force, slope = friction_forces(mechanism, qd, qdd)
     qdd = np.linalg.solve(M - np.diag(slope), tau + force - slope * qdd)

@@ -11,8 +11,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.protocol import INTEGRATORS
-from planner.kernels.integrators import SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import SEMI_IMPLICIT_EULER, TREE_INTEGRATORS
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -27,6 +26,7 @@ from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace
 
+WITH_SUBSTEPS = ("rk4", "rosenbrock")
 MOST_SUBSTEPS = 16  # of a stage: more are a shorter stage's, whose controls may change as well
 ROUNDING = 1e-9  # relative, of a length divided by another
 
@@ -37,15 +37,16 @@ class RigidBodyDynamics:
     Args:
         mechanism: The machine.
         dt: Length of a stage, s.
-        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler) or "rk4".
+        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or "rosenbrock", of
+            second order, for machines whose damping is too fast for RK4 (kernels.tree.rosenbrock).
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators do
             nothing.
-        substeps: Equal steps of RK4 in a stage, 1 to 16, for machines whose fastest motions need them (see
+        substeps: Equal steps of these two in a stage, 1 to 16, for machines whose fastest motions need them (see
             planner.dynamics.stiffness). The control is held over all of them.
 
     Raises:
-        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, substeps of another
-            integrator than RK4, or a prescribed joint is coupled.
+        PlannerError: dt is not positive, no such integrator or joint, nothing drives the mechanism, substeps of an
+            Euler integrator, or a prescribed joint is coupled.
     """
 
     def __init__(
@@ -55,12 +56,12 @@ class RigidBodyDynamics:
         if not isinstance(mechanism, Mechanism):
             raise PlannerError(f"mechanism is {shown(mechanism)}, expected a Mechanism.")
         self.mechanism, self.dt = mechanism, number("dt", dt, above=0.0)
-        self.integrator = choice("integrator", integrator, INTEGRATORS)
+        self.integrator = choice("integrator", integrator, TREE_INTEGRATORS)
         self.substeps = count("substeps", substeps, most=MOST_SUBSTEPS)
-        if self.substeps > 1 and self.integrator != "rk4":
+        if self.substeps > 1 and self.integrator not in WITH_SUBSTEPS:
             raise PlannerError(
-                f'substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "rk4", '
-                "the only one with substeps, or substeps = 1."
+                f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "
+                f'"{WITH_SUBSTEPS[0]}" or "{WITH_SUBSTEPS[1]}", or substeps = 1.'
             )
         if not isinstance(prescribed, (str, Collection)):
             raise PlannerError(f"prescribed is {shown(prescribed)}, expected names of joints.")
@@ -71,7 +72,7 @@ class RigidBodyDynamics:
         self.nu = self._model.nu
         if self.nu == 0:
             raise PlannerError("the model has no actuators, expected at least one <actuator> or a prescribed joint.")
-        self._code = INTEGRATORS.index(self.integrator)
+        self._code = TREE_INTEGRATORS.index(self.integrator)
         self.structured = self._code == SEMI_IMPLICIT_EULER and mechanism.na == 0
         self.has_slopes = False
         used = ("tree search", "tree structured" if self.structured else "tree dense")
@@ -90,7 +91,13 @@ class RigidBodyDynamics:
                     f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints that "
                     "no equality couples."
                 )
-        self._model, self._steps = Model(self.mechanism, driven), local()
+        implicit = self.integrator == "rosenbrock"
+        if implicit and (self.mechanism.loops or self.mechanism.cams):
+            raise PlannerError(
+                'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
+                "damping."
+            )
+        self._model, self._steps = Model(self.mechanism, driven, implicit=implicit), local()
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the tables: they hold addresses, which are of this object in this process alone."""
@@ -220,6 +227,11 @@ class RigidBodyDynamics:
                 f'hessian="exact" has no second derivatives of substeps and a stage has {self.substeps}, expected '
                 f'hessian="gauss-newton", or stages of dt = {self.dt / self.substeps:.3g} and substeps=1.'
             )
+        if self.integrator == "rosenbrock":
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of the integrator "rosenbrock", expected '
+                'hessian="gauss-newton".'
+            )
         if self.space.quaternions:
             raise PlannerError(
                 'hessian="exact" is for machines of hinges and slides and this one has a ball or free joint, expected '
@@ -234,6 +246,11 @@ class RigidBodyDynamics:
             raise PlannerError(
                 'hessian="exact" has no second derivatives of coupled joints and this machine has '
                 f'{self.mechanism.couplings[0].name}, expected hessian="gauss-newton".'
+            )
+        if self.mechanism.loops or self.mechanism.cams:
+            raise PlannerError(
+                'hessian="exact" has no second derivatives of closed chains and this machine has some, expected '
+                'hessian="gauss-newton".'
             )
         if self.mechanism.curves:
             raise PlannerError(

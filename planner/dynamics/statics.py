@@ -18,16 +18,19 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.assembly import directions
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
+from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.mechanism import Mechanism
+from planner.model.mechanism import Frame, Mechanism
 
 STEPS = 200
 FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, downhill: contacts come and go within millimetres
 SHORTEST_STEP = 1e-9  # m or rad: what cannot go downhill by as much does not rest
 TIPPED = 0.5  # m or rad, from the pose that was asked for: what moved as far has fallen over
 AT_REST = 1e-9  # of the weight: what is left of it
+FLAT = 1e-6  # of the largest, m or rad per m or rad: how little a motion along the ground may lift or tilt
 DIFFERENCE = 1e-6  # m or rad, for slopes of forces, on which only the number of steps depends
 MANY = 20  # contacts that tell which way is up
 UPWARDS = 0.8  # of a plane's normal, against gravity: less is a wall
@@ -139,8 +142,8 @@ def supported(mechanism: Mechanism, q: np.ndarray, reach: np.ndarray, tau: np.nd
     edges = [_edges(mechanism.contacts[k]) for k in near]
     columns = [reach, *(Jk.T @ edge for Jk, edge in zip(J, edges, strict=True))]
     rows, wanted = [np.hstack(columns)], [tau]
-    if mechanism.reduction is not None:  # couplings give what they must
-        rows, wanted = [mechanism.reduction.G.T @ rows[0]], [mechanism.reduction.G.T @ tau]
+    Z = directions(mechanism, q)[0]  # couplings and closed chains give what they must
+    rows, wanted = [Z.T @ rows[0]], [Z.T @ wanted[0]]
     at = nu
     for k, edge in zip(near, edges, strict=True):
         row = np.zeros((3, rows[0].shape[1]))
@@ -189,9 +192,10 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
     for _ in range(STEPS):
         if np.abs(uphill).max() < enough:
             return x, True
-        by_q = steep.slopes(x)
+        ways = _across(mechanism, x[: mechanism.nq], free)
+        by_q = ways @ ways.T @ steep.slopes(x) @ ways @ ways.T
         while longest > SHORTEST_STEP:
-            step = _newton(by_q, uphill, longest)
+            step = _newton(by_q, ways @ (ways.T @ uphill), longest)
             there = space.integrate(x, _extended(free @ step, space.ndx))
             further = steep.uphill(there[None])[0]
             expected, found = step @ uphill + 0.5 * step @ by_q @ step, 0.5 * step @ (uphill + further)
@@ -206,6 +210,33 @@ def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np
         if np.abs(space.difference(x, start)).max() > TIPPED:
             break
     return x, False
+
+
+def _across(mechanism: Mechanism, q: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """(n, k) combinations of what is free that lift or tilt: along the ground a machine stands anywhere as well.
+
+    A turn about the vertical of a machine that leans is no pure turn of its coordinates, so far from rest its torques
+    would seem to push along the ground.
+    """
+    links = sorted({contact.link for contact in mechanism.contacts})
+    return _complement(along_ground(mechanism, q, free, np.array(links)))
+
+
+def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """(n, m) orthogonal combinations of directions free (nv, n) along level ground: no link is lifted or tilted."""
+    if not np.any(mechanism.gravity):
+        return np.zeros((free.shape[1], 0))
+    up = -mechanism.gravity / np.linalg.norm(mechanism.gravity)
+    rows = []
+    for link in links:
+        J = jacobian(mechanism, q, Frame(int(link), np.eye(4)))
+        rows += [up[None] @ J[:3], J[3:] - np.outer(up, up @ J[3:])]
+    _, sizes, directions = np.linalg.svd(np.vstack(rows) @ free)
+    return directions[int(np.sum(sizes > FLAT * sizes.max(initial=0.0))) :].T
+
+
+def _complement(basis: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(basis)[0][:, basis.shape[1] :] if basis.shape[1] else np.eye(len(basis))
 
 
 def _newton(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:

@@ -5,6 +5,9 @@ dampers, servos, springs, friction, contacts, stops. RK4 is stable for lambda in
 
     |1 + z + z^2/2 + z^3/6 + z^4/24| <= 1,   z = lambda h:   |z| <= 2.78 on the real axis, 2.61 in every direction.
 
+Damping that is too fast for that is taken implicitly (kernels.tree.rosenbrock), where a stage of as many substeps is so
+near to two stages of half the length as IMPLICIT asks.
+
 The joint of a rate is the one with the largest participation, the product of its entries in the right and the left
 eigenvector, which has no unit (Perez-Arriaga, Verghese and Schweppe, IEEE Trans. Power App. Syst. 101, 1982).
 """
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +32,9 @@ AIM = 0.7
 # The most, which 16 substeps may take. Of the 2.61 above a quarter is left, for states on the way whose rates are
 # higher than those asked about.
 REACH = 2.0
+IMPLICIT = 1e-3
+"""How much two stages of half the length may change a stage's A, of positions and of velocities times the stage, for
+its damping to be taken implicitly: a tenth of what passes of a path."""
 _TINY = 1e-6  # s: A - 1 of an Euler step so short, over it, is d(dx/dt)/dx to its rounding, also of turning bodies
 _SAME = 1e-6  # relative: eigenvalues that are one
 _ROUNDING = 1e-9  # relative
@@ -45,6 +52,8 @@ def fastest(
 ) -> Fastest:
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), and the joint that it belongs to.
 
+    Friction loss holds a joint at rest like an armature; a light joint is faster once it slips, so both are looked at.
+
     Args:
         mechanism: With actuators.
         states: Where to look: the start, the goal and home, for example.
@@ -53,19 +62,30 @@ def fastest(
     Raises:
         PlannerError: Nothing drives the mechanism, or a prescribed joint is unknown.
     """
-    dynamics = RigidBodyDynamics(mechanism, _TINY, "euler", prescribed)
-    xs = np.atleast_2d(np.array(states if isinstance(states, np.ndarray) else list(states), dtype=float))
-    A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
-    found = Fastest(0.0, "")
-    for slopes in (A - np.eye(dynamics.ndx)) / _TINY:
-        if not np.isfinite(slopes).all():
-            continue
-        values, right = np.linalg.eig(slopes)
-        k = int(np.argmax(np.abs(values)))
-        rate = float(abs(values[k]))
-        if rate > found.rate:
-            found = Fastest(rate, _joint(mechanism, slopes, values[k], right[:, k]))
+    xs, found = _rows(states), Fastest(0.0, "")
+    for one in _held_and_slipping(mechanism):
+        dynamics = RigidBodyDynamics(one, _TINY, "euler", prescribed)
+        A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
+        for slopes in (A - np.eye(dynamics.ndx)) / _TINY:
+            if not np.isfinite(slopes).all():
+                continue
+            values, right = np.linalg.eig(slopes)
+            k = int(np.argmax(np.abs(values)))
+            rate = float(abs(values[k]))
+            if rate > found.rate:
+                found = Fastest(rate, _joint(mechanism, slopes, values[k], right[:, k]))
     return found
+
+
+def _rows(states: np.ndarray | Iterable[np.ndarray]) -> np.ndarray:
+    return np.atleast_2d(np.array(states if isinstance(states, np.ndarray) else list(states), dtype=float))
+
+
+def _held_and_slipping(mechanism: Mechanism) -> tuple[Mechanism, ...]:
+    """The machine, and the same without friction loss where it has some."""
+    if not np.any(mechanism.friction_loss):
+        return (mechanism,)
+    return mechanism, replace(mechanism, friction_loss=np.zeros(mechanism.nv))
 
 
 def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.ndarray) -> str:
@@ -109,6 +129,27 @@ def substeps_of(found: Fastest, dt: float) -> int:
             "gain there."
         )
     return min(max(math.ceil(found.rate * dt / AIM - _ROUNDING), 1), MOST_SUBSTEPS)
+
+
+def implicit_error(
+    mechanism: Mechanism, dt: float, states: np.ndarray | Iterable[np.ndarray], prescribed: Collection[str] = ()
+) -> float:
+    """How much two stages of dt / 2 differ from one of dt s by the Rosenbrock method with 16 substeps; see IMPLICIT.
+
+    The states are those of `fastest`. Infinite where a stage runs away.
+    """
+    xs, change = _rows(states), 0.0
+    for one in _held_and_slipping(mechanism):
+        whole, half = (RigidBodyDynamics(one, step, "rosenbrock", prescribed, MOST_SUBSTEPS) for step in (dt, 0.5 * dt))
+        us, scale = np.zeros((len(xs), whole.nu)), np.ones(whole.ndx)
+        scale[mechanism.nv : 2 * mechanism.nv] = dt
+        with np.errstate(all="ignore"):
+            middle = half.step(xs, us)
+            first, second = (half.linearize(np.vstack([x, x[-1:]]), us)[0] for x in (xs, middle))
+            A, _ = whole.linearize(np.vstack([xs, xs[-1:]]), us)
+            apart = float(np.abs(scale[:, None] * (second @ first - A) / scale).max())
+        change = max(change, apart if np.isfinite(apart) else math.inf)
+    return change
 
 
 def reason(found: Fastest, substeps: int) -> str:

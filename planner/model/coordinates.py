@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 
 ANGLE, LENGTH = "rad", "m"

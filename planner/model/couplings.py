@@ -49,22 +49,6 @@ class Reduction:
     G: np.ndarray  # (nv, nr)
     offset: np.ndarray  # (nv - nr,) of the dependent ones, rad or m
 
-    def tangents(self, n_act: int) -> tuple[np.ndarray, np.ndarray]:
-        """T (ndx, nr + nr + na), the directions of states (dq, dv, dact) on the couplings, and where T is 1 (columns).
-
-        A deviation dx on the couplings is T dx[places].
-        """
-        nv, nr = self.G.shape
-        T = np.zeros((2 * nv + n_act, 2 * nr + n_act))
-        T[:nv, :nr] = T[nv : 2 * nv, nr : 2 * nr] = self.G
-        T[2 * nv :, 2 * nr :] = np.eye(n_act)
-        return T, np.concatenate([self.independent, nv + self.independent, 2 * nv + np.arange(n_act)])
-
-    def along(self, dx: np.ndarray) -> np.ndarray:
-        """A deviation (2 nv + na,) of a state with the dependent coordinates as the independent ones ask."""
-        T, places = self.tangents(len(dx) - 2 * len(self.G))
-        return T @ dx[places]
-
     def closed(self, q: np.ndarray, qd: np.ndarray, q_address: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Copies of q (..., nq) and qd (..., nv) with the dependent coordinates where the independent ones put them."""
         q, qd, rows = q.copy(), qd.copy(), self.G[self.dependent].T

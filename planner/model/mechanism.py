@@ -18,10 +18,6 @@ The applied force tau excludes what the mechanism itself does:
                                            - forces of tendons - gravity compensation.
 
 Friction loss acts in the motion but is no part of this, since it depends on qdd (planner.dynamics.friction).
-
-Actuator a gives the force gain u + bias[0] + bias[1] length + bias[2] length rate along the row moment[a] of
-generalized forces, where u is the control or, with a state of its own, the activation: d act/dt = u (INTEGRATOR) or
-(u - act) / time_constant (FILTER); length = moment[a] q over the hinge and slide joints.
 """
 
 from __future__ import annotations
@@ -35,17 +31,19 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.base.errors import ModelError, PlannerError
-from planner.model.contact.between_bodies import BodyContact, check_body_contact
-from planner.model.contact.laws import Contact, ContactLaw, Stop, slide_direction
+from planner.base.errors import PlannerError
+from planner.model.actuators import Actuators
+from planner.model.check_parts import check_parts
+from planner.model.contact.between_bodies import BodyContact
+from planner.model.contact.laws import Contact, ContactLaw, Stop
 from planner.model.couplings import Coupling, Reduction, reduce
-from planner.model.joint_curves import ExponentialTorque, check_curve
+from planner.model.joint_curves import ExponentialTorque
+from planner.model.loops import Cam, Loop
 from planner.model.space import StateSpace
 from planner.model.tendons import FixedTendon
 from planner.model.urdf.as_mjcf import as_mjcf
 
 SCREW, BALL, BALL_NEXT = 0, 1, 2
-DIRECT, INTEGRATOR, FILTER = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,147 +55,60 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Actuators:
-    """The nu actuators of a mechanism. Ranges are data only, infinite where there are none."""
-
-    names: tuple[str, ...]  # (nu,) names, "" where the file gives none
-    moment: np.ndarray  # (nu, nv) generalized force per actuator force
-    gain: np.ndarray  # (nu,)
-    bias: np.ndarray  # (nu, 3) constant, per length, per length rate
-    dynamics: np.ndarray  # (nu,) DIRECT, INTEGRATOR or FILTER
-    activation: np.ndarray  # (nu,) index into act, -1 for DIRECT
-    time_constant: np.ndarray  # (nu,) s, of FILTER
-    control_range: np.ndarray  # (nu, 2)
-    force_range: np.ndarray  # (nu, 2)
-    activation_range: np.ndarray  # (nu, 2)
-
-    @property
-    def nu(self) -> int:
-        """Number of actuators."""
-        return len(self.names)
-
-    @property
-    def na(self) -> int:
-        """Number of activations."""
-        return int(np.sum(self.dynamics != DIRECT))
-
-
-@dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A tree of links on screws. All arrays are float64 or int64, in C order and read-only.
+    """A tree of links on screws. All arrays are float64 or int64, in C order and read-only."""
 
-    Attributes:
-        nq: Size of qpos.
-        qpos0: (nq,) where the file puts the joints.
-        parent: (nv,) link that carries link i, -1 for the world; parents come first.
-        base: (nv,) link whose twist turns the screw of link i: the parent, or what carries the ball.
-        kind: (nv,) SCREW, BALL or BALL_NEXT.
-        q_address: (nv,) where qpos holds the coordinate; for a ball, the first of its quaternion.
-        T_home: (nv, 4, 4) pose in the parent's frame at q_home.
-        q_home: (nv,) rad or m, 0 for a ball.
-        S: (nv, 6) screw (angular, linear) in the link's own frame.
-        mass: (nv,) kg.
-        com: (nv, 3) centre of mass in the link's frame, m.
-        inertia: (nv, 3, 3) about the centre of mass, in the link's frame, kg m^2.
-        armature: (nv,) added to the diagonal of M.
-        damping: (nv,).
-        stiffness: (nv,) of hinge, slide and the slides of a free joint; 0 on balls.
-        spring_rest: (nv,) rad or m.
-        ball_stiffness: (nballs,) of the balls in the order of `quaternions`.
-        ball_rest: (nballs, 4) quaternions at rest.
-        gravity: (3,) m/s^2.
-        actuators: Its motors, servos and the like.
-        joint_names: One per joint, "" where the file gives none.
-        joint_links: One per joint: its links, a slice of the degrees of freedom.
-        joint_range: (nv, 2) infinite where there is none.
-        joint_force_range: (nv, 2) of the sum of actuator forces (actuatorfrcrange).
-        friction_loss: (nv,) N m or N, the largest friction of a degree of freedom; see planner.dynamics.friction.
-        friction_inertia: (nv,) kg m^2 or kg, by which friction holds it below that.
-        friction_rate: (nv,) 1/s, of the damper beside that inertia.
-        lifted_mass: (nv,) kg of a link whose weight gravity compensation carries.
-        lifted_moment: (nv, 3) its first moment in the link's frame, kg m.
-        velocity_limit: (nv,) rad/s or m/s, infinite where there is none; a URDF has them, in MJCF see
-            planner.model.mjcf.custom.
-        body_names: MuJoCo's bodies in order, the world first.
-        bodies: Their frames.
-        contacts: Spheres and points that touch planes of the world.
-        stops: Ends of joints that push back.
-        body_contacts: Spheres and capsules that touch each other.
-        curves: Torques that are exponentials of coordinates; the file knows nothing of them.
-        tendons: Fixed tendons with a force or a range.
-        couplings: Equations that are linear in hinge and slide coordinates, kept exactly.
-        sites: Frames by name.
-        keyframes: State (nx,) by name.
-        mjcf: The XML text that a replay uses: includes resolved, ignored elements taken out.
-        assets: Files that the text names, by the name it uses.
-        ignored: Elements taken out of the file, one phrase each.
-        original: The XML text as the file gave it, includes resolved, where `mjcf` was edited; else "".
-        contacts_mode: "model", "ground", "avoid", "off" or "law"; "" where no shapes can touch.
-        contacts_choice: A sentence about it, without a full stop; "" where there is nothing to say.
-    """
-
-    nq: int
-    qpos0: np.ndarray
-    parent: np.ndarray
-    base: np.ndarray
-    kind: np.ndarray
-    q_address: np.ndarray
-    T_home: np.ndarray
-    q_home: np.ndarray
-    S: np.ndarray
-    mass: np.ndarray
-    com: np.ndarray
-    inertia: np.ndarray
-    armature: np.ndarray
-    damping: np.ndarray
-    stiffness: np.ndarray
-    spring_rest: np.ndarray
-    ball_stiffness: np.ndarray
-    ball_rest: np.ndarray
-    gravity: np.ndarray
-    actuators: Actuators
-    joint_names: tuple[str, ...]
-    joint_links: tuple[slice, ...]
-    joint_range: np.ndarray
-    joint_force_range: np.ndarray
-    velocity_limit: np.ndarray
-    friction_loss: np.ndarray
-    friction_inertia: np.ndarray
-    friction_rate: np.ndarray
-    lifted_mass: np.ndarray
-    lifted_moment: np.ndarray
-    body_names: tuple[str, ...]
-    bodies: tuple[Frame, ...]
-    contacts: tuple[Contact, ...] = ()
-    stops: tuple[Stop, ...] = ()
-    sites: dict[str, Frame] = field(default_factory=dict)
-    keyframes: dict[str, np.ndarray] = field(default_factory=dict)
-    mjcf: str = ""
-    assets: dict[str, bytes] = field(default_factory=dict)
-    ignored: tuple[str, ...] = ()
-    original: str = ""
-    body_contacts: tuple[BodyContact, ...] = ()
-    curves: tuple[ExponentialTorque, ...] = ()
-    tendons: tuple[FixedTendon, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    contacts_mode: str = ""
-    contacts_choice: str = ""
+    nq: int  # Size of qpos
+    qpos0: np.ndarray  # (nq,) where the file puts the joints
+    parent: np.ndarray  # (nv,) link that carries link i, -1 for the world; parents come first
+    base: np.ndarray  # (nv,) link whose twist turns the screw of link i: the parent, or what carries the ball
+    kind: np.ndarray  # (nv,) SCREW, BALL or BALL_NEXT
+    q_address: np.ndarray  # (nv,) where qpos holds the coordinate; for a ball, the first of its quaternion
+    T_home: np.ndarray  # (nv, 4, 4) pose in the parent's frame at q_home
+    q_home: np.ndarray  # (nv,) rad or m, 0 for a ball
+    S: np.ndarray  # (nv, 6) screw (angular, linear) in the link's own frame
+    mass: np.ndarray  # (nv,) kg
+    com: np.ndarray  # (nv, 3) centre of mass in the link's frame, m
+    inertia: np.ndarray  # (nv, 3, 3) about the centre of mass, in the link's frame, kg m^2
+    armature: np.ndarray  # (nv,) added to the diagonal of M
+    damping: np.ndarray  # (nv,)
+    stiffness: np.ndarray  # (nv,) of hinge, slide and the slides of a free joint; 0 on balls
+    spring_rest: np.ndarray  # (nv,) rad or m
+    ball_stiffness: np.ndarray  # (nballs,) of the balls in the order of `quaternions`
+    ball_rest: np.ndarray  # (nballs, 4) quaternions at rest
+    gravity: np.ndarray  # (3,) m/s^2
+    actuators: Actuators  # Its motors, servos and the like
+    joint_names: tuple[str, ...]  # One per joint, "" where the file gives none
+    joint_links: tuple[slice, ...]  # One per joint: its links, a slice of the degrees of freedom
+    joint_range: np.ndarray  # (nv, 2) infinite where there is none
+    joint_force_range: np.ndarray  # (nv, 2) of the sum of actuator forces (actuatorfrcrange)
+    velocity_limit: np.ndarray  # (nv,) rad/s or m/s, infinite where there is none; see planner.model.mjcf.custom
+    friction_loss: np.ndarray  # (nv,) N m or N, the largest friction; see planner.dynamics.friction
+    friction_inertia: np.ndarray  # (nv,) kg m^2 or kg, by which friction holds it below that
+    friction_rate: np.ndarray  # (nv,) 1/s, of the damper beside that inertia
+    lifted_mass: np.ndarray  # (nv,) kg of a link whose weight gravity compensation carries
+    lifted_moment: np.ndarray  # (nv, 3) its first moment in the link's frame, kg m
+    body_names: tuple[str, ...]  # MuJoCo's bodies in order, the world first
+    bodies: tuple[Frame, ...]  # Their frames
+    contacts: tuple[Contact, ...] = ()  # Spheres and points that touch planes of the world
+    stops: tuple[Stop, ...] = ()  # Ends of joints that push back
+    sites: dict[str, Frame] = field(default_factory=dict)  # Frames by name
+    keyframes: dict[str, np.ndarray] = field(default_factory=dict)  # State (nx,) by name
+    mjcf: str = ""  # The XML text that a replay uses: includes resolved, ignored elements taken out
+    assets: dict[str, bytes] = field(default_factory=dict)  # Files that the text names, by the name it uses
+    ignored: tuple[str, ...] = ()  # Elements taken out of the file, one phrase each
+    original: str = ""  # The XML text as the file gave it, includes resolved, where `mjcf` was edited; else ""
+    body_contacts: tuple[BodyContact, ...] = ()  # Spheres and capsules that touch each other
+    curves: tuple[ExponentialTorque, ...] = ()  # Of coordinates; the file knows nothing of them
+    tendons: tuple[FixedTendon, ...] = ()  # Fixed tendons with a force or a range
+    couplings: tuple[Coupling, ...] = ()  # Equations that are linear in hinge and slide coordinates, kept exactly
+    loops: tuple[Loop, ...] = ()  # Frames that are held together, so that chains close
+    cams: tuple[Cam, ...] = ()  # Joints that follow others by polynomials
+    contacts_mode: str = ""  # "model", "ground", "avoid", "off" or "law"; "" where no shapes can touch
+    contacts_choice: str = ""  # A sentence about it, without a full stop; "" where there is nothing to say
 
     def __post_init__(self) -> None:
-        for name in ("armature", "damping", "stiffness", "friction_loss", "friction_rate"):
-            values = getattr(self, name)
-            wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
-            if len(wrong):
-                i = int(wrong[0])
-                joint = next(j for j, links in enumerate(self.joint_links) if links.start <= i < links.stop)
-                where = f"joint {self.joint_names[joint]!r} has {name} {values[i]:g}"
-                raise ModelError(f"{where}, expected a finite number of at least 0.")
-        for name in ("moment", "gain", "bias"):
-            wrong = np.argwhere(~np.isfinite(getattr(self.actuators, name)))
-            if len(wrong):
-                actuator = self.actuators.names[int(wrong[0][0])]
-                raise ModelError(f"actuator {actuator!r} has a {name} that is not finite, expected finite numbers.")
-        self._check_contacts()
+        check_parts(self)
         if self.couplings:
             _ = self.reduction  # a contradiction is told now
         self._protect()
@@ -214,27 +125,10 @@ class Mechanism:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
 
-    def _check_contacts(self) -> None:
-        carriers = sorted({body.link for body in self.bodies} - {-1})
-        for k, contact in enumerate(self.contacts):
-            if contact.link not in carriers:  # of several joints of a body, the last one carries it
-                raise PlannerError(f"contacts[{k}] is of link {contact.link}, expected one with a body: {carriers}.")
-            slide_direction(self, contact.plane)
-        for k, pair in enumerate(self.body_contacts):
-            check_body_contact(pair, carriers, f"body_contacts[{k}]")
-        for k, stop in enumerate(self.stops):
-            if not (stop.dof < self.nv and self.kind[stop.dof] == SCREW):
-                raise PlannerError(
-                    f"stops[{k}] is of dof {stop.dof}, expected one of a hinge or slide, below {self.nv}."
-                )
-
-        for k, curve in enumerate(self.curves):
-            check_curve(curve, self.kind == SCREW, f"curves[{k}]")
-
     @classmethod
     def from_mjcf(
         cls, model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-        assets: dict[str, bytes] | None = None, name: str = "",
+        assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read an MJCF file or text as MuJoCo's compiler understands it.
 
@@ -251,6 +145,9 @@ class Mechanism:
                 user's file.
             assets: Files by the names that the text uses for them; then nothing is read from disk.
             name: Of the model in messages; by default that of its file.
+            attach: A payload or a tool at a frame, or a list of them: {"frame": "hand", "mass": 2.0}, with `size`,
+                `com`, `inertia` and `name`; or {"frame": "hand", "model": "gripper.xml"}. See
+                planner.model.mjcf.attached. The replay and the user's file carry it too.
 
         Raises:
             ModelError: A file that cannot be read, that MuJoCo refuses, or with elements that change the motion
@@ -258,12 +155,13 @@ class Mechanism:
         """
         from planner.model.mjcf.read import read  # read imports Mechanism: the one exception to the order of folders
 
-        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name)
+        return read(model, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
     @classmethod
     def from_urdf(
         cls, model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
         inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+        attach: Any = None,
     ) -> Mechanism:  # fmt: skip
         """Read a URDF file or text: each link is a body, each joint with one coordinate has a motor within its effort.
 
@@ -281,13 +179,14 @@ class Mechanism:
                 `ignored`; "given" refuses it.
             ignore: As from_mjcf has it.
             contacts: As from_mjcf has it.
+            attach: As from_mjcf has it.
 
         Raises:
             ModelError: A file that cannot be read or is no tree of links, xacro, an inertia that no body has, a joint
                 that moves no inertia, or what from_mjcf raises.
         """
         mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
+        return cls.from_mjcf(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
     def with_curves(self, curves: Iterable[ExponentialTorque]) -> Mechanism:
         """The same machine with torques that are exponentials of its coordinates, in place of those it has.

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.control_bounds import Servos
 
 

@@ -26,6 +26,7 @@ from planner.model.mjcf.bounds import check_stored
 from planner.model.space import StateSpace
 
 FORMAT_VERSION = 6
+LEVEL = 4  # of compression: of meshes a tenth more bytes than at NumPy's 6, in a quarter of the time
 ARRAYS = ("t", "xs", "us", "K", "history")
 FILE = "file:"  # and a digest: the bytes of a file that the model's text names, as uint8
 HINGES = ("hinges_lower", "hinges_upper", "hinges_weight")  # all or none: what ranges of states added to the cost
@@ -66,8 +67,11 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any
     meta = finite(meta)
     meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
     with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
-        contents: dict[str, Any] = dict(arrays)  # for the type checker: savez has flags of its own
-        np.savez_compressed(file, **contents, meta=np.array(json.dumps(meta, allow_nan=False)))
+        contents = arrays | {"meta": np.array(json.dumps(meta, allow_nan=False))}
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive:
+            for name, array in contents.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
 
 
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -3,15 +3,18 @@
 Every weight makes its term a number without unit that is about 1:
 
     effort          1 / limit^2 of each control, the limit being what the model says; where it says none, what holds the
-                    machine and moves its inertia over the way in half of the time
+                    machine and moves its inertia over the way in half of the time; of machines that stand no more
+                    than what corrects an error that is kept to within 1 / SWIFT
     velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
                     only of machines whose actuators reach every joint: another one needs its swing
     position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:
                     their gains must hold a pose all along; none for others, which find their own way
     final_position  4 / tolerance^2, so that an error of the tolerance costs 2, more than the whole effort
     final_velocity  10 / tolerance^2
+    hold            of machines that stand, in place of the two: what it costs to stay at the goal for HOLD
 
-The effort of a servo, whose control is a position, is counted from the control that holds the goal.
+The effort of a servo, whose control is a position, and of machines that stand is counted from the control that holds
+the goal.
 """
 
 from __future__ import annotations
@@ -24,17 +27,21 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
+from planner.dynamics.assembly import directions
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import LEAST, least_share
 from planner.problem.guess import holding_controls
+from planner.problem.staying import staying
 
 LEAST_SPEED = {"rad": 0.5, "m": 0.1}  # rad/s, m/s: a joint that stays may move so fast at the price of one that goes
 LEAST_WAY = {"rad": 0.25, "m": 0.05}  # rad, m: what a motor without limits is taken to move at least
 MOVING = 0.75  # of the duration: in the rest a machine that stands comes to rest on a ground that is not the plan's
 KEPT = 2.0  # tolerances of the goal: 0.04 rad, 10 mm
+HOLD = 1.0  # s: longer than what a machine that stands takes to come to rest
+SWIFT = 60.0  # 1/s: gains that correct faster wrestle with a ground that is not the plan's, and with stages of 10 ms
 POSITION, VELOCITY = 4.0, 10.0  # over the square of a goal's tolerance
 SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means none, still leaves a definite weight
 
@@ -43,13 +50,14 @@ SOFTEST_EFFORT = 1e-12  # a limit of a million of its unit, or one that means no
 class DefaultWeights:
     """Weights by the arguments of TrackingCost.joints, and the reason of each in a sentence."""
 
-    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,)
+    weights: dict[str, np.ndarray]  # effort (nu,), control (nu,), position, velocity, final ones (nv,), hold ()
     reasons: dict[str, str]
 
 
 def default_weights(
     dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, *,
-    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False,
+    tolerance: float | Mapping[str, float] | None = None, effort_alone: bool = False, stays: bool = True,
+    way: np.ndarray | None = None, most: np.ndarray | None = None,
 ) -> DefaultWeights:  # fmt: skip
     """The weights of a motion from x0 (nx,) to a goal (nx,) within a duration, s.
 
@@ -60,34 +68,43 @@ def default_weights(
         duration: s.
         tolerance: How far from the goal the end may be, as Problem has it; finer ones make the goal tighter.
         effort_alone: Whether velocities on the way are free.
+        stays: Whether a machine on the ground is kept beside the straight line, and its end weighed by staying there.
+        way: (nv,) how far each degree of freedom goes; by default that from x0 to the goal.
+        most: (nu,) how large each control may be where the model says nothing; infinite or None for no bound.
     """
     mechanism = dynamics.mechanism
     nv = mechanism.nv
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: 2 * nv]]
-    way = np.abs(mechanism.space.difference(x0, goal)[:nv])
+    way = np.abs(mechanism.space.difference(x0, goal)[:nv]) if way is None else way
     speed = np.maximum(2.0 * way / duration, [LEAST_SPEED[unit] for unit in units[:nv]])
-    effort, control, known = _effort(dynamics, x0, goal, duration, way)
     velocity = np.zeros(nv)
     reach = reaches_all(dynamics)
-    stands = bool(mechanism.contacts)
-    if (reach or stands) and not effort_alone:
+    stands = bool(mechanism.contacts) and stays and not effort_alone
+    if (reach or bool(mechanism.contacts)) and not effort_alone:
         velocity = 1.0 / speed**2
     share = least_share(zip(way.tolist(), units, strict=False))
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
+    kept = KEPT * position if stands else None
+    effort, control, known = _effort(dynamics, x0, goal, duration, way, kept, most)
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
-        "position": 1.0 / (KEPT * position) ** 2 * (stands and not effort_alone),
-        "final_position": POSITION / position**2, "final_velocity": VELOCITY / rate**2,
+        "position": stands / (KEPT * position) ** 2,
+        "final_position": (not stands) * POSITION / position**2, "final_velocity": (not stands) * VELOCITY / rate**2,
+        "hold": np.array(HOLD * stands),
     }  # fmt: skip
+    staying = "none: the weight is that of staying at the goal"
     return DefaultWeights(weights, {
         "effort": "1 / limit^2 of each control" + ("" if all(known) else ", where the model has no limit from the "
-                  "force that holds the machine and moves its inertia"),
+                  "force that holds the machine and moves its inertia") + (
+                  f", at most what corrects {KEPT:g} tolerances within 1 / {SWIFT:g} s" if stands else ""),
         "velocity": "1 / v^2 of each joint, v = 2 way / duration" if np.any(velocity) else
                     "none: the objective is named" if reach else "none: not every joint has an actuator, and a swing "
                     "must be free",
         "position": f"1 / ({KEPT:g} tolerances)^2 beside the straight line: the machine stands on the ground"
-                    if stands and not effort_alone else "none on the way",
-        "final_position": f"{POSITION:g} / tolerance^2", "final_velocity": f"{VELOCITY:g} / tolerance^2",
+                    if stands else "none on the way",
+        "final_position": staying if stands else f"{POSITION:g} / tolerance^2",
+        "final_velocity": staying if stands else f"{VELOCITY:g} / tolerance^2",
+        "hold": f"what it costs to stay at the goal for {HOLD:g} s" if stands else "none: the machine need not stand",
     })  # fmt: skip
 
 
@@ -110,9 +127,25 @@ def default_cost(
     """
     x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
     chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
-    if dynamics.mechanism.contacts:
-        chosen["reference"] = straight_reference(dynamics, x0, goal, horizon)
-    return TrackingCost.joints(dynamics, goal, horizon, **chosen | weights)
+    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=bool(dynamics.mechanism.contacts))
+
+
+def weighed(
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, horizon: int, weights: Mapping[str, Any], *,
+    straight: bool,
+) -> TrackingCost:  # fmt: skip
+    """The cost from x0 (nx,) to a goal (nx,), with weights by the arguments of TrackingCost.joints, and hold.
+
+    `straight` tells whether the weights on the way refer to straight_reference, else to the goal.
+
+    Raises:
+        PlannerError: As TrackingCost.joints and staying.
+    """
+    chosen = dict(weights)
+    hold = chosen.pop("hold", 0.0)
+    if straight:
+        chosen.setdefault("reference", straight_reference(dynamics, x0, goal, horizon))
+    return staying(dynamics, TrackingCost.joints(dynamics, goal, horizon, **chosen), hold)
 
 
 def straight_reference(dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, N: int) -> np.ndarray:
@@ -134,34 +167,42 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
     """Whether actuators and prescribed joints can accelerate every joint as they like."""
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
-    own = np.eye(mechanism.nv)[driven]
-    return bool(np.linalg.matrix_rank(np.vstack([moment, own])) == mechanism.nv)
+    own, Z = np.eye(mechanism.nv)[driven], directions(mechanism, mechanism.qpos0)[0]
+    return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
 def _effort(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, list[bool]]:
-    """Weights and zero of the controls (nu,), and whether the model limits each."""
+    dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, duration: float, way: np.ndarray,
+    kept: np.ndarray | None, most: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, list[bool]]:  # fmt: skip
+    """Weights and zero of the controls (nu,), and whether the model limits each.
+
+    `kept` (nv,) are the errors that a machine that stands corrects within 1 / SWIFT; None for any other machine.
+    """
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     actuators, nq = mechanism.actuators, mechanism.nq
     units = [one.unit for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]]
     swift = 4.0 * np.maximum(way, [LEAST_WAY[unit] for unit in units]) / duration**2  # of a triangle of speed
     still = np.zeros(mechanism.nv)
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
-    force = held + np.diagonal(mass_matrix(mechanism, x0[:nq])) * swift
+    inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))
+    force = held + inertia * swift
+    corrects = np.full(mechanism.nv, np.inf) if kept is None else inertia * SWIFT**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
+        push = np.abs(actuators.gain[a] * actuators.moment[a])
         limit = _limit(mechanism, a, bool(servo[a]))
+        if most is not None and not np.isfinite(limit) and not servo[a]:
+            limit = float(most[a])
         known.append(np.isfinite(limit))
         if not known[-1]:
-            push = np.abs(actuators.gain[a] * actuators.moment[a])
             limit = float(np.max(force[push > 0.0] / push[push > 0.0], initial=0.0)) or 1.0
-        limits[a] = limit
+        limits[a] = min(limit, float(np.max(corrects[push > 0.0] / push[push > 0.0], initial=0.0)) or limit)
     limits[mechanism.nu :] = swift[driven]
     control = np.zeros(dynamics.nu)
-    if np.any(servo):
-        control[: mechanism.nu] = np.where(servo, holding_controls(mechanism, goal), 0.0)
+    if np.any(servo) or kept is not None:
+        control[: mechanism.nu] = np.where(servo | (kept is not None), holding_controls(mechanism, goal), 0.0)
     return np.maximum(1.0 / limits**2, SOFTEST_EFFORT), control, known
 
 

@@ -22,6 +22,7 @@ from planner.problem.problem import Problem
 
 MOST_STAGES = 100_000
 FINEST = "rk4"
+IMPLICIT = "rosenbrock"  # stays: no other one follows what it is chosen for
 FIRST_ORDER = ("euler", "semi-implicit-euler")
 
 
@@ -29,8 +30,8 @@ def finer(problem: Problem) -> Problem:
     """A problem with the next finer discretisation.
 
     An integrator of first order (both of Euler's) becomes RK4 at the same stage, which leaves the cost as it is. RK4
-    gets stages of half the length: a stage weight becomes two of half its size, with the same reference, and the final
-    weight stays, so that the cost still approximates the same integral.
+    and the implicit method get stages of half the length: a stage weight becomes two of half its size, with the same
+    reference, and the final weight stays, so that the cost still approximates the same integral.
 
     Raises:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
@@ -41,12 +42,13 @@ def finer(problem: Problem) -> Problem:
     if parts * problem.N > MOST_STAGES:
         raise PlannerError(f"half the stage makes {parts * problem.N} stages, expected at most {MOST_STAGES}.")
     dt = problem.dynamics.dt / parts
+    finest = IMPLICIT if getattr(problem.dynamics, "integrator", None) == IMPLICIT else FINEST
     limits = None if problem.limits is None else problem.limits.repeated(parts)
     if problem.recipe is not None and "integrator" in problem.recipe.parameters:
         step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
-        return replace(plain(problem.recipe.rebuilt(integrator=FINEST, **step)), limits=limits)
+        return replace(plain(problem.recipe.rebuilt(integrator=finest, **step)), limits=limits)
     return replace(
-        problem, dynamics=_with_step(problem.dynamics, dt, FINEST), horizon=parts * problem.N,
+        problem, dynamics=_with_step(problem.dynamics, dt, finest), horizon=parts * problem.N,
         us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
         constraints=[one.resampled(parts) for one in problem.constraints],
         cost=problem.cost if parts == 1 else remade(problem.cost, "resampled", parts, 1.0 / parts),
@@ -82,7 +84,7 @@ def substeps_reason(problem: Problem) -> str:
 def too_long(problem: Problem) -> str:
     """What to write where a step of the problem is too long for its machine's fastest motion; "" where it is not."""
     dynamics = problem.dynamics
-    if not isinstance(dynamics, RigidBodyDynamics):
+    if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == IMPLICIT:
         return ""
     found = fastest(dynamics.mechanism, [problem.x0, dynamics.mechanism.home], dynamics.prescribed)
     step = dynamics.dt / dynamics.substeps

@@ -4,6 +4,8 @@ Every term of a cost with a final weight asks for something: a TrackingCost for 
 FrameCost for a place of the hand. A goal passes within the problem's `tolerance`, else within 2 % of its way (of a
 velocity: of its peak along the plan), but never less than LEAST: nobody measures a robot better than that by eye. Of a
 motion so small that doing nothing would pass, LEAST is less in proportion: a tenth of the way.
+
+A task says itself what is wanted and how near (planner.problem.tasks), of waypoints and paths at their times.
 """
 
 from __future__ import annotations
@@ -28,19 +30,31 @@ KINDS = ("position", "velocity")
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """One thing that the end of a cost asks for.
+    """One thing that the end of a cost asks for, or a task at its times.
 
     Attributes:
         name: The coordinate or the frame, "elbow" or "position of hand".
         unit: "rad", "m", "rad/s", "m/s", or another one of the machine's own.
         tolerance: The largest miss that passes; infinite for a goal that is soft.
-        missed: States (K, nx) -> (K,) how far they are from it.
+        missed: States (K, nx) -> (K,) how far they are from it; K = T with times.
+        times: (T,) s, when it is asked for; None for the end.
+        alone: Whether it has a tolerance of its own, and is listed by its name rather than with others of its unit.
     """
 
     name: str
     unit: str
     tolerance: float
     missed: Callable[[np.ndarray], np.ndarray]
+    times: tuple[float, ...] | None = None
+    alone: bool = False
+
+    def miss(self, t: np.ndarray, xs: np.ndarray) -> float:
+        """The largest distance of a motion, states xs (M, nx) at rising times t (M,), from what is asked for."""
+        return float(np.max(self.missed(xs[-1:] if self.times is None else between(t, xs, np.array(self.times)))))
+
+    def miss_at(self, x: np.ndarray) -> float:
+        """The largest distance of a machine that stays at x (nx,)."""
+        return staying(self, x)
 
 
 def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]:
@@ -55,18 +69,20 @@ def goals_of(problem: Problem, xs: np.ndarray | None = None) -> tuple[Goal, ...]
     """
     wanted = wanted_of(problem)
     asked = _asked(problem.tolerance, [one.name for one in wanted])
-    ways = [(float(one.missed(problem.x0[None])[0]), one.unit) for one in wanted]
+    ways = [(staying(one, problem.x0), one.unit) for one in wanted]
     goals, share = [], least_share(ways)
     for one in wanted:
         kind = KINDS[one.unit.endswith("/s")]
-        given = asked.get(one.name, asked.get(kind))
+        given = asked.get(one.name, asked.get(kind) if one.tolerance is None else one.tolerance)
         tolerance = _usual(one, problem.x0, xs, share) if given is None else given
-        goals.append(Goal(one.name, one.unit, tolerance, one.missed))
+        goals.append(Goal(one.name, one.unit, tolerance, one.missed, one.times, one.tolerance is not None))
     return tuple(goals)
 
 
 def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
-    """What the terms of a problem's cost ask of its end, without tolerances."""
+    """What a problem's task asks for, else what the terms of its cost ask of its end."""
+    if problem.wanted is not None:
+        return problem.wanted
     coordinates = coordinates_of(problem.dynamics)
     found = tuple(one for term in terms_of(problem.cost) for one in getattr(term, "wanted", _nothing)(coordinates))
     if problem.periodic is None:
@@ -79,12 +95,30 @@ def wanted_of(problem: Problem) -> tuple[Wanted, ...]:
 def unjudged_ends(problem: Problem, xs: np.ndarray, us: np.ndarray) -> tuple[str, ...]:
     """The terms with a final part that do not say what they ask for, by their type: a user's own costs."""
     found = []
-    for term in terms_of(problem.cost):
+    for term in () if problem.wanted is not None else terms_of(problem.cost):
         if not hasattr(term, "wanted"):
             model = term.quadratize(xs, us)
             if np.any(model.Q[-1]) or np.any(model.q[-1]):
                 found.append(type(term).__name__)
     return tuple(found)
+
+
+def stages_asked(problem: Problem) -> np.ndarray:
+    """The stages (k,) at which a task asks for something; those of paths aside."""
+    found = [one.times[0] for one in problem.wanted or () if one.times is not None and len(one.times) == 1]
+    return np.unique(np.round(np.array(found) / problem.dynamics.dt)).astype(int)
+
+
+def between(t: np.ndarray, xs: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """States (..., T, nx) at times (T,) of motions xs (..., M, nx) at rising times t (M,), on lines between them."""
+    i = np.clip(np.searchsorted(t, times * (1.0 - 1e-12)), 1, len(t) - 1)
+    share = np.clip((times - t[i - 1]) / (t[i] - t[i - 1]), 0.0, 1.0)[:, None]
+    return np.where(share > 1.0 - 1e-9, xs[..., i, :], (1.0 - share) * xs[..., i - 1, :] + share * xs[..., i, :])
+
+
+def staying(one: Wanted | Goal, x: np.ndarray) -> float:
+    """The largest distance of a machine that stays at x (nx,) from what is asked for."""
+    return float(np.max(one.missed(np.tile(x, (1 if one.times is None else len(one.times), 1)))))
 
 
 def terms_of(cost: Any) -> tuple[Any, ...]:

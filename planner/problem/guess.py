@@ -8,9 +8,11 @@ from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
+from planner.dynamics.assembly import directions
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
-from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
+from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.model.mechanism import SCREW, Mechanism
 
 
 def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
@@ -30,9 +32,8 @@ def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     reach = actuators.moment.T * np.where(keeps, 0.0, actuators.gain)
     if mechanism.contacts:
         return supported(mechanism, q, reach, missing)
-    if mechanism.reduction is not None:
-        reach, missing = mechanism.reduction.G.T @ reach, mechanism.reduction.G.T @ missing
-    return np.linalg.lstsq(reach, missing, rcond=None)[0]
+    Z = directions(mechanism, q)[0]
+    return np.linalg.lstsq(Z.T @ reach, Z.T @ missing, rcond=None)[0]
 
 
 def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -56,11 +57,12 @@ def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
 def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
     """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None where there is no way.
 
-    There is one for a fully actuated machine of hinges and slides without contacts, from rest to rest.
+    There is one for a fully actuated tree of hinges and slides without contacts, from rest to rest.
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
-    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
+    closed = mechanism.loops or mechanism.cams
+    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
         return None
     try:
         return follow(mechanism, *quintic(x0[:nq], goal[:nq], duration, N))

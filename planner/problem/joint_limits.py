@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from planner.model.mechanism import SCREW, Mechanism
 SHARE = 0.01  # of a range, the margin by default
 LEAST = {"rad": 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
 WIDEST = 0.1  # of a range: the fingers of a gripper move by few millimetres
+OFF = 1e-4  # rad or m, of a start at the end of a range: the tolerance of limits
 ROUNDING = 1e-6  # of a range: a start outside by less is at its end
 
 
@@ -61,6 +62,38 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
             keep = min(_margin(mechanism, name, i, margin), 0.5 * (high - low))
             found[i] = Range(low + keep, high - keep, low, high, of_model=True)
     return found
+
+
+def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> tuple[np.ndarray, str]:
+    """A state (nx,) whose joints lie outside of the model's ranges by no more than a margin, at their ends instead.
+
+    A stop acts from a little before its end on, by its own margin: what begins or ends there is pushed to where the
+    stop lets go, so that is where it is put. A start at the very end is put OFF off it: what moves beside it pushes it
+    back by less than that before it leaves, and no stop answers. Coupled joints stay where they are, and so do those of
+    `limited`, which have a range of their own.
+
+    Returns:
+        The state, and a sentence about it that calls it `what`, "start" or "goal"; "" where nothing was moved.
+    """
+    coupled = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
+    moved, names, most = x.copy(), [], 0.0
+    for i, kept in model_ranges(mechanism, None).items():
+        name, address = mechanism.joint_names[_place(mechanism, i)], int(mechanism.q_address[i])
+        off = min(OFF, SHARE * (kept.most - kept.least)) if what == "start" else 0.0
+        end = min(max(x[address], kept.least + off), kept.most - off)
+        way = abs(end - x[address])
+        if 0.0 < way <= off + _margin(mechanism, name, i, None) and i not in coupled and name not in limited:
+            moved[address] = end
+            names.append(mechanism.joint_of(i))
+            most = max(most, float(way))
+    if not names:
+        return x, ""
+    others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {most:.2g} rad or m."
+
+
+def _place(mechanism: Mechanism, dof: int) -> int:
+    return next(k for k, links in enumerate(mechanism.joint_links) if links.start <= dof < links.stop)
 
 
 def check_margin(mechanism: Mechanism, margin: Any) -> None:

@@ -153,6 +153,19 @@ class Limits:
         some = servos is not None or np.isfinite(lower).any() or np.isfinite(upper).any()
         return ControlBounds(lower, upper, servos) if some else None
 
+    def position_ranges(self, dynamics: Dynamics) -> np.ndarray:
+        """Lower and upper ends (nv, 2) of the ranges of a mechanism's joints, infinite where there are none.
+
+        Raises:
+            PlannerError: As for the class.
+        """
+        mechanism = _named(getattr(dynamics, "mechanism", None), "position")
+        found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+        for i, kept in self._found(mechanism, space_of(dynamics).ndx).items():
+            if i < mechanism.nv:
+                found[i] = kept.low, kept.high
+        return found
+
     def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateRanges | None:
         """The ranges of the states, and exact goals; None where there are none.
 

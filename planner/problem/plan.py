@@ -180,10 +180,12 @@ class Plan(Built):
             return self.status.value
         outside = state_outside(self.problem, self.xs, self.t)
         held = control_at_bound(self.problem, self.us)
+        broken = constraints_broken(self.problem, self.xs, self.us, self.t)
         if self.status is Status.OUTSIDE_LIMITS:
-            broken = constraints_broken(self.problem, self.xs, self.us, self.t)
             found = ", and ".join(filter(None, (outside, broken, held)))
             return f"{self.status.value[:-1]}: {found}." if found else self.status.value
+        if broken:
+            return f"{self.status.value[:-1]}: {broken}; where that does not change, no motion keeps them."
         if not held or (self.status is Status.MAX_ITERATIONS and not stalled(self.history, self.cost)):
             return self.status.value
         return f"The solve stalls between bounds: {held}; give the motion more time or wider limits."

@@ -12,7 +12,7 @@ from planner.base.arguments import LONGEST_HORIZON, array, count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
-from planner.model.coupled_states import check_closed
+from planner.dynamics.assembly import check_assembled
 from planner.model.mjcf.driven import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
@@ -23,7 +23,7 @@ from planner.problem.constraints.rows import Rows
 from planner.problem.control_bounds import ControlBounds
 from planner.problem.costs.terms import Cost, check_cost
 from planner.problem.costs.tracking import states, tracking_of
-from planner.problem.costs.wanted import checked_tolerance
+from planner.problem.costs.wanted import Wanted, checked_tolerance
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.objective import Objective
 from planner.problem.periodicity import Periodic
@@ -77,6 +77,7 @@ class Problem(Built):
         tolerance: How far the end may be from what the cost asks of it, for the proof: a number in rad, m, rad/s and
             m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
             joints and frames. None: 2 % of the way, see planner.problem.goals.
+        wanted: What the proof judges, of a task; None for what the cost asks of the end.
         recipe: How the problem was built; None for one that was put together from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
         bounds: Of the controls, of the limits; None for none.
@@ -104,6 +105,7 @@ class Problem(Built):
     tolerance: float | Mapping[str, float] | None = None
     decrease_tolerance: float | None = None
     gain_tolerance: float = 0.0
+    wanted: tuple[Wanted, ...] | None = None
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateRanges | None = field(init=False, default=None)
     kept: Kept | None = field(init=False, default=None)
@@ -114,7 +116,7 @@ class Problem(Built):
         space = space_of(self.dynamics)
         object.__setattr__(self, "x0", states("x0", self.x0, space, ()))
         if isinstance(self.dynamics, RigidBodyDynamics):
-            check_closed("x0", self.x0, self.dynamics.mechanism)
+            check_assembled("x0", self.x0, self.dynamics.mechanism)
         us = None if self.us is None else array("us", self.us, ("N", nu))
         told = (self.horizon, getattr(self.cost, "N", None), None if us is None else len(us))
         N = next((number for number in told if number is not None), None)

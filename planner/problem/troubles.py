@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.dynamics.algorithms import bias
-from planner.model.mechanism import INTEGRATOR, Mechanism
+from planner.model.actuators import INTEGRATOR
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 
 _LIGHT = 1e-4  # of the median inertia of the joints of a kind: below it a machine is stiff

@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section
+from planner.dynamics.assembly import tangents
 from planner.dynamics.protocol import Dynamics
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
@@ -67,8 +68,8 @@ def hold_gain(problem: Problem) -> Hold:
         has = f"the cost has {len(costs)} terms with a goal state"
         raise PlannerError(f"{has}, expected one TrackingCost with a final weight.")
     free = ~np.any(costs[0].Q[-1], axis=0)  # (ndx,) costs nothing at the end
-    T, places = _directions(problem.dynamics, len(free))
     x, u = _equilibrium(problem, costs[0].x_ref[-1].copy(), free)
+    T, places = _directions(problem.dynamics, x, len(free))
     A, B, drift = _about(problem, x, u)
     _check_equilibrium(A, B, drift, problem.dynamics)
     Q, R = _weights(problem, x, u)
@@ -89,21 +90,21 @@ def hold_gain(problem: Problem) -> Hold:
     return Hold(x, u, gains, space_of(problem.dynamics))
 
 
-def _directions(dynamics: Dynamics, ndx: int) -> tuple[np.ndarray, np.ndarray]:
-    """The deviations T (ndx, n) that a machine's couplings leave, dx = T dx[places], and these places; else all."""
+def _directions(dynamics: Dynamics, x: np.ndarray, ndx: int) -> tuple[np.ndarray, np.ndarray]:
+    """The deviations T (ndx, n) that a machine's constraints leave at x, dx = T dx[places], and these places."""
     mechanism = getattr(dynamics, "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or mechanism.reduction is None or mechanism.space.ndx != ndx:
+    if not isinstance(mechanism, Mechanism) or mechanism.space.ndx != ndx:
         return np.eye(ndx), np.arange(ndx)
-    return mechanism.reduction.tangents(mechanism.na)
+    return tangents(mechanism, x)
 
 
 def _equilibrium(problem: Problem, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The state and control nearest to standing still: Gauss-Newton on f(x, u) (-) x, over u and what is free in x."""
     space = space_of(problem.dynamics)
     u = np.zeros(problem.dynamics.nu)
-    T, places = _directions(problem.dynamics, len(free))
-    T = T[:, free[places]]
     for _ in range(_NEWTON):
+        T, places = _directions(problem.dynamics, x, len(free))
+        T = T[:, free[places]]
         A, B, drift = _about(problem, x, u)
         J = np.concatenate([(A - np.eye(len(A))) @ T, B], axis=1)
         step = np.linalg.lstsq(J, -drift, rcond=1e-10)[0]

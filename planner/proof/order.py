@@ -22,15 +22,19 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of
 from planner.proof.replays.replaying import Replay
 from planner.proof.same_step import advancing
 from planner.proof.scales import COST_BOUND, judged_cost, shares_of_bounds
 
-NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0}
+NOMINAL = {"euler": 1.0, "semi-implicit-euler": 1.0, "rk4": 4.0, IMPLICIT: 2.0}
 ORDER_BOUND = 0.2  # how far below its nominal order a smooth machine's may be observed
-LEVELS = 5  # steps h ... h/16, h being a stage or, of a stage of several substeps, one of these
+LEVELS = 5  # steps h ... h/16, h being a stage
+LEVELS_OF_SUBSTEPS = 3  # the least that show an order: a stage of several substeps, h being one, begins near to it
 MOST_LEVELS = 7  # while errors are so large that no order shows
-MOST_STEPS = 256  # of a stage, beyond which none are added: a stage of several substeps begins near to its order
+MOST_STEPS = 256  # of a stage, beyond which none are added
+UNCERTAIN = 0.1  # of the bound of the cost: where no order is judged, none are added for less
 _SEEN = 1e-9  # changes below are rounding
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
@@ -90,37 +94,58 @@ def order(problem: Problem, run: Replay) -> Order:
     refined_only = problem.requirements is not None and bool(problem.requirements.no_same_step)
     # Where a replay at the plan's own step says nothing, halvings are those about the refined one.
     own = getattr(problem.dynamics, "substeps", 1)
-    substeps = [max(run.substeps // 2, 1) << k for k in range(3)] if refined_only else [own << k for k in range(LEVELS)]
+    count = LEVELS if own == 1 else LEVELS_OF_SUBSTEPS
+    if integrator == IMPLICIT:  # its order is not judged, and 16 substeps are fine already
+        count = 3
+    least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
+    substeps = [least << k for k in range(count)]
     nominal = NOMINAL.get("rk4" if refined_only else integrator, 4.0)
     kind = "rk4" if refined_only or integrator not in NOMINAL else integrator
+    why = _unjudged(run, problem)
+    why = why or ("damping is faster than these steps, which hides the order" if kind == IMPLICIT else "")
+    why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     with np.errstate(all="ignore"):
+        scale = cost.scale(plan, problem)
+        enough = UNCERTAIN * COST_BOUND / 100.0 * scale if why else 0.0  # of the cost's uncertainty
         levels = [_level(run, problem, kind, count) for count in substeps]
         changes, observed = _observed_between(plan, levels)
-        most = len(levels) if refined_only else MOST_LEVELS
+        factor, uncertainty = _uncertainty(levels, nominal, observed)
+        most = len(levels) if refined_only or integrator == IMPLICIT or (why and cost.final) else MOST_LEVELS
         while (
             len(levels) < most and 2 * substeps[-1] <= MOST_STEPS
-            and observed is not None and observed < nominal - ORDER_BOUND
+            and observed is not None and observed < nominal - ORDER_BOUND and not uncertainty <= enough
         ):  # fmt: skip
             substeps.append(2 * substeps[-1])
             levels.append(_level(run, problem, kind, substeps[-1]))
             changes, observed = _observed_between(plan, levels)
+            factor, uncertainty = _uncertainty(levels, nominal, observed)
         ends, costs = np.array([end for end, _ in levels]), np.array([cost for _, cost in levels])
-        factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
         shares = shares_of_bounds(plan, plan.space.difference(ends[1:], ends[:-1]))
-    why = "contacts open and close: the order scatters" if may_touch(run.compiled.model) else ""
-    coupled = getattr(getattr(problem.dynamics, "mechanism", None), "couplings", ())
-    why = why or ("MuJoCo's equalities are soft, by the square of its step" if coupled else "")
-    why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
-    why = why or _bends(getattr(problem.dynamics, "mechanism", None))
-    why = why or ("a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else "")
     return Order(
         steps=problem.dynamics.dt / np.array(substeps), ends=ends, costs=costs, changes=changes, shares=shares,
         nominal=nominal, observed=observed, judged=why,
         extrapolated_cost=float(costs[-1] + (costs[-1] - costs[-2]) / factor),
-        cost_uncertainty=float(_SAFETY * abs(costs[-1] - costs[-2]) / factor),
-        end_uncertainty=float(_SAFETY * shares[-1] / factor), plan_cost=plan.cost,
-        scale=cost.scale(plan, problem), whole=not cost.final,
+        cost_uncertainty=uncertainty, end_uncertainty=float(_SAFETY * shares[-1] / factor), plan_cost=plan.cost,
+        scale=scale, whole=not cost.final,
     )  # fmt: skip
+
+
+def _uncertainty(levels: list[tuple[np.ndarray, float]], nominal: float, observed: float | None) -> tuple[float, float]:
+    """2^p - 1, and the uncertainty of the extrapolated cost."""
+    factor = 2.0 ** (nominal if observed is None else min(max(observed, 0.5), nominal)) - 1.0
+    return factor, float(_SAFETY * abs(levels[-1][1] - levels[-2][1]) / factor)
+
+
+def _unjudged(run: Replay, problem: Problem) -> str:
+    """Why no order can be asked of a machine's motion, or ""."""
+    if may_touch(run.compiled.model):
+        return "contacts open and close: the order scatters"
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams):
+        return "MuJoCo's equalities are soft, by the square of its step"
+    if bends := _bends(mechanism):
+        return bends
+    return "a range is reached: the motion is not smooth" if run.reached or _stopped(problem, run.xs) else ""
 
 
 def _bends(mechanism: Any) -> str:
@@ -165,7 +190,7 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int) -> tup
     if integrator == "rk4" and substeps == run.substeps and sound:  # that replay itself, to the last bit
         xs = run.xs[::substeps]
         return xs[-1], problem.cost.value(xs, plan.us)
-    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space)
+    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics))
     assert advance is not None  # every integrator of NOMINAL has one
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0

@@ -5,14 +5,17 @@ method is of second order, a plan's is Munthe-Kaas's of fourth. Where MuJoCo doe
 integrator is applied here to MuJoCo's accelerations, mj_forward at each of its stages.
 
 So it is where joints are prescribed: their motors leave some 1e-7 of what is asked for (model.mjcf.driven), which is
-not the transcription's. Here they are asked again for what is missing. And so it is where joints are coupled: MuJoCo's
-equalities are soft, so here its accelerations are those of its own M and forces with the equalities kept exactly.
+not the transcription's. Here they are asked again for what is missing. And so it is where joints are coupled or chains
+are closed: MuJoCo's equalities are soft, so here its accelerations are those of its own M and forces with the
+equalities kept exactly.
 
-A plan's stage of several substeps is as many steps here.
+A plan's stage of several substeps is as many steps here. The method that takes damping implicitly is that of
+replays.implicit_steps.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -20,15 +23,17 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
-from planner.model.couplings import Reduction
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compare.rigid_parity import coupled_acceleration
+from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.simulation import set_state, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
@@ -64,9 +69,10 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
     model.jnt_actfrclimited[:] = 0
     integrator = getattr(problem.dynamics, "integrator", "")
     substeps = getattr(problem.dynamics, "substeps", 1)
-    reduction = getattr(mechanism, "reduction", None)
+    constrained = mechanism is not None and (mechanism.couplings or mechanism.loops or mechanism.cams)
     dt, driven = problem.dynamics.dt / substeps, driven_dofs(problem.dynamics)
-    found = stage_function(integrator, dt, model, twin, space, driven, reduction)
+    damping = damping_of(problem.dynamics)
+    found = stage_function(integrator, dt, model, twin, space, driven, mechanism if constrained else None, damping)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
@@ -105,12 +111,13 @@ def rounding_amplification(A: np.ndarray) -> float:
 
 def stage_function(
     integrator: str, dt: float, model: Any, twin: Twin, space: StateSpace, driven: Sequence[int] | np.ndarray = (),
-    reduction: Reduction | None = None,
+    constrained: Mechanism | None = None, damping: np.ndarray | None = None,
 ) -> tuple[str, Stage] | None:  # fmt: skip
     """One stage of dt in MuJoCo: its method in words, and the function (x, u) -> x at its end; None for none.
 
-    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding. With a
-    reduction its equalities are kept exactly, and its constraints do not act.
+    The model is changed. Accelerations of driven degrees of freedom, the last controls, are met to rounding. The
+    equalities of a constrained mechanism are kept exactly, and its other constraints do not act. `damping` is what an
+    implicit method takes so.
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -126,7 +133,7 @@ def stage_function(
             data.ctrl[-len(driven) :] += u[-len(driven) :] - acceleration()[driven]
 
     def acceleration() -> np.ndarray:
-        return data.qacc if reduction is None else coupled_acceleration(model, data, reduction)
+        return data.qacc if constrained is None else constrained_acceleration(model, data, constrained)
 
     def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         begin(x, u)
@@ -160,8 +167,18 @@ def stage_function(
         "euler": explicit_euler, "rk4": lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate)
     }  # fmt: skip
     named = {"semi-implicit-euler": "EULER"} | ({} if space.quaternions or len(driven) else {"rk4": "RK4"})
-    if reduction is not None:
+    if constrained is not None:
         own["semi-implicit-euler"], named = velocity_first, {}
+    if integrator == IMPLICIT and damping is not None and not len(driven):
+        exact = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
+        move = implicit_step(model, dt, damping, acceleration=exact)
+
+        def implicit(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+            begin(x, u)
+            move(data)
+            return twin.x_of(state_of(data))
+
+        return ACCELERATIONS, implicit
     if integrator in named:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{named[integrator]}")
         return f"MuJoCo's {named[integrator]}", step
@@ -170,12 +187,14 @@ def stage_function(
     return None
 
 
-def advancing(integrator: str, step: float, model: Any, twin: Twin, space: StateSpace) -> Advance | None:
+def advancing(
+    integrator: str, step: float, model: Any, twin: Twin, space: StateSpace, damping: np.ndarray | None = None
+) -> Advance | None:
     """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control; None for none.
 
     MuJoCo's own integrators run on: the simulator may have more states than the plan.
     """
-    found = stage_function(integrator, step, model, twin, space)
+    found = stage_function(integrator, step, model, twin, space, damping=damping)
     if found is None:
         return None
     mujoco, (how, stage) = load_mujoco(), found

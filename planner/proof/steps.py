@@ -96,7 +96,9 @@ def prove(
         raise PlannerError("the plan has no MuJoCo model to be replayed in, expected a Problem with a twin.")
     compiled = another_model(problem, twin, mjcf)
     sampling = sampling_of(plan)
-    runs = {mode: replay_in(compiled, plan, feedback=mode == "feedback", sampling=sampling) for mode in MODES}
+    openly = replay_in(compiled, plan)
+    fed = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=openly.plan_xs)
+    runs: dict[str, Replay] = {"open-loop": openly, "feedback": fed}
     now = recomputed(plan, problem, plan.xs, plan.us)
     required = {
         # Step 0: the file's numbers agree with each other: start, states, cost, gradient, gains, times.
@@ -181,10 +183,12 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
         note("the slowest rate at which the gains still hold")
         rates = slowest_rate(plan, compiled, passes)
         note("the same with encoders")
-        encoded = replay_in(compiled, plan, feedback=True, sampling=replace(sampling_of(plan), encoders=True))
+        planned = runs["feedback"].plan_xs
+        encoding = replace(sampling_of(plan), encoders=True)
+        encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned)
         units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("another ground")
-        as_judged = functools.partial(replay_in, sampling=sampling_of(plan))
+        as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
         ground = another_ground(plan, compiled, units=units, runs=runs, replay=as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
@@ -228,7 +232,7 @@ def _without(problem: Problem, compiled: CompiledTwin) -> tuple[str, ...]:
 def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
     """Whether a plan that stays where it is would pass, though its goal is elsewhere."""
     goals = [one for one in goals_of(problem, plan.xs) if np.isfinite(one.tolerance)]
-    away = [float(one.missed(problem.x0[None])[0]) for one in goals]
+    away = [one.miss_at(problem.x0) for one in goals]
     near = all(miss <= one.tolerance for miss, one in zip(away, goals, strict=True))
     return bool(goals) and near and max(away) > _ROUNDING
 

@@ -92,14 +92,15 @@ def costs_with_goals(problem: Problem) -> list[TrackingCost]:
 
 
 def goal(run: Replay, problem: Problem) -> Section:
-    """Judge where the plan and its replay end: by every goal of the cost, or by the machine's own rule."""
+    """Judge the plan and its replay by every goal of the cost or task, at its time, or by the machine's own rule."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
     goals = goals_of(problem, run.plan.xs)
     if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
-    ends = {"planned": run.plan.xs[-1:], "replayed": run.xs[-1:]}
-    return Section("goal", (*(one for who, x in ends.items() for one in misses(who, x, goals)), *_return(run, problem)))
+    motions = {"planned": (run.plan.t, run.plan.xs), "replayed": (run.t, run.xs)}
+    missed = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
+    return Section("goal", (*missed, *_return(run, problem)))
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measured, ...]:
@@ -113,18 +114,33 @@ def _return(run: Replay, problem: Problem) -> tuple[Measured, ...]:
     )
 
 
-def misses(who: str, x: np.ndarray, goals: tuple[Goal, ...]) -> list[Measured]:
-    """How far an end x (1, nx) is from goals, by unit: of each the one that is nearest to its tolerance."""
+def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[Goal, ...]) -> list[Measured]:
+    """How far a motion, states xs (M, nx) at times t (M,), is from goals.
+
+    Those with a tolerance of their own are listed one by one; of the others the one of each unit that is nearest to
+    its tolerance.
+    """
     measured = []
-    for unit in dict.fromkeys(one.unit for one in goals):
-        judged = [one for one in goals if one.unit == unit and math.isfinite(one.tolerance)]
-        of_unit = judged or [one for one in goals if one.unit == unit]
-        values = [float(one.missed(x)[0]) for one in of_unit]
+    whose = "the plan" if who == "planned" else "MuJoCo"
+    for one in goals:
+        if one.alone:
+            key, when = one.name.replace(" ", "_"), "" if one.times is None else ", at its time"
+            note = f"{whose} from {one.name}{when}"
+            if one.times is not None and len(one.times) > 1:
+                note = f"largest, {whose} from {one.name}, {one.times[0]:g} to {one.times[-1]:g} s"
+            measured.append(Measured(f"{who}_{key}_miss", one.miss(t, xs), one.unit, _bound(one), note))
+    shared = [one for one in goals if not one.alone]
+    for unit in dict.fromkeys(one.unit for one in shared):
+        judged = [one for one in shared if one.unit == unit and math.isfinite(one.tolerance)]
+        of_unit = judged or [one for one in shared if one.unit == unit]
+        values = [one.miss(t, xs) for one in of_unit]
         scales = [value / one.tolerance if judged else value for value, one in zip(values, of_unit, strict=True)]
         worst = int(np.argmax(np.where(np.isfinite(scales), scales, np.inf)))
         most = of_unit[worst]
-        whose = "the plan's end" if who == "planned" else "MuJoCo's end"
-        note = f"{whose} from the goal, {most.name}" + ("" if judged else "; a soft goal is not judged")
-        bound = most.tolerance if judged else None
-        measured.append(Measured(f"{who}_{word_of(unit)}_miss", values[worst], unit, bound, note))
+        note = f"{whose}'s end from the goal, {most.name}" + ("" if judged else "; a soft goal is not judged")
+        measured.append(Measured(f"{who}_{word_of(unit)}_miss", values[worst], unit, _bound(most), note))
     return measured
+
+
+def _bound(goal: Goal) -> float | None:
+    return goal.tolerance if math.isfinite(goal.tolerance) else None

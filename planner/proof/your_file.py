@@ -5,7 +5,8 @@ with its own options at a refined step, under the plan's controls and gains. Joi
 in it too, and torques that MJCF does not know act in it too.
 
 The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
-acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails.
+acrobot's path, and is no fault of a plan. A stiff file may need its own integrator, which is taken where RK4 fails; a
+plan that takes damping implicitly is replayed by MuJoCo's implicitfast.
 
 What the plan does not know must not have mattered: no touch of a pair that it lacks, no stop of a joint, no clamp of an
 actuator, no runaway, and every goal is met. Pairs that overlap where the plan starts are left out of the file: MuJoCo
@@ -38,6 +39,7 @@ from planner.proof.constraints import replayed_violations
 from planner.proof.left_out import lacking
 from planner.proof.replays.compiled_twin import CompiledTwin, with_model
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.limits_hit import clamps_hit, stops_hit
 from planner.proof.replays.replaying import Replay, replay_in
 from planner.proof.replays.simulation import simulate
@@ -90,14 +92,16 @@ def your_file(
         given = open_loop.compiled  # compiled already
     compiled = _without_overlaps(problem, given)
     known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
-    run = replay_in(compiled, plan, feedback=True)
-    end = known.xs[-1] if known else _end_without_gains(run)
-    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, end, goals)))
+    planned = None if open_loop is None else open_loop.plan_xs
+    native = None if damping_of(problem.dynamics) is None else NATIVE
+    run = replay_in(compiled, plan, feedback=True, integrator=native, planned=planned)
+    alone = (known.t, known.xs) if known else _without_gains(run)
+    section = Section(TITLE, (*_measured(run, problem, goals), *_open_loop(plan, *alone, goals)))
     own = load_mujoco().mjtIntegrator(run.compiled.model.opt.integrator).name.removeprefix("mjINT_")
     if section.passed or own == run.integrator:
         return section, run
-    again = replay_in(run.compiled, plan, feedback=True, integrator=own)
-    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, _end_without_gains(again), goals)))
+    again = replay_in(run.compiled, plan, feedback=True, integrator=own, planned=run.plan_xs)
+    other = Section(TITLE, (*_measured(again, problem, goals), *_open_loop(plan, *_without_gains(again), goals)))
     return (other, again) if other.passed else (section, run)
 
 
@@ -225,7 +229,7 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[Goal]) -> Sequence[Mea
     """How far the end is from each goal, or what the machine's own rule says of it."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run).measured
-    return misses("replayed", run.xs[-1:], tuple(goals))
+    return misses("replayed", run.t, run.xs, tuple(goals))
 
 
 def _path(run: Replay) -> list[Measured]:
@@ -248,11 +252,11 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:
     ]  # fmt: skip
 
 
-def _open_loop(plan: Plan, end: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
-    """How far the file ends (nx,) from the plan without gains, and how many goals it misses so."""
-    error = plan.space.difference(end, plan.xs[-1])[None]
+def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[Goal]) -> list[Measured]:
+    """How far the file's motion xs (M, nx) without gains ends from the plan, and how many goals it misses so."""
+    error = plan.space.difference(xs[-1], plan.xs[-1])[None]
     own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
-    missed = [] if own_rule else [one for one in misses("open loop", end[None], tuple(goals)) if not one.passed]
+    missed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
     note = "; ".join(map(str, missed)) or "without gains"
     ends = [
         Measured(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
@@ -261,12 +265,12 @@ def _open_loop(plan: Plan, end: np.ndarray, goals: Sequence[Goal]) -> list[Measu
     return [Measured(OPEN_LOOP_MISSES, float(len(missed)), "", None, note), *ends]
 
 
-def _end_without_gains(run: Replay) -> np.ndarray:
-    """(nx,) where the file ends without gains, from the start of a replay."""
+def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
+    """Times (M,) and states (M, nx) of the file without gains, from the start of a replay."""
     compiled = run.compiled
     model = compiled.stepping(run.timestep, run.integrator)
     ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
     start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
     with curves_acting(compiled.twin, model):
         w, _ = simulate(model, start, ctrl)
-    return compiled.twin.x_of(w[-1])
+    return run.t, compiled.twin.x_of(w)

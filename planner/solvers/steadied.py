@@ -44,7 +44,17 @@ def steadied(problem: Problem) -> np.ndarray | None:
 def led(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
     """Controls (N, nu) of gains that lead a machine along the straight line to a goal (nx,); None if it runs away."""
     with np.errstate(all="ignore"):
-        return _written_down(problem, _leading(problem, goal))
+        return _written_down(problem, _leading(problem, _straight(problem, goal)))
+
+
+def led_along(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
+    """Controls (N, nu) of gains that lead a machine along states xs (N+1, nx); None if it runs away.
+
+    The gains act about us (N, nu), where these are known to move it so: alone they may not keep an unstable machine
+    near a long way. Without them they act about what holds the machine.
+    """
+    with np.errstate(all="ignore"):
+        return _written_down(problem, _leading(problem, lambda n: xs[n], us))
 
 
 def followed(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray | None:
@@ -111,22 +121,33 @@ def _holding(problem: Problem) -> Control:
     return lambda n, now: u + K @ space.difference(now, x)
 
 
-def _leading(problem: Problem, goal: np.ndarray) -> Control:
-    """Gains about a place that goes from the start to the goal, fast in the middle, taken anew on the way."""
+def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]:
+    """The state of each stage on the straight line from the start to a goal, fast in the middle."""
     space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
     mechanism = getattr(problem.dynamics, "mechanism", None)
+
+    def place(n: int) -> np.ndarray:
+        x = space.integrate(start, places[n] * way)
+        if mechanism is not None:
+            x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
+        return x
+
+    return place
+
+
+def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarray | None = None) -> Control:
+    """Gains about the state of each stage on a way, taken anew as it goes on, and about controls us (N, nu)."""
+    space = space_of(problem.dynamics)
     u, K = np.zeros(0), np.zeros(0)
 
     def control(n: int, now: np.ndarray) -> np.ndarray:
         nonlocal u, K
-        place = space.integrate(start, places[n] * way)
+        x = place(n)
         if n % _AGAIN == 0:
-            u, K = _regulator(problem, place)
-        if mechanism is not None:
-            place[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
-        return u + K @ space.difference(now, place)
+            u, K = _regulator(problem, _at_rest(problem, x))
+        return (u if us is None else us[n]) + K @ space.difference(now, x)
 
     return control
 

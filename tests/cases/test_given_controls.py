@@ -38,6 +38,18 @@ def test_controls_lead_where_the_plan_that_they_are_of_goes(solved, model, tmp_p
     assert not planner.prove(plan, rollouts=0).passed
 
 
+def test_a_urdf_is_read_as_everywhere(tmp_path):
+    """Its joints have motors, by their names."""
+    from urdfs import ARM
+
+    (tmp_path / "arm.urdf").write_text(ARM)
+    motors = [name for name in planner.Mechanism.from_urdf(ARM).actuators.names if name]
+    file = write(tmp_path / "u.csv", motors, np.zeros((20, len(motors))), 0.01)
+    plan = plan_of_controls(file, tmp_path / "arm.urdf")
+    proof = planner.prove(plan, rollouts=0, optimal=False)
+    assert proof.passed, proof.reason
+
+
 def test_columns_may_come_in_any_order(solved, model, tmp_path):
     file = write(tmp_path / "u.csv", ["elbow", "shoulder"], solved.us[:, ::-1], solved.dt)
     np.testing.assert_allclose(plan_of_controls(file, model).us, solved.us)

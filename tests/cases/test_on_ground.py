@@ -8,7 +8,8 @@ from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import clearance
-from planner.model.mjcf.contact_choice import SINK
+from planner.model.mjcf.ground_law import SINK
+from planner.proof.cures.balance import standing_goal
 
 # A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
 SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>
@@ -84,6 +85,9 @@ def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):
     x = file.problem.x0
     assert clearance(file.problem.dynamics.mechanism, x) == pytest.approx(-SINK, abs=1e-6)  # by its weight on one ball
     np.testing.assert_allclose(x[3:7], [1, 0, 0, 0], atol=1e-12)
+    (why,) = standing_goal(planner.Plan, file.problem, None)
+    assert why.value is None
+    assert why.sentence.startswith("No plan stays at the goal: the pose does not stay on the ground: its centre")
 
 
 def test_a_plan_of_it_passes_and_is_stored(tmp_path):

@@ -13,7 +13,7 @@ from places import ROOT
 
 import planner
 from planner.cases.problem_file import load, of_table
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, WEIGHTS
+from planner.cases.problem_file.keys import ATTACH, DEFAULTS, FOLLOW, GOAL, KEYS, WEIGHTS
 from planner.dynamics.stiffness import substeps_for
 from planner.problem.discretisation import finer
 from planner.problem.guess import follow, holding_controls
@@ -203,9 +203,9 @@ def test_hold_leaves_integrators_and_fills_filters():
 
 
 def test_every_key_is_described_and_documented():
-    page = (ROOT / "docs" / "own-machine.md").read_text(encoding="utf-8")
+    page = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("own-machine.md", "tasks.md"))
     assert set(DEFAULTS) < set(KEYS)
-    for key in (*KEYS, *WEIGHTS):
+    for key in (*KEYS, *WEIGHTS, *GOAL, *FOLLOW, *ATTACH):
         assert f"`{key}`" in page or f"`[{key}]`" in page, key
 
 
@@ -241,7 +241,7 @@ def test_stages_have_the_substeps_that_the_machine_needs(tmp_path):
     assert stiff(tmp_path, integrator='"semi-implicit-euler"').dynamics.substeps == 1
     assert stiff(tmp_path, substeps=3).dynamics.substeps == 3
     with pytest.raises(planner.PlannerError, match=r"finger has a rate of .* expected dt = "):
-        stiff(tmp_path, duration=4.0, dt=0.2)
+        stiff(tmp_path, duration=4.0, dt=0.2, integrator='"rk4"')
     with pytest.raises(planner.PlannerError, match="substeps, unless \"auto\", is 'fast', expected"):
         stiff(tmp_path, substeps='"fast"')
 

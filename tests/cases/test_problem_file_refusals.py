@@ -46,7 +46,8 @@ from planner.problem.goals import goals_of
         ({"goal": "{ pole = true }"}, ("goal of pole is True", "a finite number")),
         ({"goal": '["1", "2"]'}, ("goal is not an array of numbers",)),
         ({"goal": "[[1, 2]]"}, ("goal is [[1, 2]]", "2 or 4 numbers", "slider, pole")),
-        ({"goal": "[{ pole = 1 }]"}, ("goal is [{'pole': 1}]", "2 or 4 numbers")),
+        ({"goal": "[{ pole = 1 }]"}, ("a key of goal 1 is 'pole'", "frame", "joints")),
+        ({"goal": "[[1.0, 2.0]]"}, ("goal is [[1.0, 2.0]]", "2 or 4 numbers")),
         ({"duration": "true"}, ("duration is True",)),
         ({"ignore": '"foo"'}, ("ignore is 'foo'", "frictionloss", "equality")),
         ({"ignore": "[1]"}, ("ignore is [1]", "frictionloss")),
@@ -176,3 +177,26 @@ def test_a_model_is_no_case(name):
         parse(["run", name])
     for fragment in (f"{name} is a model", "two-link", PROBLEM_FILE, "names the model", "planner model"):
         assert fragment in str(caught.value)
+
+
+CUBE = (
+    '<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/>'
+    '</body><body pos="1 0 .1"><freejoint name="cube"/><geom type="box" size=".02 .02 .02"/></body>{}</worldbody>'
+    '<actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>'
+)
+
+
+def test_a_goal_of_what_nothing_drives_or_holds_is_refused(tmp_path):
+    """A cube that falls whatever the arm does: no solve can end, and the sentence says where the cube gets."""
+    (tmp_path / "cube.xml").write_text(CUBE.format(""))
+    text = 'model = "cube.xml"\nstart = { arm = 0 }\ngoal = { arm = 0.5 }\nduration = 0.5\n'
+    (tmp_path / "reach.toml").write_text(text)
+    # 9.81 / 2 * 0.5^2 = 1.23 m
+    words = r"nothing drives or holds joint 'cube' in the plan, so that cube z ends 1\.23 m from the goal"
+    with pytest.raises(PlannerError, match=words):
+        load(tmp_path / "reach.toml")
+    floor = '<geom type="plane" size="1 1 1"/>'
+    (tmp_path / "cube.xml").write_text(CUBE.format(floor).replace('"0 0 0 .5 0 0"', '"0 0 1 .5 0 1"'))
+    assert load(tmp_path / "reach.toml").problem.N > 0  # it comes to rest on the floor
+    (tmp_path / "cube.xml").write_text(CUBE.format("").replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>'))
+    assert load(tmp_path / "reach.toml").problem.N > 0  # it stays where it is

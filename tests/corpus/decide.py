@@ -14,8 +14,9 @@ from scipy.integrate import DOP853
 from planner import Plan
 from planner.dynamics import poe
 from planner.dynamics.contacts import generalized_forces
+from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.coordinates import coordinates_of
-from planner.model.mechanism import BALL, DIRECT, INTEGRATOR, SCREW
+from planner.model.mechanism import BALL, SCREW
 from planner.model.space import product
 from planner.problem.goals import goals_of
 

@@ -12,7 +12,7 @@ from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.statics import settled
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_choice import DAMPING, SINK
+from planner.model.mjcf.ground_law import DAMPING, SINK
 from planner.problem.guess import holding_controls
 
 others = pytest.mark.skipif(None in PLACES.values(), reason="no models of others")

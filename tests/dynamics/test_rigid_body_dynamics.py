@@ -8,7 +8,8 @@ from trees import CHAINS, actuated, data_at, driven, machines, mujoco, random_st
 
 from planner.dynamics import RigidBodyDynamics, poe
 from planner.dynamics.protocol import INTEGRATORS
-from planner.model.mechanism import FILTER, SCREW, Mechanism
+from planner.model.actuators import FILTER
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)

@@ -7,7 +7,7 @@ from legs import leg
 from planner.base.errors import ModelError
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_choice import DAMPING, SINK
+from planner.model.mjcf.ground_law import DAMPING, SINK
 
 FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
 ARM = """<body name="arm"><joint name="hinge" axis="0 0 1"/>

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.mechanism import BALL, BALL_NEXT, FILTER, INTEGRATOR, SCREW, Mechanism
+from planner.model.actuators import FILTER, INTEGRATOR
+from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Mechanism
 from planner.model.space import hat
 
 mujoco = load_mujoco()

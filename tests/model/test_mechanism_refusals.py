@@ -243,3 +243,10 @@ def test_contact_pairs_are_those_that_mujoco_finds(seed, flag):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert contact_pairs(model) == sorted({tuple(sorted(map(int, contact.geom))) for contact in data.contact})
+
+
+def test_friction_of_a_tendon_that_an_equality_holds_does_nothing():
+    held = plain(tendon=TENDON % 'frictionloss="1"', equality='<tendon tendon1="t"/>')
+    Mechanism.from_mjcf(held)
+    with pytest.raises(PlannerError, match="frictionloss of tendon 't'"):
+        Mechanism.from_mjcf(plain(tendon=TENDON % 'frictionloss="1"'))

@@ -1,5 +1,6 @@
 """Models that MuJoCo's compiler would take hours or gigabytes for, or that end it, are one sentence."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -96,6 +97,72 @@ def test_a_compiled_model_is_the_same_model():
     for name in ("body_mass", "body_inertia", "dof_M0", "qpos0", "jnt_axis", "geom_pos"):
         np.testing.assert_array_equal(getattr(child, name), getattr(here, name))
     assert bytes(child.names) == bytes(here.names)
+
+
+def meshes(*heights):
+    """A text with meshes of these heights, and its files."""
+    files = {f"{k}.obj": OBJ.format(height).encode() for k, height in enumerate(heights)}
+    names = "".join(f'<mesh name="m{k}" file="{name}"/>' for k, name in enumerate(files))
+    bodies = "".join(f'<body><joint/><geom type="mesh" mesh="m{k}"/></body>' for k in range(len(heights)))
+    return WORLD.format("", names, bodies), files
+
+
+def test_a_child_that_knows_a_file_compiles_the_next_text_to_the_same_bits():
+    import mujoco
+    import numpy as np
+
+    text, files = meshes(1, 7)
+    bounded.compiled(text, files, "the model")
+    child = bounded._kept[0]
+    text, more = meshes(1, 3)  # a file that it knows, and another one under a name that it knows
+    more["0.obj"] = files["0.obj"]
+    model, here = bounded.compiled(text, more, "the model"), mujoco.MjModel.from_xml_string(text, more)
+    assert bounded._kept == [child]
+    both = [np.empty(mujoco.mj_sizeModel(one), dtype=np.uint8) for one in (model, here)]
+    for one, content in zip((model, here), both, strict=True):
+        mujoco.mj_saveModel(one, None, content)
+    np.testing.assert_array_equal(both[0], both[1])
+
+
+def test_a_child_that_is_gone_is_replaced():
+    text, files = meshes(1)
+    bounded.compiled(text, files, "the model")
+    child = bounded._kept[0]
+    os.kill(child._pid, signal.SIGKILL)
+    os.waitid(os.P_PID, child._pid, os.WEXITED | os.WNOWAIT)
+    assert bounded.compiled(text, files, "the model").nmesh == 1
+    assert bounded._kept[0]._pid != child._pid
+
+
+def test_a_child_has_new_limits_for_each_text(monkeypatch):
+    """A text that takes too long after one that did not is stopped as ever; what it did before is no excuse."""
+    monkeypatch.setattr(bounded, "SECONDS", 1)
+    text, files = meshes(1)
+    bounded.compiled(text, files, "the model")
+    with pytest.raises(ModelError, match="takes more than 1 s"):
+        bounded.compiled(text.replace("<asset>", '<size nkey="200000000"/><asset>'), files, "the model")
+    assert not bounded._kept
+
+
+def test_a_child_holds_nothing_open_of_its_parent():
+    """A lock that the parent gives up, or a pipe that it closes, would stay until the child ends."""
+    reader, writer = os.pipe()
+    bounded.compiled(*meshes(1), "the model")
+    os.close(writer)
+    assert os.read(reader, 1) == b""  # the end, at once
+    os.close(reader)
+
+
+def test_a_child_ends_with_its_parent():
+    code = (
+        "from planner.model.mjcf import bounded;"
+        f"text, files = {meshes(1)!r};"
+        "bounded.compiled(text, files, 'the model');"
+        "print(bounded._kept[0]._pid)"
+    )
+    pid = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid), 0)
 
 
 def test_limits_hold_where_the_process_has_less():

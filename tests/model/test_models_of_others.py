@@ -22,7 +22,8 @@ from trees import (
 from planner import dynamics as rb
 from planner.base.errors import ModelError, PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mechanism import DIRECT, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import Mechanism
 
 pytestmark = pytest.mark.skipif(
     None in PLACES.values(), reason="no models: pip install --no-deps dm-control==1.0.50 gymnasium==1.4.0"

@@ -164,3 +164,15 @@ def test_a_file_without_ranges_has_no_limits(tmp_path):
     problem = load(problem_file(tmp_path, text=CART.replace("slider", "slide").replace("pole", "turn"))).problem
     assert problem.bounds is None
     assert problem.ranges is None
+
+
+def test_a_start_at_a_stop_is_put_off_it(tmp_path):
+    stopped = REACH.replace('axis="0 1 0" range', 'axis="0 1 0" margin="0.01" range')
+    file = problem_file(tmp_path, goal="{ slide = 0.5, turn = 0.995 }", text=stopped)
+    file.write_text(file.read_text().replace("[0.0, 0.0]", "[-0.5, 0.996]"), encoding="utf-8")
+    problem = load(file).problem
+    turn = 1.0 - 0.01  # where the stop lets go
+    np.testing.assert_allclose(problem.x0[:2], [-0.5 + 1e-4, turn - 1e-4])
+    np.testing.assert_allclose(problem.cost.x_ref[-1, :2], [0.5, turn])  # a goal at an end stays there
+    assert "joint 'slide' and 1 more at a stop" in problem.recipe.parameters["resolved"]["reasons"]["stops"]
+    refuse(problem_file(tmp_path, goal="{ turn = 1.02 }", text=stopped), "the goal has turn at 1.02 rad")

@@ -10,11 +10,13 @@ from fingers import FAST
 
 import planner
 from planner import Mechanism, RigidBodyDynamics
-from planner.dynamics.stiffness import fastest, substeps_for
+from planner.cases.problem_file import load
+from planner.dynamics.stiffness import REACH, fastest, substeps_for
 from planner.problem.discretisation import finer, substeps_reason
 from planner.proof.order import order
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
+from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.same_step import same_step
 
@@ -66,3 +68,64 @@ def test_a_plan_of_shorter_stages_has_fewer_substeps(plan):
     assert finer(problem).dynamics.substeps == -(-problem.dynamics.substeps // 2)
     assert substeps_reason(problem).startswith(f"{problem.dynamics.substeps} substeps a stage, because finger has")
     assert substeps_reason(planner.cases.hopper(horizon=20)) == ""
+
+
+HAND = """
+<mujoco><option timestep="0.002"/><worldbody><body name="arm"><joint name="arm" axis="0 1 0" damping="1"/>
+  <inertial mass="1" pos="0 0 -0.3" diaginertia="0.02 0.02 0.02"/>
+  <body name="finger" pos="0 0 -0.3"><joint name="finger" axis="0 1 0" damping="1" range="0 86"/>
+    <inertial mass="0.02" pos="0 0 -0.02" diaginertia="1e-6 1e-6 1e-6"/></body></body></worldbody>
+  <actuator><position joint="arm" kp="30" kv="2"/><position joint="finger" kp="4" ctrlrange="0 86"/></actuator></mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory):
+    """A plan of a finger with the damping of an arm, 1e5 per s, from its stop."""
+    folder = tmp_path_factory.mktemp("hand")
+    (folder / "hand.xml").write_text(HAND, encoding="utf-8")
+    lines = 'model = "hand.xml"\nstart = [0.0, 0.0]\ngoal = [0.2, 0.4]\nduration = 0.6\n'
+    (folder / "hand.toml").write_text(lines, encoding="utf-8")
+    return planner.solve(load(folder / "hand.toml").problem)
+
+
+def test_damping_that_rk4_does_not_follow_is_taken_implicitly(hand):
+    dynamics = hand.problem.dynamics
+    assert fastest(dynamics.mechanism, hand.problem.x0).rate > 1e5 > 16 * REACH / 5e-4
+    assert (dynamics.integrator, dynamics.dt, dynamics.substeps) == ("rosenbrock", 0.01, 16)
+    assert "damping is taken implicitly" in hand.problem.recipe.parameters["resolved"]["reasons"]["substeps"]
+    half = finer(hand.problem).dynamics
+    assert (half.integrator, half.dt, half.substeps) == ("rosenbrock", 0.005, 16)
+    assert hand.problem.x0[1] == pytest.approx(1e-4)  # off its stop
+
+
+def test_such_a_plan_passes_and_comes_back_from_its_file(hand, tmp_path):
+    proof = planner.prove(hand, rollouts=0)
+    assert proof.passed, proof.reason
+    assert proof.same_step.measured[0].value < 1e-10
+    assert proof.replay.integrator == "rosenbrock"
+    back = planner.load_plan(hand.save(tmp_path / "plan.npz"))
+    assert back.problem.dynamics.integrator == "rosenbrock"
+    np.testing.assert_array_equal(back.problem.x0, hand.problem.x0)
+
+
+def test_a_wrong_damping_does_not_pass(hand):
+    other = HAND.replace('axis="0 1 0" damping="1" range', 'axis="0 1 0" damping="1.2" range')
+    proof = planner.prove(hand, rollouts=0, mjcf=other)
+    assert not proof.passed
+    assert not proof.refined_open_loop.passed
+
+
+def test_its_perturbed_machines_are_mujocos_implicit_ones(hand):
+    with Rollouts(hand, CompiledTwin(hand.twin), threads=1) as rollouts:
+        assert rollouts.integrator == "IMPLICITFAST"
+        none = Perturbation(**dict.fromkeys(Perturbation().to_dict(), 0.0))
+        end = rollouts.run(rollouts.batch([draw(none, 0, 0, rollouts.nominal.sizes)]), "feedback")[0, -1]
+    assert np.abs(end - hand.xs[-1]).max() < 0.02
+
+
+def test_a_joint_that_slips_is_faster_than_one_that_is_held():
+    light = HAND.replace('damping="1" range', 'damping="0.01" frictionloss="0.1" range')
+    m = Mechanism.from_mjcf(light)
+    slipping = replace(m, friction_loss=np.zeros(2))
+    assert fastest(m, m.home).rate == fastest(slipping, m.home).rate > 500.0

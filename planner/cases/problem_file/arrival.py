@@ -1,13 +1,16 @@
-"""The goal of a problem.toml must be away from its start."""
+"""The goal of a problem.toml must be away from its start, and something must be able to bring the machine there."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
+from planner.problem.guess import rolled
 from planner.problem.problem import Problem
 
 
@@ -29,3 +32,39 @@ def check_departure(problem: Problem) -> None:
         )
     if ways[largest.name] == 0.0 and not np.any(np.abs(cost.Q).max(axis=(0, 1))[way > 0.0]):
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
+
+
+def check_arrival(problem: Problem) -> None:
+    """Refuse goals of what nothing drives and nothing touches in the plan: it moves alike whatever the controls do."""
+    dynamics, cost = problem.dynamics, tracking_of(problem.cost)
+    assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
+    assert cost is not None
+    loose = _loose(dynamics)
+    if not np.any(loose):
+        return
+    space, mechanism = dynamics.space, dynamics.mechanism
+    end = rolled(dynamics, problem.x0, problem.first_guess)[-1]
+    theirs = np.concatenate([loose, loose, np.zeros(mechanism.na, dtype=bool)])
+    reached = space.integrate(cost.x_ref[-1], np.where(theirs, space.difference(end, cost.x_ref[-1]), 0.0))
+    for goal in goals_of(problem):
+        miss = float(goal.missed(reached[None])[0])
+        if miss > goal.tolerance:
+            first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
+            raise PlannerError(
+                f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
+                "the goal whatever the controls do, expected a plane or a box under it, a goal where it gets by "
+                "itself, or a model without that joint."
+            )
+
+
+def _loose(dynamics: RigidBodyDynamics) -> np.ndarray:
+    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling or tendon reaches."""
+    mechanism = dynamics.mechanism
+    root = np.arange(mechanism.nv)
+    for i, parent in enumerate(mechanism.parent):
+        root[i] = i if parent < 0 else root[parent]
+    reached = set(np.flatnonzero(np.any(mechanism.actuators.moment != 0.0, axis=0)).tolist())
+    reached |= {*map(int, driven_dofs(dynamics)), *(contact.link for contact in mechanism.contacts)}
+    reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
+    reached |= {dof for one in (*mechanism.couplings, *mechanism.tendons) for dof in one.dofs}
+    return ~np.isin(root, root[sorted(reached)])

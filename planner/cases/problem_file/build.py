@@ -18,6 +18,17 @@
     margin = 0.02                       # rad or m, how far plans stay off the ends of the model's ranges
     final = "exact"                     # meet the goal exactly where final weights are above 0
 
+    [[constraint]]                      # optional: what the plan keeps, see problem_file.constraints
+    frame = "hook"
+    along = "z"
+    least = 0.5                         # m
+
+In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
+
+    [[goal]]
+    frame = "hook"                      # a site or body
+    position = [2.0, 0.0, 0.8]
+
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
     [avoid]                             # optional: what is kept apart, see planner.problem.avoid
@@ -45,7 +56,8 @@ import numpy as np
 from planner import cases
 from planner.base.arguments import array, choice, count, did_you_mean, number, shown
 from planner.base.errors import ModelError, PlannerError
-from planner.cases.problem_file.arrival import check_departure
+from planner.cases.problem_file.arrival import check_arrival, check_departure
+from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
@@ -58,27 +70,41 @@ from planner.cases.problem_file.table import (
     with_defaults,
     with_model_limits,
 )
+from planner.cases.problem_file.tasks import (
+    Made,
+    check_task_departure,
+    cost_of,
+    guess_of,
+    is_task,
+    made,
+    trail_of,
+    weights_of,
+    with_files,
+    with_tasks,
+)
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.assembly import assembled, check_assembled
 from planner.model.contact.laws import ContactLaw
-from planner.model.coupled_states import check_closed, closed_state
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
+from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
 from planner.problem.avoid import Avoid
-from planner.problem.costs.tracking import TrackingCost, states
+from planner.problem.costs.tracking import states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
-from planner.problem.default_weights import default_weights, straight_reference
+from planner.problem.default_weights import default_weights, weighed
+from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "settle", "stops", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said at once
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -102,9 +128,12 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     """
     path = Path(path)
     table = with_defaults(with_model_limits(read_table(path)), str(path))
+    table = with_files(table, path.parent)
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
+    if "attach" in table:
+        table["attach"] = stored_attachments(table["attach"], path.parent)
     folders = {"package_path": _folders(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, _mechanism(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters
@@ -154,7 +183,12 @@ def load_problem(path: str | Path) -> Problem:
     return load(path).problem if named is None else cases.build(named[0], **named[1])
 
 
-def _again(mechanism: Mechanism, **table: Any) -> Problem:
+def again(mechanism: Mechanism, **table: Any) -> Problem:
+    """The problem of a table and a machine that was read already.
+
+    Raises:
+        PlannerError: A key is unknown, missing or wrong.
+    """
     return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
@@ -171,7 +205,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
         raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
     of_urdf = {key: table[key] for key in URDF if key in table}
-    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, **of_urdf)
+    attach = table.get("attach") if assets is None else None  # a stored model carries it already
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
     contacts = table["contacts"]
     if not isinstance(contacts, dict):
         choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
@@ -203,17 +238,23 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
 
 
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
-    for key in REQUIRED:
+    for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
-            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}.")
+            more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
+            raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
+    tasked = is_task(table, mechanism)
+    if "goal" in table["weights"] and not tasked:
+        raise PlannerError("weights.goal is for [[goal]] and [follow], expected final_position and final_velocity.")
+    table = with_tasks(table, mechanism) if tasked else table
     x0 = state_of("start", table["start"], mechanism, mechanism.home)
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
-    goal = state_of("goal", table["goal"], mechanism, at_rest)
+    goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
+    x0, goal, stops = _off_stops(mechanism, table, x0, goal)
     prescribed = _prescribed(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
@@ -222,38 +263,72 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if notes:
         reasons["settle"] = " ".join(notes)
-    apart = Avoid(**table["avoid"]).constraint(mechanism, x0, goal) if "avoid" in table else None
-    if apart is not None:
+    apart = None
+    if "avoid" in table:
+        apart = Avoid(**table["avoid"]).constraint(mechanism, x0, None if tasked else goal)
         reasons["avoid"] = " ".join(apart.notes)
-    table = _resolved(table, dynamics, x0, goal, reasons)
-    line = (
-        straight_reference(dynamics, x0, goal, N) if mechanism.contacts and "position" not in table["weights"] else None
-    )
-    cost = TrackingCost.joints(dynamics, goal, N, reference=line, **table[RESOLVED]["weights"])
+    if stops:
+        reasons["stops"] = " ".join(stops)
+    limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
+    way = made(table, dynamics, x0, N, limits) if tasked else None
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
+    weights = table[RESOLVED]["weights"]
+    wanted = None
+    if way is None:
+        straight = bool(mechanism.contacts) and "position" not in table["weights"]
+        cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
+    else:
+        cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
+    if way is not None:
+        appearance = replace(appearance, trail=trail_of(way))
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(_again, mechanism)),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=Limits.from_dict(table["limits"]) if table.get("limits") else None,
-        tolerance=table["tolerance"], decrease_tolerance=DECREASE,
+        limits=limits, wanted=wanted,
+        constraints=(*constraints_of(table.get("constraint", [])), *([] if apart is None else [apart.constraint])),
+        tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
-        constraints=() if apart is None else (apart.constraint,),
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal))
-    check_departure(problem)
+    along = None if way is None else guess_of(way, dynamics, x0)
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
+    if way is None or wanted is None:
+        check_departure(problem)
+        check_arrival(problem)
+    else:
+        check_task_departure(x0, wanted, way.task)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
+def _off_stops(
+    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Start and goal off the stops whose ranges hold, and sentences about it."""
+    kept = (table.get("limits") or {}).get("position")
+    if mechanism.contacts or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
+        return x0, goal, ()
+    limited = kept if isinstance(kept, dict) else {}
+    (x0, first), (goal, second) = (
+        off_stops(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
+    )
+    return x0, goal, tuple(filter(None, (first, second)))
+
+
 def _resolved(
-    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str]
-) -> dict[str, Any]:
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
+    way: Made | None, limits: Limits | None,
+) -> dict[str, Any]:  # fmt: skip
     """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
     if RESOLVED in table:
         return table
-    default = default_weights(
-        dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table
-    )
     given = table["weights"]
+    if way is not None:
+        default = weights_of(table, dynamics, x0, way, limits)
+    else:
+        default = default_weights(
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], effort_alone="objective" in table,
+            stays="position" not in given,
+        )  # fmt: skip
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
@@ -304,6 +379,6 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = closed_state(mechanism, x, given)
-    check_closed(name, x, mechanism, most)
-    return states(name, x if isinstance(value, dict) else closed_state(mechanism, x), mechanism.space, ())
+        x = assembled(mechanism, x, given)
+    check_assembled(name, x, mechanism, most)
+    return states(name, x if isinstance(value, dict) else assembled(mechanism, x), mechanism.space, ())

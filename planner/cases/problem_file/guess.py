@@ -1,6 +1,7 @@
 """The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
 
-line   the straight line in joint space by inverse dynamics, for machines whose actuators reach every joint
+line   the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines whose
+       actuators reach every joint
 around a way in joint space on which nothing that the problem avoids comes too near, followed by gains
 led    gains of a regulator that is led along that line, for any other machine
 hold   what holds the start against gravity, as far as the actuators can
@@ -12,23 +13,32 @@ auto   around where something is avoided and there is such a way, line where the
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.model.mjcf.driven import driven_dofs
+from planner.model.space import space_of
 from planner.problem.avoid import motion_around
 from planner.problem.constraints.apart import apart_of
 from planner.problem.guess import holding_controls, rolled, straight_line
 from planner.problem.problem import Problem
-from planner.solvers.steadied import followed, led
+from planner.solvers.steadied import followed, led, led_along
 
+STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "around", "led", "hold", "zero")
 
 
-def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | None:
-    """Controls (N, nu) of a kind that lead towards a goal (nx,); None for zero.
+class Way(NamedTuple):
+    """A way in place of the straight line to a goal."""
+
+    line: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
+    rows: np.ndarray  # (N+1, nx) its states
+
+
+def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None = None) -> np.ndarray | None:
+    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way; None for zero.
 
     Raises:
         PlannerError: There is no line, or what is led runs away.
@@ -37,7 +47,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | N
         return None
     dynamics: Any = problem.dynamics  # of a mechanism
     apart = apart_of(problem.constraints)
-    if apart is not None and kind in ("around", "auto") and not dynamics.prescribed:
+    if apart is not None and way is None and kind in ("around", "auto") and not dynamics.prescribed:
         motion = motion_around(apart, dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
         found = None if motion is None else followed(problem, *motion)
         if found is not None:
@@ -48,7 +58,10 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | N
             "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
         )
     if kind in ("line", "auto") and not dynamics.prescribed:
-        line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+        if way is None:
+            line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+        else:
+            line = _along(problem, way)
         if line is not None:
             return line
     if kind == "line":
@@ -57,12 +70,25 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray) -> np.ndarray | N
             "at rest at both ends, whose actuators reach every joint, without contacts."
         )
     hold = np.tile(_holding(problem), (problem.N, 1))
-    found = None if kind == "hold" else led(problem, goal)
+    found = None
+    if kind != "hold":
+        found = led(problem, goal) if way is None else led_along(problem, way.rows)
     if found is None and kind == "led":
         raise PlannerError("guess is 'led', expected 'hold' or 'zero': this machine runs away where gains lead it.")
     if found is None or (kind == "auto" and not _price(problem, found) < _price(problem, hold)):
         return hold
     return found
+
+
+def _along(problem: Problem, way: Way) -> np.ndarray | None:
+    """The controls along a way; with gains where an unstable machine leaves it, and None where there are none."""
+    if way.line is None:
+        return None
+    with np.errstate(all="ignore"):
+        away = space_of(problem.dynamics).difference(rolled(problem.dynamics, problem.x0, way.line), way.rows)
+    if np.abs(away).max(axis=0).max() < STRAYS * np.ptp(way.rows, axis=0).max():  # false of what is not finite
+        return way.line
+    return led_along(problem, way.rows, way.line)
 
 
 def _price(problem: Problem, us: np.ndarray) -> float:

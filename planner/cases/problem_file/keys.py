@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from planner.dynamics import INTEGRATORS
+from planner.kernels.integrators import TREE_INTEGRATORS
 from planner.problem.objective import OBJECTIVES
 
 KEYS = {
@@ -15,14 +15,16 @@ KEYS = {
     "above the file; relative to this file",
     "inertia": "of a URDF: nearest to replace inertias that no body has by the nearest ones, given to refuse them",
     "start": "keyframe, nq numbers (at rest), nq + nv numbers, or a table of joints (the others as the model says)",
-    "goal": "the same; joints that a table does not name end where they started",
+    "goal": "the same; joints that a table does not name end where they started. Or tables [[goal]], below",
+    "follow": "table, below, or several [[follow]]: a path of a frame or of joints to keep to",
+    "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
-    "integrator": f"one of {', '.join(INTEGRATORS)}",
-    "substeps": "of RK4 in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
+    "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
+    "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way on which "
     "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; "
-    "auto around where something is avoided, line where all joints have actuators, else the better of led and hold",
+    "auto is around where something is avoided, line where all joints have actuators, else the better of led and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
     "their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
@@ -37,6 +39,7 @@ KEYS = {
     "weights": "table, below",
     "objective": f"one of {', '.join(OBJECTIVES)}, or a table of weights by these names; by default the effort",
     "durations": "[shortest, longest] s, between which an objective with time chooses",
+    "constraint": "tables [[constraint]], below: what the plan keeps of a frame or an actuator",
     "limits": 'table, below; by default the model\'s own, "off" for none',
     "avoid": "table, below: what is kept apart; nothing by default",
 }
@@ -45,6 +48,36 @@ AVOID = {
     "world": "whether they are kept from what is at rest; true by default",
     "clearance": "m between them; by default 0.01",
     "more": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
+}
+GOAL = {
+    "frame": "a site or body, or",
+    "joints": "a table of joints, a keyframe, or all positions; rad or m",
+    "position": "[x, y, z] m of the frame in the world",
+    "orientation": "quaternion, w first, or a table of roll, pitch, yaw in degrees about the world's x, y, z",
+    "pointing": "[x, y, z] the direction to which the frame's z axis points, free to turn about it; or a table of axis "
+    "(x, y, z or numbers) and to",
+    "time": "s; by default the end",
+    "through": "true to pass without stopping",
+    "tolerance": "how far from it passes, m and rad, or a table of position, orientation, pointing, velocity; by "
+    "default 5 mm, 0.02 rad, 0.05 m/s",
+}
+FOLLOW = {
+    "frame": "a site or body, or",
+    "joints": "list of the joints that points are of; a file has them in its heading",
+    "points": "rows of t, x, y, z, or without t for equal parts of the duration",
+    "file": "CSV of such rows, relative to this file",
+    "tolerance": "how far from the path passes, m or rad; by default 10 mm or 0.04 rad",
+}
+ATTACH = {
+    "frame": "a site or body that carries it",
+    "mass": "kg",
+    "size": "m: the radius of a ball, or the three edges of a box; by default that of a ball of aluminium",
+    "com": "[x, y, z] m, its centre in the frame; by default the frame's origin",
+    "inertia": "kg m^2 about its centre, along the frame's axes: three numbers, or six (xx, yy, zz, xy, xz, yz); by "
+    "default that of the shape",
+    "model": "in place of a mass an MJCF file, relative to this file, whose body is attached: a tool",
+    "body": "which of its bodies; by default the first",
+    "name": "of the new body, a frame for goals; by default payload",
 }
 LIMITS = {
     "control": 'bounds of the controls: "model" (ctrlrange, forcerange, actuatorfrcrange), a number, "off", or a table '
@@ -57,12 +90,31 @@ LIMITS = {
     "final": '"exact" for all that has a final weight, or a list of joints: to end at the goal exactly',
     "tolerance": "how far a state may be outside its range, or from an exact goal",
 }
+CONSTRAINT = {
+    "frame": "a site or body, with one of the next four",
+    "position": "[x, y, z] m in the world, exactly",
+    "orientation": "quaternion, w first, exactly",
+    "pointing": "direction of the world, x, y, z or three numbers, that the frame's axis stays within an angle of",
+    "along": "direction of the world, likewise, along which the frame stays between least and most",
+    "axis": "of the frame, for pointing: x, y, z or three numbers; z by default",
+    "within": "rad, for pointing",
+    "power": "an actuator, whose force times speed stays between least and most, in place of a frame",
+    "least": "m or W",
+    "most": "m or W",
+    "when": '"always", "end" or [from, to] in s; by default the end for position and orientation, else always',
+    "tolerance": "how far beyond passes, in the same unit; by default 1e-4, and 1e-4 of a bound above 1",
+    "name": "for messages",
+}
 WEIGHTS = {
     "effort": "on |u|^2 / 2, per second; by default 1 / limit^2",
     "final_position": "on the squared distance from the goal / 2 at the end; by default 4 / tolerance^2",
     "final_velocity": "on the squared velocity error / 2 at the end; by default 10 / tolerance^2",
     "position": "on the squared distance from the goal / 2 on the way, per second; by default 0",
     "velocity": "on the squared velocity error / 2 on the way, per second; by default (duration / 2 way)^2",
+    "hold": "s: what it costs to stay at the goal as long is added at the end; by default 1 for machines that stand on "
+    "the ground, in place of final weights, else 0",
+    "goal": "on each goal of [[goal]], over the square of its tolerance; 4 by default, and 25 times as much per second "
+    "on a path",
 }
 LAW = {
     "stiffness": "N/m",
@@ -83,8 +135,8 @@ RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen 
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 URDF = ("base", "floor", "package_path", "inertia")
-REQUIRED = ("model", "start", "goal", "duration")
+REQUIRED = ("model", "start", "duration")
 DEFAULTS: dict[str, Any] = {
-    "dt": "auto", "integrator": "rk4", "substeps": "auto", "guess": "auto", "contacts": "auto",
+    "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",
 }  # fmt: skip

@@ -8,6 +8,7 @@ import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
+from planner.dynamics.footing import carried_along
 from planner.dynamics.statics import lowered, settled
 from planner.model.mechanism import Mechanism
 
@@ -33,8 +34,14 @@ def on_ground(
         return _settled("start", start, mechanism), _settled("goal", goal, mechanism), ()
     if settle is False or table["contacts"] != "ground" or not mechanism.contacts:
         return start, goal, ()
+    asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME
     start, note = _put_down("start", start, mechanism)
     goal, other = _put_down("goal", goal, mechanism)
+    there = carried_along(mechanism, start, goal, asked)
+    way = float(np.abs(mechanism.space.difference(there, goal)).max())
+    if way > FAR:
+        other += f" goal goes {way:.2g} m or rad along the ground, where feet that do not slide carry it."
+    goal = there
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME:
         goal = start.copy()
     return start, goal, tuple(filter(None, (note, other)))

@@ -1,4 +1,4 @@
-"""The stage and its substeps, where a problem file leaves them to be chosen: dt = "auto", substeps = "auto"."""
+"""How a stage is integrated where a problem file leaves it to be chosen: dt, substeps and integrator = "auto"."""
 
 from __future__ import annotations
 
@@ -10,40 +10,65 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics.rigid_body import MOST_SUBSTEPS
-from planner.dynamics.stiffness import REACH, Fastest, fastest, reason, substeps_of
+from planner.dynamics.stiffness import IMPLICIT, REACH, Fastest, fastest, implicit_error, reason, substeps_of
 from planner.model.mechanism import Mechanism
 
 USUAL, SHORTEST = 0.01, 5e-4  # s: shorter ones are asked for, because a plan of them takes long
 AUTO = "auto"
+HALVINGS = 3  # of the stage, where damping is taken implicitly
 
 
 def with_step(
     table: dict[str, Any], mechanism: Mechanism, prescribed: Collection[str], states: Sequence[np.ndarray]
 ) -> tuple[dict[str, Any], int, dict[str, str]]:
-    """The table with a number for dt, the substeps, and the reasons of what was chosen.
+    """The table with a number for dt and an integrator, the substeps, and the reasons of what was chosen.
 
     The table's own substeps stay "auto": a finer stage needs fewer.
 
-    The states (nx,), with home, are where the machine's fastest motion is looked for. A stage is 0.01 s, or what 16
-    substeps can follow, or a little less: a whole number of stages is the duration. It is never below SHORTEST.
+    The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
+    is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
+    at the stage or a half, a quarter or an eighth of it; where that is too coarse, too, the stage is what RK4 can
+    follow, but never below SHORTEST. It is a little less than that: a whole number of stages is the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
     """
-    rk4 = table["integrator"] == "rk4"
-    if AUTO not in (table["dt"], table["substeps"]):
+    known = table["integrator"] not in (AUTO, "rk4")
+    if AUTO not in (table["dt"], table["substeps"], table["integrator"]):
         return table, table["substeps"], {}
-    found = Fastest(0.0, "") if not rk4 else fastest(mechanism, (*states, mechanism.home), prescribed)
-    reasons, dt, substeps = {}, table["dt"], table["substeps"]
+    if not mechanism.contacts:  # which may have home deep in the ground
+        states = (*states, mechanism.home)
+    found = Fastest(0.0, "") if known else fastest(mechanism, states, prescribed)
+    reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
+    most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
+    closed = bool(mechanism.loops or mechanism.cams)  # which the implicit method does not keep
+    if integrator == AUTO:
+        integrator = "rk4"
+        for longest in [USUAL * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, above=0.0)]:
+            if found.rate * longest <= most * REACH or closed:
+                break
+            if substeps in (AUTO, MOST_SUBSTEPS) and implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
+                integrator, dt = "rosenbrock", _whole(table["duration"], longest) if dt == AUTO else dt
+                reasons["substeps"] = (
+                    f"damping is taken implicitly in {MOST_SUBSTEPS} substeps a stage of {dt:.4g} s, because "
+                    f"{found.joint} has a rate of {found.rate:.4g} per s."
+                )
+                break
     if dt == AUTO:
-        duration = number("duration", table["duration"], above=0.0)
-        most = substeps if isinstance(substeps, int) else MOST_SUBSTEPS
         longest = min(USUAL, max(most * REACH / found.rate, SHORTEST)) if found.rate > 0.0 else USUAL
-        dt = duration / max(math.ceil(duration / longest * (1.0 - 1e-9)), 1)
+        dt = _whole(table["duration"], longest)
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
-        substeps = substeps_of(found, number("dt", dt, above=0.0)) if rk4 else 1
-        if substeps > 1:
-            reasons["substeps"] = reason(found, substeps)
-    return table | {"dt": dt}, substeps, reasons
+        substeps = {"rosenbrock": MOST_SUBSTEPS}.get(integrator, 1)
+        if integrator == "rk4":
+            substeps = substeps_of(found, number("dt", dt, above=0.0))
+            if substeps > 1:
+                reasons["substeps"] = reason(found, substeps)
+    return table | {"dt": dt, "integrator": integrator}, substeps, reasons
+
+
+def _whole(duration: Any, longest: float) -> float:
+    """The longest stage, s, no longer than this of which the duration is a whole number."""
+    duration = number("duration", duration, above=0.0)
+    return duration / max(math.ceil(duration / longest * (1.0 - 1e-9)), 1)

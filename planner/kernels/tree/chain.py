@@ -87,7 +87,7 @@ def _cross_row(x, y, z, v):
 
 
 @inline
-def _copy(D, A, width, nv, at_q, factor):
+def copy_with(D, A, width, nv, at_q, factor):
     """A becomes D with factor times Dq added to Dv."""
     at_v, whole = at_q + nv, nv // WIDTH * WIDTH
     for i in range(nv):
@@ -101,7 +101,7 @@ def _copy(D, A, width, nv, at_q, factor):
 
 
 @inline
-def _turn_columns(m, r, i, lane, lengths, D, A, width):
+def turn_columns(m, r, i, lane, lengths, D, A, width):
     """Put Dq T and Dq (W + V) of the balls in the columns of A for stage i, and Dq W / factor in place of Dq."""
     nv, balls, ball_v, at_q = m[TREE.nv], m[TREE.nballs], integers(m, TREE.ball_v), r[MEMORY.first]
     factor, k = lengths
@@ -127,7 +127,7 @@ def _turn_columns(m, r, i, lane, lengths, D, A, width):
 
 
 @inline
-def _add_activations(m, Xa, A, width, at_q):
+def add_activations(m, Xa, A, width, at_q):
     """Columns of activations: how far they have come on their own, and by control (own, given in Xa)."""
     nv, na, index = m[TREE.nv], m[TREE.na], integers(m, TREE.activation_input)
     for k in range(na):
@@ -140,7 +140,7 @@ def _add_activations(m, Xa, A, width, at_q):
 
 
 @inline
-def _add_product(A, D, at_column, B, factor, nv, width):
+def add_product(A, D, at_column, B, factor, nv, width):
     """A plus factor times a block of nv columns of D times B."""
     for i in range(0, nv, WIDTH):
         C = (A, i * width, width)
@@ -163,12 +163,13 @@ def _turn_rows(F, width, i, T, J, at_q):
 
 
 @inline
-def _add_unit(F, o, value):
+def add_unit(F, o, value):
+    """Add a value to entry o."""
     store(F, o, load(F, o) + value)
 
 
 @inline
-def _activation_rows(m, Xa, F, width, at_q):
+def activation_rows(m, Xa, F, width, at_q):
     """Rows of activations at the end of the step."""
     nv, na, index = m[TREE.nv], m[TREE.na], integers(m, TREE.activation_input)
     zero = spread(0.0)
@@ -181,7 +182,7 @@ def _activation_rows(m, Xa, F, width, at_q):
 
 
 @inline
-def _stage_activations(m, Xa, factor):
+def stage_activations(m, Xa, factor):
     """(own, given) of the next stage's activations, from those of the stage before."""
     gain, decay = floats(m, TREE.activation_gain), floats(m, TREE.activation_rate)
     for k in range(m[TREE.na]):
@@ -191,7 +192,7 @@ def _stage_activations(m, Xa, factor):
 
 
 @inline
-def _sum_activations(m, Xa, weight):
+def sum_activations(m, Xa, weight):
     """Add weight times a stage's rates to the sums behind Xa."""
     na, gain, decay = m[TREE.na], floats(m, TREE.activation_gain), floats(m, TREE.activation_rate)
     sums = at(Xa, 2 * na)
@@ -202,7 +203,8 @@ def _sum_activations(m, Xa, weight):
 
 
 @inline
-def _begin_activations(m, Xa):
+def begin_activations(m, Xa):
+    """(own, given) of the first stage, and sums of zero."""
     na = m[TREE.na]
     for k in range(na):
         store(Xa, 2 * k, 1.0)
@@ -212,7 +214,7 @@ def _begin_activations(m, Xa):
 
 
 @inline
-def _end_activations(m, Xa, factor):
+def end_activations(m, Xa, factor):
     """(own, given) at the end of the step, from the weighted sums of rates."""
     na = m[TREE.na]
     for k in range(na):
@@ -221,16 +223,16 @@ def _end_activations(m, Xa, factor):
 
 
 @inline
-def _add_unit_rows(m, F, width, at_q):
+def add_unit_rows(m, F, width, at_q):
     """The dq of the start, for all but balls."""
     kind = integers(m, TREE.kind)
     for i in range(m[TREE.nv]):
         if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
-            _add_unit(F, i * width + at_q + i, 1.0)
+            add_unit(F, i * width + at_q + i, 1.0)
 
 
 @inline
-def _turn_balls(m, r, i, lane, width, F):
+def turn_balls(m, r, i, lane, width, F):
     """Rows of the balls, which hold d theta, become those of their rotation."""
     balls, ball_v, turns = m[TREE.nballs], integers(m, TREE.ball_v), as_floats(lanes(r, MEMORY.turns))
     for b in range(balls):
@@ -255,12 +257,12 @@ def _add_end_commutators(m, r, dt, lane, width, F, A2):
             store4(F, p2 + j, load4(F, p2 + j) + (k * dt) * (v1[0] * y - v1[1] * x))
         d = (k * (v1[0] - v4[0]), k * (v1[1] - v4[1]), k * (v1[2] - v4[2]))
         o = at_v + i
-        _add_unit(F, o + p0 + 1, -1.0 * d[2])
-        _add_unit(F, o + p0 + 2, d[1])
-        _add_unit(F, o + p1, d[2])
-        _add_unit(F, o + p1 + 2, -1.0 * d[0])
-        _add_unit(F, o + p2, -1.0 * d[1])
-        _add_unit(F, o + p2 + 1, d[0])
+        add_unit(F, o + p0 + 1, -1.0 * d[2])
+        add_unit(F, o + p0 + 2, d[1])
+        add_unit(F, o + p1, d[2])
+        add_unit(F, o + p1 + 2, -1.0 * d[0])
+        add_unit(F, o + p2, -1.0 * d[1])
+        add_unit(F, o + p2 + 1, d[0])
 
 
 @part
@@ -270,22 +272,22 @@ def runge_kutta(m, r, dt, lane, width, F):
     direct, A0, Xa = floats(r, MEMORY.direct), floats(r, MEMORY.chained), floats(r, MEMORY.Xa)
     at_q = r[MEMORY.first]
     at_v = at_q + nv
-    _begin_activations(m, Xa)
-    _sum_activations(m, Xa, 1.0)
+    begin_activations(m, Xa)
+    sum_activations(m, Xa, 1.0)
     for i in range(4):
         D, A = at(direct, (i * WIDTH + lane) * block), at(A0, i * block)
         factor = 0.0 if i == 0 else dt if i == 3 else 0.5 * dt
-        _copy(D, A, width, nv, at_q, factor)
+        copy_with(D, A, width, nv, at_q, factor)
         if i == 0:
             continue
         if balls > 0:
-            _turn_columns(m, r, i, lane, (factor, 0.25 * dt if i == 2 else 0.0), D, A, width)
-        _stage_activations(m, Xa, factor)
-        _sum_activations(m, Xa, 1.0 if i == 3 else 2.0)
-        _add_activations(m, Xa, A, width, at_q)
-        _add_product(A, D, at_v, at(A0, (i - 1) * block), factor, nv, width)
+            turn_columns(m, r, i, lane, (factor, 0.25 * dt if i == 2 else 0.0), D, A, width)
+        stage_activations(m, Xa, factor)
+        sum_activations(m, Xa, 1.0 if i == 3 else 2.0)
+        add_activations(m, Xa, A, width, at_q)
+        add_product(A, D, at_v, at(A0, (i - 1) * block), factor, nv, width)
         if i > 1:
-            _add_product(A, D, at_q, at(A0, (i - 2) * block), 0.5 * dt * factor, nv, width)
+            add_product(A, D, at_q, at(A0, (i - 2) * block), 0.5 * dt * factor, nv, width)
     A1, A2, A3 = at(A0, block), at(A0, 2 * block), at(A0, 3 * block)
     sixth = dt / 6.0
     for i in range(nv):
@@ -295,14 +297,14 @@ def runge_kutta(m, r, dt, lane, width, F):
             first = load4(A0, q + j)
             store4(F, q + j, (dt * sixth) * (first + inner))
             store4(F, v + j, sixth * (first + 2.0 * inner + load4(A3, q + j)))
-        _add_unit(F, q + at_v + i, dt)
-        _add_unit(F, v + at_v + i, 1.0)
+        add_unit(F, q + at_v + i, dt)
+        add_unit(F, v + at_v + i, 1.0)
     if balls > 0:
         _add_end_commutators(m, r, dt, lane, width, F, A2)
-        _turn_balls(m, r, 4, lane, width, F)
-    _add_unit_rows(m, F, width, at_q)
-    _end_activations(m, Xa, sixth)
-    _activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)
+        turn_balls(m, r, 4, lane, width, F)
+    add_unit_rows(m, F, width, at_q)
+    end_activations(m, Xa, sixth)
+    activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)
 
 
 @part
@@ -318,10 +320,10 @@ def euler(m, r, dt, lane, width, F):
             x = dt * load4(D, q + j)
             store4(F, v + j, x)
             store4(F, q + j, later * x)
-        _add_unit(F, q + at_v + i, dt)
-        _add_unit(F, v + at_v + i, 1.0)
-    _turn_balls(m, r, 0, lane, width, F)
-    _add_unit_rows(m, F, width, at_q)
-    _begin_activations(m, Xa)
-    _stage_activations(m, Xa, dt)
-    _activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)
+        add_unit(F, q + at_v + i, dt)
+        add_unit(F, v + at_v + i, 1.0)
+    turn_balls(m, r, 0, lane, width, F)
+    add_unit_rows(m, F, width, at_q)
+    begin_activations(m, Xa)
+    stage_activations(m, Xa, dt)
+    activation_rows(m, Xa, at(F, 2 * nv * width), width, at_q)

@@ -6,17 +6,20 @@ prescribed joints taken out and, with couplings, W in place of M^-1. Columns are
 
 from __future__ import annotations
 
+from planner.kernels.integrators import ROSENBROCK
 from planner.kernels.numba.jit import inline
-from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
+from planner.kernels.numba.lanes import WIDTH, at, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
 from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
+from planner.kernels.tree.loops import close, close_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
+from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
 from planner.kernels.tree.tendons import add_tendon_derivatives
 
@@ -52,6 +55,20 @@ def store_four(p, k, v):
 
 
 @inline
+def _take_constraints(m, r, dA):
+    """Subtract W J'N dr2 of closed chains from the derivatives by positions and velocities."""
+    nv, ld, columns, x0, width = m[TREE.nv], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first], r[MEMORY.loop_width]
+    Y, D = lanes(r, MEMORY.loop_Y), lanes(r, MEMORY.loop_D)
+    for i in range(nv):
+        for j in range(2 * nv):
+            o = i * columns + x0 + j
+            total = load(dA, o)
+            for k in range(m[TREE.loop_rows]):
+                total -= load(Y, k * ld + i) * load(D, k * width + j)
+            store(dA, o, total)
+
+
+@inline
 def acceleration_derivatives(m, r, q, v, a, dA, external):
     """Derivatives dA (nv, columns) of the accelerations at (q, v, a) by (u | q | v | act); external: see Model."""
     nv, nu, ld, columns, x0 = m[TREE.nv], m[TREE.nu], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
@@ -69,11 +86,15 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
         subtract_curve_derivatives(m, q, Dq, ld)
         add_tendon_derivatives(m, q, Dq, Dv, ld)
         add_friction_derivatives(m, v, a, M, Dv, ld)
+        if r[MEMORY.integrator] == ROSENBROCK:
+            add_implicit(m, r, M, ld)
         if m[TREE.lifted] > 0:
             subtract_compensation_derivatives(m, Dq, ld, lanes(r, MEMORY.links))
         subtract_contact_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
         if m[TREE.pairs] > 0:
             subtract_pair_derivatives(m, q, Dq, Dv, ld, lanes(r, MEMORY.links))
+        if m[TREE.loop_rows] > 0:
+            close_derivatives(m, r, q, v, a, at(a, nv), Dq, ld, lanes(r, MEMORY.links))
     prescribed = integers(m, TREE.prescribed)
     for p in range(nv):
         given = load(prescribed, p)
@@ -90,6 +111,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
             store(M, p * ld + p, zero + 1.0)
     if external is not None:
         invert_coupled(m, M, ld)
+        if m[TREE.loop_rows] > 0:
+            close(m, r, q, M, ld, lanes(r, MEMORY.links))
     else:
         invert(M, nv, ld)
     starts, rows = integers(m, TREE.related_start), integers(m, TREE.related_rows)
@@ -102,6 +125,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
                 first, second = _minus_product(M, D, ld, i0, i1, j0, nonzero)
                 store_four(dA, i0 * columns + x0 + half * nv + j0, first)
                 store_four(dA, i1 * columns + x0 + half * nv + j0, second)
+    if external is not None and m[TREE.loop_rows] > 0:
+        _take_constraints(m, r, dA)
     for i in range(nv):
         for k in range(x0):
             store(dA, i * columns + k, zero)
@@ -122,6 +147,8 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
                 for j in range(nv):
                     if load(prescribed, j) < 0:
                         total -= load(M, i * ld + j) * load(held, given * nv + j)
+                for k in range(m[TREE.loop_rows]):
+                    total -= load(lanes(r, MEMORY.loop_Y), k * ld + i) * load(lanes(r, MEMORY.loop_J), k * ld + p)
                 store(dA, i * columns + given, total)
             store(dA, p * columns + given, zero + 1.0)
             for k in range(x0, columns):

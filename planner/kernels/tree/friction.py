@@ -38,11 +38,11 @@ def _friction(m, k, v, a):
 
 
 @part
-def begin_friction(m, v, tau, armature, force):
-    """Armature and force (nv lanes each) of the first round: as if friction held every joint."""
-    own, dof, value = floats(m, TREE.armature), integers(m, TREE.loss_dof), floats(m, TREE.loss_value)
+def begin_friction(m, v, tau, own, armature, force):
+    """Armature and force (nv lanes each) of the first round: as if friction held every joint; own: without it."""
+    dof, value = integers(m, TREE.loss_dof), floats(m, TREE.loss_value)
     for i in range(m[TREE.nv]):
-        store(armature, i, spread(0.0) + load(own, i))
+        store(armature, i, load(own, i))
         store(force, i, load(tau, i))
     for k in range(m[TREE.losses]):
         i, inertia = load(dof, k), load(value, LOSS_SIZE * k + INERTIA)
@@ -51,9 +51,9 @@ def begin_friction(m, v, tau, armature, force):
 
 
 @part
-def linearise_friction(m, v, tau, a, armature, force, before):
-    """Armature and force of the next round; `before` keeps a."""
-    own, dof = floats(m, TREE.armature), integers(m, TREE.loss_dof)
+def linearise_friction(m, v, tau, a, armatures, force, before):
+    """Armature and force of the next round; `before` keeps a. Armatures: without friction, and with it."""
+    (own, armature), dof = armatures, integers(m, TREE.loss_dof)
     for i in range(m[TREE.nv]):
         store(before, i, load(a, i))
     for k in range(m[TREE.losses]):
@@ -64,10 +64,10 @@ def linearise_friction(m, v, tau, a, armature, force, before):
 
 
 @inline
-def _asked(m, k, tau, a, armature, force):
+def _asked(m, k, tau, a, armatures, force):
     """T of friction k at the accelerations a that armature and force have given."""
-    i = load(integers(m, TREE.loss_dof), k)
-    return load(force, i) - load(tau, i) - (load(armature, i) - load(floats(m, TREE.armature), i)) * load(a, i)
+    (own, armature), i = armatures, load(integers(m, TREE.loss_dof), k)
+    return load(force, i) - load(tau, i) - (load(armature, i) - load(own, i)) * load(a, i)
 
 
 @inline
@@ -80,43 +80,43 @@ def _error(m, k, v, a, asked):
 
 
 @part
-def first_error(m, v, tau, a, armature, force, asked):
+def first_error(m, v, tau, a, armatures, force, asked):
     """The largest error (lanes) of the first round, whose T is left in `asked`."""
     error, prescribed = spread(0.0), integers(m, TREE.prescribed)
     for k in range(m[TREE.losses]):
-        store(asked, k, _asked(m, k, tau, a, armature, force))
+        store(asked, k, _asked(m, k, tau, a, armatures, force))
         if load(prescribed, load(integers(m, TREE.loss_dof), k)) < 0:
             error = maximum(error, _error(m, k, v, a, load(asked, k)))
     return error
 
 
 @part
-def _uphill(m, v, tau, a, armature, force, before, asked, part_of_way):
+def _uphill(m, v, tau, a, armatures, force, before, asked, part_of_way):
     """The slope of the convex function along the way from `before` to a, a part of it gone."""
     slope, dof = spread(0.0), integers(m, TREE.loss_dof)
     for k in range(m[TREE.losses]):
         i = load(dof, k)
         step = load(a, i) - load(before, i)
         f, _ = _friction(m, k, v, load(before, i) + part_of_way * step)
-        now = load(asked, k) + part_of_way * (_asked(m, k, tau, a, armature, force) - load(asked, k))
+        now = load(asked, k) + part_of_way * (_asked(m, k, tau, a, armatures, force) - load(asked, k))
         slope += step * (now - f)
     return slope
 
 
 @part
-def next_error(m, v, tau, a, armature, force, before, asked, error):
+def next_error(m, v, tau, a, armatures, force, before, asked, error):
     """Go as far from `before` towards a as the convex function sinks; lanes whose error was met stay. The new error."""
     low, high, prescribed = spread(0.0), spread(1.0), integers(m, TREE.prescribed)
-    whole = _uphill(m, v, tau, a, armature, force, before, asked, high)
+    whole = _uphill(m, v, tau, a, armatures, force, before, asked, high)
     if any_less(0.0, whole):
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            slope = _uphill(m, v, tau, a, armature, force, before, asked, middle)
+            slope = _uphill(m, v, tau, a, armatures, force, before, asked, middle)
             low, high = select(0.0, slope, low, middle), select(0.0, slope, middle, high)
         high = select(0.0, whole, high, 1.0)
     high = select(MET, error, high, 0.0)
     for k in range(m[TREE.losses]):
-        store(asked, k, load(asked, k) + high * (_asked(m, k, tau, a, armature, force) - load(asked, k)))
+        store(asked, k, load(asked, k) + high * (_asked(m, k, tau, a, armatures, force) - load(asked, k)))
     for i in range(m[TREE.nv]):
         cut = load(before, i) + high * (load(a, i) - load(before, i))
         store(a, i, select(high, 1.0, cut, load(a, i)))  # the whole way without rounding

@@ -10,8 +10,8 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import store3
 from planner.kernels.algebra.tiles import four_rows
-from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
-from planner.kernels.numba.jit import inline, jit
+from planner.kernels.integrators import RK4, ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
     WIDTH,
@@ -32,7 +32,15 @@ from planner.kernels.tree.chain import euler, keep_turns, runge_kutta
 from planner.kernels.tree.derivatives import acceleration_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
-from planner.kernels.tree.step import end_rotation, end_state, gather, stage_state
+from planner.kernels.tree.rosenbrock import (
+    begin_implicit,
+    behind_matrix,
+    end_displacement,
+    end_velocity,
+    rosenbrock,
+    second_stage,
+)
+from planner.kernels.tree.step import end_rotation, end_state, gather, moved, stage_state
 
 
 @inline
@@ -143,6 +151,34 @@ def _rk4_substep(m, r, x, a, dt, width, knots):
         end_state(m, r, x, a, length, x)  # activations stay: no derivative depends on them
 
 
+@part
+def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
+    """(B | A) of a substep of kernels.tree.rosenbrock, chained to those before; x moves to its end."""
+    F, stride, present, k, length = knots
+    nv, ld, q = m[TREE.nv], r[MEMORY.ld], lanes(r, MEMORY.q_stage)
+    begin_implicit(m, r, length)
+    _stage_derivatives(m, r, 0, (x, at(x, m[TREE.nq]), a), present, width, external)
+    second_stage(m, r, x, a, length)
+    keep_turns(m, r, 1)
+    moved(m, x, lanes(r, MEMORY.theta), q)
+    state = (q, at(lanes(r, MEMORY.v_stages), nv), at(a, nv))
+    _stage_derivatives(m, r, 1, state, present, width, external)
+    behind_matrix(m, r, ld)
+    for row in range(nv):
+        scatter_row(lanes(r, MEMORY.M), row * ld, floats(r, MEMORY.behind_rows), row * ld, present, ld * ld, ld)
+    end_displacement(m, r, x, a, length)
+    keep_turns(m, r, 4)
+    for lane in range(present):
+        if k == 0:
+            rosenbrock(m, r, dt, lane, width, at(F, lane * stride))
+        else:
+            rosenbrock(m, r, dt, lane, width, floats(r, MEMORY.step))
+            _after(m, r, width, at(F, lane * stride))
+    if k + 1 < r[MEMORY.substeps]:
+        moved(m, x, lanes(r, MEMORY.theta), x)
+        end_velocity(m, x, a, length, x)
+
+
 @jit
 def linearize_dense(m, r, dt, xs, us, F, external):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
@@ -156,14 +192,18 @@ def linearize_dense(m, r, dt, xs, us, F, external):
         _gathered(m, r, xs, us, first, count)
         v = at(x, m[TREE.nq])
         for k in range(r[MEMORY.substeps]):
-            a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * nv)
+            a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * r[MEMORY.stride])
+            if external is not None and r[MEMORY.integrator] == ROSENBROCK:
+                knots = (at(flat, first * stride), stride, present, k, length)
+                _rosenbrock_substep(m, r, x, a, dt, width, knots, external)
+                continue
             for i in range(r[MEMORY.stages]):
                 if i == 0:
                     _stage_derivatives(m, r, 0, (x, v, a), present, width, external)
                 else:
                     stage_state(m, r, x, i, a, length)
                     keep_turns(m, r, i)
-                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * nv))
+                    state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), at(a, i * r[MEMORY.stride]))
                     _stage_derivatives(m, r, i, state, present, width, external)
             if r[MEMORY.integrator] == RK4:
                 _rk4_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))

@@ -21,24 +21,28 @@ from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_arrays
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
+from planner.model.damping import implicit_damping
+from planner.model.loops import RATE
 from planner.model.tendons import acting_tendons
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
 CONTACT_SIZE, STOP_SIZE = 25, 8  # see _contacts
 PAIR_SIZE, PAIR_LINKS_SIZE = 32, 5  # see _pairs
+JOINED_SIZE, CAM_SIZE = 15, 7  # see _loops
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses "
-    "dependents",
+    "dependents loops cams loop_rows",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
     "prescribed related_start related_rows contact_link contact_address contact_slide contact_value stop_dof "
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
     "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value "
-    "dependent_dof dependent_start dependent_column dependent_value",
+    "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
+    "loop_rigid loop_rate cam_dof cam_value implicit_damping",
 )
 
 
@@ -50,15 +54,18 @@ class Model:
         prescribed: (nv,) True where the acceleration is an input instead of the force.
         actuated: Whether actuators, contacts, stops, curves and friction loss act; the public dynamics functions take
             applied forces instead. Tendons and gravity compensation are the mechanism's own, as springs are.
+        implicit: Whether steps take damping implicitly (kernels.tree.rosenbrock).
 
     Attributes:
         table: The argument of kernels.
-        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act,
-            else None. Kernels take it beside the table: Numba compiles them once for each type and leaves out, for
-            None, what stands under `if external is not None`.
+        external: True where contacts, stops, curves, tendons, gravity compensation, friction loss or couplings act, or
+            damping is implicit, else None. Kernels take it beside the table: Numba compiles them once for each type and
+            leaves out, for None, what stands under `if external is not None`.
     """
 
-    def __init__(self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True) -> None:
+    def __init__(
+        self, mechanism: Any, prescribed: np.ndarray | None = None, actuated: bool = True, implicit: bool = False
+    ) -> None:  # fmt: skip
         nv = mechanism.nv
         prescribed = np.zeros(nv, dtype=bool) if prescribed is None else prescribed
         arrays: dict[str, np.ndarray] = {**_tree(mechanism), **_forces(mechanism, prescribed, actuated)}
@@ -75,7 +82,10 @@ class Model:
         lifted = bool(np.any(mechanism.lifted_mass) or np.any(mechanism.lifted_moment))
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
-        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled
+        loops, cams = (mechanism.loops, mechanism.cams) if actuated else ((), ())
+        self.loop_rows = sum(loop.rows for loop in loops) + len(cams)
+        acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled or implicit
+        acts = acts or self.loop_rows
         self.external = True if acts else None
         for tendon in tendons:
             coupled[np.ix_(tendon.dofs, tendon.dofs)] = True
@@ -91,16 +101,21 @@ class Model:
             common = common_carrier(mechanism.parent, pair)
             chains = [chain_of(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
+        for loop in loops:  # what one frame feels changes with where the chains of both are
+            both = [i for link in loop.links for i in chain_of(mechanism.parent, link)]
+            coupled[np.ix_(both, both)] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
         arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
-        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
+        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction) | _loops(loops, cams, arrays)
+        arrays["implicit_damping"] = implicit_damping(mechanism)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
             "inputs": len(arrays["input_dof"]), "position_terms": len(arrays["position_row"]),
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
             "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
+            "loops": len(loops), "cams": len(cams), "loop_rows": self.loop_rows,
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -335,6 +350,27 @@ def _dependents(reduction: Any) -> dict[str, np.ndarray]:
         "dependent_dof": dofs, "dependent_start": np.searchsorted(row, np.arange(len(dofs) + 1)),
         "dependent_column": column if reduction is None else reduction.independent[column],
         "dependent_value": rows[row, column],
+    }  # fmt: skip
+
+
+def _loops(loops: Any, cams: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Per joined frame: its place in the kernels' frame of its link (3), its tree's origin (3), its three axes there.
+
+    Per cam: the offsets of follower and leader, and five coefficients.
+    """
+    link = np.array([link for loop in loops for link in loop.links], dtype=np.int64)
+    value = np.zeros((len(link), JOINED_SIZE))
+    for row, i, T in zip(value, link, [T for loop in loops for T in loop.frames], strict=True):
+        own = np.linalg.inv(tree["frames"][i]) @ T if i >= 0 else T
+        row[:3], row[6:] = own[:3, 3], own[:3, :3].T.ravel()
+        if i >= 0:
+            row[3:6] = tree["origin"][i]
+    return {
+        "joined_link": link, "joined_value": value,
+        "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
+        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([RATE]),
+        "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
+        "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler or RK4.
+"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler, RK4 or a Rosenbrock method.
 
 Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
 Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from planner.kernels.algebra.rotations import turned
 from planner.kernels.algebra.spatial import cross, load3, store3
-from planner.kernels.integrators import RK4, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import RK4, ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
     WIDTH,
-    any_less,
     as_floats,
     at,
     doubles,
@@ -28,24 +27,17 @@ from planner.kernels.numba.lanes import (
     pointer,
     store,
 )
-from planner.kernels.tree.contact import add_contact_wrenches, add_stops
-from planner.kernels.tree.couplings import accelerate_coupled
-from planner.kernels.tree.forces import activation_rates, applied_forces
-from planner.kernels.tree.friction import (  # fmt: skip
-    MET,
-    MOST_ROUNDS,
-    begin_friction,
-    first_error,
-    linearise_friction,
-    next_error,
-)
-from planner.kernels.tree.gravity_compensation import add_compensation
-from planner.kernels.tree.joint_curves import add_curves
+from planner.kernels.tree.accelerations import accelerations
+from planner.kernels.tree.forces import activation_rates
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
-from planner.kernels.tree.pair_contact import add_pair_wrenches
-from planner.kernels.tree.recursion import accelerate, move_links
-from planner.kernels.tree.tendons import add_tendons
+from planner.kernels.tree.rosenbrock import (
+    begin_implicit,
+    end_displacement,
+    end_velocity,
+    forget_implicit,
+    second_stage,
+)
 
 
 @inline
@@ -77,66 +69,6 @@ def add_commutator(m, theta, first, second, factor):
         store3(theta, k, (t[0] + factor * c[0], t[1] + factor * c[1], t[2] + factor * c[2]))
 
 
-@part
-def accelerations(m, r, q, v, u, act, a, external):
-    """Accelerations a (nv lanes) under inputs u and activations act.
-
-    With `external` None the machine has none of what Model.external names, and its code is left out.
-    """
-    tau, links = lanes(r, MEMORY.tau), lanes(r, MEMORY.links)
-    applied_forces(m, q, v, u, act, tau, a, lanes(r, MEMORY.scratch))
-    if external is not None:
-        add_stops(m, q, v, tau)
-        add_curves(m, q, tau)
-        add_tendons(m, q, v, tau)
-    move_links(m, q, v, links)
-    if external is not None:
-        if m[TREE.lifted] > 0:
-            add_compensation(m, links, tau)
-        _add_wrenches(m, q, links)
-        if m[TREE.losses] > 0:
-            _accelerate_with_friction(m, r, q, v, tau, a)
-            return
-        if m[TREE.dependents] > 0:
-            accelerate_coupled(m, r, tau, a, links, floats(m, TREE.armature))
-            return
-    accelerate(m, tau, a, links, floats(m, TREE.armature), False)
-
-
-@part
-def _add_wrenches(m, q, links):
-    add_contact_wrenches(m, q, links)
-    if m[TREE.pairs] > 0:
-        add_pair_wrenches(m, q, links)
-
-
-@part
-def _accelerate_again(m, r, tau, a, links, armature):
-    """Accelerations with another armature (nv lanes)."""
-    if m[TREE.dependents] > 0:
-        accelerate_coupled(m, r, tau, a, links, armature)
-    else:
-        accelerate(m, tau, a, links, armature, False)
-
-
-@part
-def _accelerate_with_friction(m, r, q, v, tau, a):
-    """Accelerations of a machine with friction loss, of links that move_links has seen; see kernels.tree.friction."""
-    links, armature, force = lanes(r, MEMORY.links), lanes(r, MEMORY.heavier), lanes(r, MEMORY.pushed)
-    before, asked = lanes(r, MEMORY.before), lanes(r, MEMORY.asked)
-    begin_friction(m, v, tau, armature, force)
-    _accelerate_again(m, r, force, a, links, armature)
-    error = first_error(m, v, tau, a, armature, force, asked)
-    for _ in range(MOST_ROUNDS):
-        if not any_less(MET, error):
-            break
-        linearise_friction(m, v, tau, a, armature, force, before)
-        move_links(m, q, v, links)
-        _add_wrenches(m, q, links)
-        _accelerate_again(m, r, force, a, links, armature)
-        error = next_error(m, v, tau, a, armature, force, before, asked, error)
-
-
 @inline
 def _stage_state(m, r, x, i, factor, velocity, acceleration):
     """State i (1, 2, 3) of a Runge-Kutta stage: velocity, activation and theta from those before."""
@@ -154,17 +86,17 @@ def _stage_state(m, r, x, i, factor, velocity, acceleration):
 @part
 def stage_state(m, r, x, i, a, dt):
     """State (q_stage, v_stages[i], act_stage) of Runge-Kutta stage i = 1, 2, 3, from the accelerations a so far."""
-    nv = m[TREE.nv]
+    nv, stride = m[TREE.nv], r[MEMORY.stride]
     v1, theta = lanes(r, MEMORY.v_stages), lanes(r, MEMORY.theta)
     if i == 1:
         for k in range(nv):
             store(v1, k, load(x, m[TREE.nq] + k))
         _stage_state(m, r, x, 1, 0.5 * dt, v1, a)
     elif i == 2:
-        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, nv))
+        _stage_state(m, r, x, 2, 0.5 * dt, at(v1, nv), at(a, stride))
         add_commutator(m, theta, v1, at(v1, nv), 0.125 * dt * dt)
     else:
-        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * nv))
+        _stage_state(m, r, x, 3, dt, at(v1, 2 * nv), at(a, 2 * stride))
     moved(m, x, theta, lanes(r, MEMORY.q_stage))
 
 
@@ -182,24 +114,49 @@ def end_rotation(m, r, x, a, dt):
 @part
 def end_state(m, r, x, a, dt, x_next):
     """Configuration and velocity at the end of an RK4 step, from v_stages; x_next may be x."""
-    nv = m[TREE.nv]
+    nv, stride = m[TREE.nv], r[MEMORY.stride]
     v, v_next = at(x, m[TREE.nq]), at(x_next, m[TREE.nq])
     end_rotation(m, r, x, a, dt)
     moved(m, x, lanes(r, MEMORY.theta), x_next)
     sixth = (1.0 / 6.0) * dt
     for k in range(nv):
-        inner = 2.0 * (load(a, nv + k) + load(a, 2 * nv + k))
-        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * nv + k)))
+        inner = 2.0 * (load(a, stride + k) + load(a, 2 * stride + k))
+        store(v_next, k, load(v, k) + sixth * (load(a, k) + inner + load(a, 3 * stride + k)))
+
+
+@part
+def _end_rosenbrock(m, r, x, u, a, dt, x_next, external):
+    """The second stage and the end of a step of kernels.tree.rosenbrock, whose first accelerations are in a."""
+    nq, nv, na = m[TREE.nq], m[TREE.nv], m[TREE.na]
+    act, theta, q_stage = at(x, nq + nv), lanes(r, MEMORY.theta), lanes(r, MEMORY.q_stage)
+    rates, act_stage, act_next = lanes(r, MEMORY.act_rates), lanes(r, MEMORY.act_stage), at(x_next, nq + nv)
+    second_stage(m, r, x, a, dt)
+    moved(m, x, theta, q_stage)
+    for k in range(na):
+        store(act_stage, k, load(act, k) + dt * load(rates, k))
+    accelerations(m, r, q_stage, at(lanes(r, MEMORY.v_stages), nv), u, act_stage, at(a, nv), external)
+    activation_rates(m, u, act_stage, at(rates, na))
+    end_displacement(m, r, x, a, dt)
+    moved(m, x, theta, x_next)
+    end_velocity(m, x, a, dt, x_next)
+    half = 0.5 * dt
+    for k in range(na):
+        store(act_next, k, load(act, k) + half * (load(rates, k) + load(rates, na + k)))
 
 
 @part
 def _step(m, r, x, u, a, dt, x_next, external):
-    """The end x_next of one step of length dt (a V4) from x under u; a (stages * nv) keeps the accelerations."""
+    """The end x_next of one step of length dt (a V4) from x under u; a (stages * stride) keeps the accelerations."""
     nq, nv, na, integrator = m[TREE.nq], m[TREE.nv], m[TREE.na], r[MEMORY.integrator]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.theta)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, MEMORY.act_rates)
+    if external is not None and integrator == ROSENBROCK:
+        begin_implicit(m, r, dt)
     accelerations(m, r, x, v, u, act, a, external)
     activation_rates(m, u, act, rates)
+    if external is not None and integrator == ROSENBROCK:
+        _end_rosenbrock(m, r, x, u, a, dt, x_next, external)
+        return
     if integrator != RK4:
         for k in range(nv):
             rate = load(v, k) + dt * load(a, k)
@@ -212,7 +169,7 @@ def _step(m, r, x, u, a, dt, x_next, external):
     for i in range(1, 4):
         stage_state(m, r, x, i, a, dt)
         vi, act_i = at(lanes(r, MEMORY.v_stages), i * nv), lanes(r, MEMORY.act_stage)
-        accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * nv), external)
+        accelerations(m, r, lanes(r, MEMORY.q_stage), vi, u, act_i, at(a, i * r[MEMORY.stride]), external)
         activation_rates(m, u, act_i, at(rates, i * na))
     end_state(m, r, x, a, dt, x_next)
     sixth = (1.0 / 6.0) * dt
@@ -228,7 +185,7 @@ def stage(m, r, x, u, a, dt, x_next, external):
     length = (1.0 / substeps) * dt
     _step(m, r, x, u, a, length, x_next, external)
     for i in range(1, substeps):
-        _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * m[TREE.nv]), length, x_next, external)
+        _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * r[MEMORY.stride]), length, x_next, external)
 
 
 @inline
@@ -284,6 +241,7 @@ def rates(m, r, xs, us, out, external):
     """out[i] = (qvel, qacc, d act/dt) at xs[i] (K, nx) with us[i] (K, nu)."""
     m, r = pointer(m), pointer(r)
     nx, nq, nv, na, K = xs.shape[1], m[TREE.nq], m[TREE.nv], m[TREE.na], xs.shape[0]
+    forget_implicit(m, r)
     x, u, a, rate = lanes(r, MEMORY.x), lanes(r, MEMORY.u), lanes(r, MEMORY.a), lanes(r, MEMORY.links)
     for first in range(0, K, WIDTH):
         gather(doubles(xs), first, K, nx, x)

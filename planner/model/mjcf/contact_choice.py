@@ -1,8 +1,8 @@
 """Choose how a plan treats the contacts of a file: with their own law, with a law of the ground, or avoided.
 
     "model"   every pair of shapes has a law that the plan computes (see model.mjcf.contacts)
-    "ground"  something falls unless the ground carries it: its contacts with planes get ContactLaw.resting for its
-              mass, all others are avoided
+    "ground"  something falls unless the ground carries it: its contacts with planes get a law for its mass
+              (ground_law), all others are avoided
     "avoid"   planned without contacts; a proof fails where shapes touch in the user's file
 
 A tree of bodies can fall if it begins with a free joint, or with slides of which one is not level, and neither an
@@ -17,14 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.contact.laws import ContactLaw
 from planner.model.contact.shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
+from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.survey import Pair, Survey, disabled, named
 
 MODES = ("auto", "avoid", "ground", "model", "off")
-SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
-DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
 LEVEL = 0.8  # of gravity, across a plane that carries
 _STEEP = 1e-6  # of gravity, along a slide that is not level
 
@@ -78,21 +76,8 @@ def ground_pairs(survey: Survey) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
-def law_of_ground(survey: Survey, pair: Pair) -> ContactLaw:
-    """The law for the mass of what stands on the ground in a pair."""
-    gravity = float(np.linalg.norm(survey.model.opt.gravity))
-    return ContactLaw.resting(_mass(survey, pair), gravity=gravity, sink=SINK, damping_ratio=DAMPING)
-
-
-def _mass(survey: Survey, pair: Pair) -> float:
-    """Of all that hangs together with the body that is not at rest, kg."""
-    model = survey.model
-    bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
-    return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
-
-
 def _of_ground(survey: Survey, standing: Sequence[Pair]) -> str:
-    masses = sorted({round(_mass(survey, pair), 3) for pair in standing}, reverse=True)
+    masses = sorted({round(mass_of(survey, pair), 3) for pair in standing}, reverse=True)
     law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
     others = len(survey.pairs) - len(standing)
     phrase = f"contacts of {_pairs(len(standing))} with the ground are planned with a law for {law}"

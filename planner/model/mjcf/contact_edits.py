@@ -10,7 +10,7 @@ law: `keep_law` writes them.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any
 from xml.etree import ElementTree
@@ -31,13 +31,14 @@ IMPRATIO = 1000.0  # at which MuJoCo's friction is the law's to a thousandth; be
 
 def give_law(
     root: ElementTree.Element, survey: Survey, law_of: Callable[[Pair], ContactLaw | None], smoothing: str,
-    grounds: bool = False,
+    recesses: Mapping[tuple[int, int], float] | None = None,
 ) -> list[Pair]:  # fmt: skip
     """Edit the XML so that its contacts have the laws of `law_of`; returns the contacts that are left out.
 
     The survey is of what the root compiles to. Pairs without a law, and of shapes that are not modelled, are excluded.
     Of an infinite impratio becomes IMPRATIO; all laws have the same one, and the same `smoothing` (CONTACT_RAMP).
-    For grounds, shapes with a margin get points that are larger by it: there the file's own force begins.
+    With `recesses` of pairs by their geoms, m, shapes with a margin get points that are larger by it, since there the
+    file's own force begins, and smaller by the recess.
     """
     if not survey.pairs:
         return []
@@ -48,7 +49,7 @@ def give_law(
     for pair in survey.pairs:
         bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
         law, names = law_of(pair), [[geoms[geom].attrib["name"]] for geom in pair.geoms]
-        margin = force_begins(model, pair) if grounds else 0.0
+        margin = 0.0 if recesses is None or law is None else force_begins(model, pair) - recesses[pair.geoms]
         fits = margin == 0.0 and shapes_fit(survey, pair)
         match = None if law is None or fits else meets_plane(survey, pair.geoms)
         if law is None or not (fits or match):

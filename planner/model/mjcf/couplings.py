@@ -15,8 +15,10 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.model.couplings import Coupling
 from planner.model.mjcf.survey import disabled, named
+from planner.model.mjcf.tendons import fixed, row_of
 
 _NOTHING = 1e-8  # s
+_HELD = 1e-9  # of a row: what no combination of equalities may leave of a tendon that they hold
 HARD = {"solref": f"{_NOTHING!r} 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
 
 
@@ -53,6 +55,24 @@ def read_couplings(model: Any) -> tuple[Coupling, ...]:
     return tuple(_coupling(model, i) for i in acting(model) if is_linear(model, i))
 
 
+def held_tendons(model: Any) -> frozenset[int]:
+    """The fixed tendons whose lengths the linear equalities hold where they are."""
+    rows = np.zeros((0, model.nv))
+    for coupling in read_couplings(model):
+        row = np.zeros(model.nv)
+        row[list(coupling.dofs)] = coupling.coefficients
+        rows = np.vstack([rows, row / np.abs(row).max()]) if np.any(row) else rows
+    if not len(rows):
+        return frozenset()
+    found = []
+    for i in filter(lambda i: fixed(model, i), range(model.ntendon)):
+        row = row_of(model, i)
+        row /= np.abs(row).max(initial=np.finfo(float).tiny)
+        left = row - np.linalg.lstsq(rows.T, row, rcond=None)[0] @ rows
+        found += [i] if np.abs(left).max(initial=0.0) < _HELD else []
+    return frozenset(found)
+
+
 def _coupling(model: Any, i: int) -> Coupling:
     """Moved to one side: first(q) - a_1 second(q) = first(q0) + a_0 - a_1 second(q0)."""
     sides = [_side(model, i, model.eq_obj1id[i])]
@@ -79,15 +99,14 @@ def _side(model: Any, i: int, thing: int) -> list[tuple[int, float]]:
 
 
 def harden(root: ElementTree.Element, model: Any) -> None:
-    """Make the linear equalities of the text as hard as MuJoCo takes them at any step; `model` is compiled from it.
+    """Make the equalities of the text as hard as MuJoCo takes them at any step; `model` is compiled from it.
 
     MuJoCo raises a time constant to two steps of the simulation, so one that is next to nothing is always those two;
     but with its flag refsafe off it does not, and `set_hard` has to.
     """
     elements = equalities_of(root, model)
     for i in acting(model) if elements else ():
-        if is_linear(model, i):
-            elements[i].attrib.update(HARD)
+        elements[i].attrib.update(HARD)
 
 
 def set_hard(model: Any, timestep: float) -> None:

@@ -26,8 +26,9 @@ import numpy as np
 
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
+from planner.model.actuators import DIRECT, Actuators
 from planner.model.joint_curves import ExponentialTorque
-from planner.model.mechanism import BALL, DIRECT, Actuators, Mechanism
+from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.contact_edits import joints_of, keep_law
 from planner.model.mjcf.edit import actuators_of
 from planner.model.mjcf.survey import Survey, compile_model, disabled

@@ -21,8 +21,12 @@ class Opened(NamedTuple):
     compiled: bool  # Whether the survey's model is what root compiles to: no mesh is coarser
 
 
-def opened(model: str | Path, assets: dict[str, bytes] | None = None, name: str = "") -> Opened:
+def opened(
+    model: str | Path, assets: dict[str, bytes] | None = None, name: str = "", *, stored: bool = True
+) -> Opened:  # fmt: skip
     """Read and compile a file or text; messages call it `name`, by default after its file.
+
+    What is not to be stored keeps its visual meshes.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
@@ -30,5 +34,5 @@ def opened(model: str | Path, assets: dict[str, bytes] | None = None, name: str 
     name = name or ("the model" if is_text(model) else f"the model {model}")
     root, files = model_tree(model, assets, stored=assets is not None)
     survey = Survey(compile_model(root, files, name))
-    coarser = coarsen_visual_meshes(root, files, survey.model)
+    coarser = stored and coarsen_visual_meshes(root, files, survey.model)
     return Opened(root, files, survey, name, not coarser)

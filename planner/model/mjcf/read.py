@@ -20,15 +20,19 @@ import numpy as np
 from planner.base.arguments import choice, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
+from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.contact.laws import ContactLaw
-from planner.model.mechanism import BALL, BALL_NEXT, DIRECT, FILTER, INTEGRATOR, SCREW, Actuators, Frame, Mechanism
-from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs, law_of_ground
+from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
+from planner.model.mjcf.attached import attachments, with_attached
+from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs
 from planner.model.mjcf.contact_edits import give_law
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
 from planner.model.mjcf.edit import take_out
 from planner.model.mjcf.friction import joint_friction
+from planner.model.mjcf.ground_law import laws_of_ground
+from planner.model.mjcf.loops import read_cams, read_loops
 from planner.model.mjcf.opened import Opened, opened
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
@@ -57,13 +61,14 @@ _NUMBERS = (
 
 def read(
     model: str | Path, *, ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None, name: str = "",
+    assets: dict[str, bytes] | None = None, name: str = "", attach: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of an MJCF file or text, and of the files that it names; see Mechanism.from_mjcf.
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    return read_opened(lambda: opened(model, assets, name), ignore=ignore, contacts=contacts)
+    given = attachments(attach)
+    return read_opened(lambda: with_attached(opened(model, assets, name), given), ignore=ignore, contacts=contacts)
 
 
 def read_opened(
@@ -88,7 +93,7 @@ def read_opened(
     left_out: list[Pair] = []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
-        left_out = give_law(root, survey, *_laws(survey, law), grounds=law is None)
+        left_out = give_law(root, survey, *_laws(survey, law))
     taken_out = {*ignored, *(["contacts"] if mode != "model" else [])}
     _refuse([one for one in found if one.kind not in taken_out], name, survey)
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
@@ -114,12 +119,16 @@ def _renamed(contacts: object) -> object:
     return contacts
 
 
-def _laws(survey: Survey, law: ContactLaw | None) -> tuple[Callable[[Pair], ContactLaw | None], str]:
-    """The law of each pair, that of the ground by default, and their smoothing, for give_law."""
+def _laws(
+    survey: Survey, law: ContactLaw | None
+) -> tuple[Callable[[Pair], ContactLaw | None], str, dict[tuple[int, int], float] | None]:
+    """The law of each pair, that of the ground by default, their smoothing and their recesses, for give_law."""
     if law is not None:
-        return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}"
-    laws = {pair.geoms: law_of_ground(survey, pair) for pair in ground_pairs(survey)}
-    return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp)
+        return (lambda _: law), f"{law.ramp!r} {law.force_ramp!r} {law.bend!r}", None
+    grounds = laws_of_ground(survey, ground_pairs(survey))
+    recesses = {geoms: ground.recess for geoms, ground in grounds.items()}
+    laws = {geoms: ground.law for geoms, ground in grounds.items()}
+    return (lambda pair: laws.get(pair.geoms)), repr(next(iter(laws.values())).ramp), recesses
 
 
 def _refuse(found: list[Refusal], name: str, survey: Survey) -> None:
@@ -189,6 +198,7 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
+        loops=read_loops(model, links, poses), cams=read_cams(model),
     )  # fmt: skip
 
 

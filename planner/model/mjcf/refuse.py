@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.couplings import acting, is_linear, kind_of
+from planner.model.mjcf.couplings import acting, held_tendons, is_linear, kind_of
+from planner.model.mjcf.loops import closes
 from planner.model.mjcf.survey import disabled, field, flag_bit, named
 from planner.model.mjcf.tendons import fixed
 
@@ -58,7 +59,7 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
     yield from _bodies(model)
     yield from _of_tendons(model, modelled=False)
     for i in acting(model):
-        if not is_linear(model, i):
+        if not (is_linear(model, i) or closes(model, i)):
             yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
     for i in range(len(model.actuator_trntype)):
         yield from _actuators(model, i)
@@ -132,8 +133,10 @@ def _effects(model: Any) -> dict[str, np.ndarray]:
 def _of_tendons(model: Any, modelled: bool) -> Iterator[Refusal]:
     """What acts along tendons and is modelled, or is not: of fixed tendons, only what is named here."""
     effects = _effects(model)
+    held = held_tendons(model)
     for i in range(model.ntendon):
         known = MODELLED if fixed(model, i) else ()
+        effects["frictionloss"][i] &= i not in held  # what never slides does not rub
         has = [name for name, acts in effects.items() if acts[i] and (name in known) == modelled]
         if has == ["frictionloss"]:
             yield Refusal("frictionloss", f"frictionloss of {named(model, 'tendon', i)}")

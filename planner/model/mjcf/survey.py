@@ -7,6 +7,7 @@ read, refuse or edit the file.
 
 from __future__ import annotations
 
+from collections import deque
 from functools import cached_property
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -19,14 +20,30 @@ from planner.model.mjcf.bounded import compiled
 
 MOST_TOUCHING = 5000  # geoms: a table of all pairs of them has some 100 MB
 MOST_PAIRS = 100_000
+MOST_KEPT = 2**28  # bytes of compiled models
+
+RECENT: deque[tuple[str, dict[str, bytes], Any]] = deque(maxlen=8)
+"""Text, files and model of what was compiled last, the latest at the end."""
 
 
 def compile_model(
     mjcf: str | ElementTree.Element, assets: dict[str, bytes] | None = None, name: str = "the model"
 ) -> Any:
-    """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel."""
+    """Compile an MJCF text, or its XML tree, and the files that it names to MuJoCo's MjModel.
+
+    Reading, parity and proof ask for the same texts, so the last ones are not compiled again: whoever changes a model
+    does so in a copy.
+    """
     text = mjcf if isinstance(mjcf, str) else ElementTree.tostring(mjcf, encoding="unicode")
-    return compiled(text, assets or {}, name)
+    files = dict(assets or {})
+    for known, its_files, model in RECENT:
+        if known == text and its_files == files:
+            return model
+    model = compiled(text, files, name)
+    RECENT.append((text, files, model))
+    while len(RECENT) > 1 and sum(load_mujoco().mj_sizeModel(one) for _, _, one in RECENT) > MOST_KEPT:
+        RECENT.popleft()
+    return model
 
 
 def named(model: Any, kind: str, index: int) -> str:

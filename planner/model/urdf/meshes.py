@@ -1,7 +1,7 @@
 """Meshes of a URDF as binary STL files, which MuJoCo reads fast.
 
 What is only seen is stored on the grid of a picture, what only touches as its convex hull, which is what MuJoCo
-collides with.
+collides with. Small meshes stay as they are.
 """
 
 from __future__ import annotations
@@ -59,8 +59,10 @@ def on_grid(triangles: np.ndarray) -> np.ndarray:
 
 
 def hull(triangles: np.ndarray) -> np.ndarray:
-    """Triangles of the convex hull; those of a flat mesh as they are."""
-    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that models without meshes need not wait
+    """Triangles of the convex hull; those of a small or flat mesh as they are."""
+    if len(triangles) * _FACET.itemsize < LARGE:
+        return triangles
+    from scipy.spatial import ConvexHull, QhullError  # half a second that models without large meshes need not wait
 
     points = np.unique(triangles.reshape(-1, 3).astype(np.float32), axis=0)
     try:

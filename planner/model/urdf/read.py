@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 from planner.base.errors import PlannerError
 from planner.model.contact.laws import ContactLaw
@@ -16,7 +17,7 @@ from planner.model.urdf.as_mjcf import as_mjcf, is_urdf
 def read_model(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
     inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
-    assets: dict[str, bytes] | None = None,
+    assets: dict[str, bytes] | None = None, attach: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF or MJCF file or text; from `base` to `inertia`, all is for URDFs alone.
 
@@ -26,8 +27,9 @@ def read_model(
     """
     if assets is None and is_urdf(model):
         return read_urdf(
-            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore, contacts=contacts
-        )
+            model, base=base, floor=floor, package_path=package_path, inertia=inertia, ignore=ignore,
+            contacts=contacts, attach=attach,
+        )  # fmt: skip
     if assets is None:
         given = {"base": base, "floor": floor, "package_path": package_path, "inertia": inertia != "given"}
         for key, value in given.items():
@@ -35,24 +37,25 @@ def read_model(
                 raise PlannerError(
                     f"{key} is given for an MJCF model, expected it for a URDF alone: MJCF says it itself."
                 )
-    return read(model, ignore=ignore, contacts=contacts, assets=assets)
+    return read(model, ignore=ignore, contacts=contacts, assets=assets, attach=attach)
 
 
 def read_urdf(
     model: str | Path, *, base: str | None = None, floor: bool = False, package_path: str | Sequence[str] = (),
     inertia: str = "given", ignore: Collection[str] | None = (), contacts: str | ContactLaw = "auto",
+    attach: Any = None,
 ) -> Mechanism:  # fmt: skip
     """A mechanism of a URDF file or text; see Mechanism.from_urdf."""
     mjcf, assets, name = as_mjcf(model, base, floor, package_path, inertia)
-    return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name)
+    return read(mjcf, ignore=ignore, contacts=contacts, assets=assets, name=name, attach=attach)
 
 
 def opened_model(model: str | Path) -> Opened:
-    """A URDF or MJCF file, compiled.
+    """A URDF or MJCF file, compiled, to be looked at.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
     """
     if not is_urdf(model):
-        return opened(model)
-    return opened(*as_mjcf(model))
+        return opened(model, stored=False)
+    return opened(*as_mjcf(model), stored=False)

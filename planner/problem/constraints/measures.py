@@ -28,6 +28,7 @@ class Measure(Protocol):
 
     rows: int
     of_controls: bool
+    same: Any  # equal for measures of the same thing, hashable
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, R)."""
@@ -82,7 +83,7 @@ class FunctionMeasure:
         self._given: Callable[..., Any] | None = constraint.derivatives
         self._space, self._nu = space_of(dynamics), dynamics.nu
         self._nx = self._space.nx if constraint.states is None else constraint.states
-        self.rows = 0
+        self.rows, self.same = 0, id(constraint.of)
         tried = self._called(np.stack([x0, x0]), np.stack([u0, u0]))
         self.rows = tried.shape[1]
 

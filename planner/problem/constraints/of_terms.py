@@ -3,6 +3,7 @@
 A term of planner.costs (Height, Distance, Gap, Velocity), or one of a frame or of the mass:
 
     Place       where a frame is, x, y, z                                              m
+    Along       how far it is along a direction of the world                           m
     Turn        the rotation vector of a frame from an orientation, in its axes        rad
     Tilt        the angle between an axis of a frame and a direction of the world      rad
     MassCentre  where the centre of mass is                                            m
@@ -20,7 +21,7 @@ import numpy as np
 from planner.base.arguments import array, choice, set_fields, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.kernels.tree.residuals.table import MASS_CENTRE, ORIENTATION, POSITION, TILT
+from planner.kernels.tree.residuals.table import HEIGHT, MASS_CENTRE, ORIENTATION, POSITION, TILT
 from planner.model.mechanism import Frame, Mechanism
 from planner.model.space import space_of
 from planner.problem.costs.penalty_terms import Penalty
@@ -37,6 +38,8 @@ class ResidualMeasure:
 
     def __init__(self, dynamics: Dynamics, what: Any, arrays: ResidualArrays) -> None:
         self.mechanism, self.arrays, self.rows = machine_of(dynamics, what), arrays, len(arrays.weight)
+        of = (getattr(arrays, name) for name in ("kind", "link", "offset", "share", "world", "constant", "reference"))
+        self.same = tuple(one.tobytes() for one in of)
         self._ndx, self._nu, self._nx = space_of(dynamics).ndx, dynamics.nu, machine_of(dynamics, what).space.nx
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -75,8 +78,8 @@ def _measure(
     elif not isinstance(frame, Frame):
         raise PlannerError(f"a constraint's frame is {shown(frame)}, expected a Frame, or a site's or body's name.")
     terms, R = ResidualList(N), frame.T[:3, :3]
-    constant = (*R.ravel(), *own) if turn else (*(R @ own[:3]), *own[3:]) if len(own) else ()
-    terms.add(kind, [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
+    constant = (*R.ravel(), *own) if turn else (*(R @ own[:3]), *own[3:]) if kind == TILT else own
+    terms.add(kind, 4 * [terms.point(frame.link, frame.T[:3, 3])], 0.0, constant=constant, reference=reference)
     return ResidualMeasure(dynamics, what, terms.arrays())
 
 
@@ -97,6 +100,30 @@ class Place:
     def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
         """Of a machine."""
         return _measure(self, dynamics, N, POSITION)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """How far a frame is along a direction of the world, m.
+
+    Attributes:
+        frame: Name of a site or body, or a Frame.
+        direction: (3,) of any length above 0; upwards by default.
+    """
+
+    frame: str | Frame
+    direction: Any = (0.0, 0.0, 1.0)
+    unit = "m"
+
+    def __post_init__(self) -> None:
+        set_fields(self, direction=_of_length_one("direction", self.direction, 3))
+
+    def __str__(self) -> str:
+        return f"place of {_name(self.frame)}"
+
+    def measure(self, dynamics: Dynamics, N: int) -> ResidualMeasure:
+        """Of a machine."""
+        return _measure(self, dynamics, N, HEIGHT, own=(*self.direction, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

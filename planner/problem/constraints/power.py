@@ -8,7 +8,9 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.dynamics import Dynamics
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import space_of
 from planner.problem.constraints.of_terms import machine_of
 from planner.problem.costs.weights import places
 
@@ -38,7 +40,7 @@ class Power:
         mechanism = machine_of(dynamics, self)
         inputs = places(mechanism, ())[1]
         index = inputs[choice("the actuator of a power", self.actuator, inputs)].start
-        return PowerMeasure(mechanism, index, dynamics.nu)
+        return PowerMeasure(mechanism, index, space_of(dynamics).ndx, dynamics.nu)
 
 
 class PowerMeasure:
@@ -46,7 +48,7 @@ class PowerMeasure:
 
     rows = 1
 
-    def __init__(self, mechanism: Mechanism, a: int, nu: int) -> None:
+    def __init__(self, mechanism: Mechanism, a: int, ndx: int, nu: int) -> None:
         one = mechanism.actuators
         self._a, self._nu, self._nv, self._nq = a, nu, mechanism.nv, mechanism.nq
         self._moment, self._gain, self._bias = one.moment[a], float(one.gain[a]), one.bias[a]
@@ -54,7 +56,7 @@ class PowerMeasure:
         self._state = mechanism.nq + mechanism.nv + int(one.activation[a])  # where it has one
         screws = np.flatnonzero((mechanism.kind == SCREW) & (self._moment != 0.0))
         self._screws, self._address = screws, mechanism.q_address[screws]
-        self._ndx = mechanism.space.ndx
+        self._ndx, self.same = ndx, ("power", a)
 
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force and speed (K,)."""

@@ -8,9 +8,10 @@ stage, by A and B of Eq. 35. Rows are multiplied by `scale`, so that one toleran
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from copy import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,6 +92,7 @@ class Rows:
         self.lower, self.upper = self.least.copy(), self.most.copy()
         self.lower[0, given], self.upper[0, given] = -np.inf, np.inf
         self._check_start(x0, us[0])
+        self._check_each_other(dynamics.dt)
 
     def _check_start(self, x0: np.ndarray, u0: np.ndarray) -> None:
         """Refuse a start that no plan can mend."""
@@ -110,6 +112,23 @@ class Rows:
                     f"the start breaks {part.constraint}: it is {value[r]:.6g}{unit} there, expected {asked}{unit}; "
                     "start elsewhere, or ask for it later by when=(from, to)."
                 )
+
+    def _check_each_other(self, dt: float) -> None:
+        """Refuse constraints of the same thing whose bounds leave nothing between them."""
+        seen: dict[Any, list[Part]] = {}
+        for part in self.parts:
+            seen.setdefault((part.measure.same, part.at_end), []).append(part)
+        for alike in seen.values():
+            for a, b in itertools.permutations(alike, 2):
+                low, high = (side[:, part.columns] / self.scale[part.columns] for side, part in
+                             ((self.least, a), (self.most, b)))  # fmt: skip
+                apart = low - high > a.constraint.allowed() + b.constraint.allowed()
+                if apart.any():
+                    n, r = map(int, np.argwhere(apart)[0])
+                    raise PlannerError(
+                        f"{a.constraint} asks for at least {low[n, r]:.6g} and {b.constraint} for at most "
+                        f"{high[n, r]:.6g} at t = {n * dt:.4g} s, expected bounds that leave something between them."
+                    )
 
     def only(self, parts: Sequence[Part]) -> tuple[Rows, np.ndarray]:
         """The rows of some of the parts, and which columns of these they are."""

@@ -25,7 +25,8 @@ import numpy as np
 from planner.base.arguments import number, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.driven import heavy_joints
 from planner.problem.costs.terms import Quadratic, Term
 

@@ -1,4 +1,4 @@
-"""Wanted: one thing that the end of a cost asks for; and the tolerance that a problem states for such things."""
+"""Wanted: one thing that a cost, or a task, asks for; and the tolerance that a problem states for such things."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SOFT = "soft"  # the word for an infinite tolerance in files, which know no infi
 
 
 class Wanted(NamedTuple):
-    """One thing that a term with a final weight asks of the end.
+    """One thing that a term with a final weight asks of the end, or a task at its times.
 
     A term of a cost says it by `wanted(coordinates) -> tuple of Wanted`, with the planner.model.coordinates.Coordinate
     of every component of a deviation, and its price by `final_cost(x) -> float`.
@@ -22,7 +22,9 @@ class Wanted(NamedTuple):
 
     name: str  # of the coordinate, or of what is placed: "position of hand"
     unit: str
-    missed: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it
+    missed: Callable[[np.ndarray], np.ndarray]  # states (K, nx) -> (K,) how far they are from it; K = T with times
+    times: tuple[float, ...] | None = None  # (T,) s, when it is asked for; None for the end
+    tolerance: float | None = None  # its own, in its unit; None leaves it to the problem
 
 
 def checked_tolerance(value: Any) -> float | dict[str, float] | None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.model.loops import Cam, Loop
 from planner.model.mechanism import Mechanism
 
 _ROUNDING = 1e-12  # relative, of numbers that went through a compiler
@@ -81,6 +82,10 @@ def _all(ours: Mechanism, theirs: Mechanism) -> Iterator[str]:
     if [replace(one, name="") for one in ours.couplings] != [replace(one, name="") for one in theirs.couplings]:
         both = (", ".join(one.name for one in m.couplings) or "none" for m in (theirs, ours))
         yield "its equalities of joints are others: {} there, {} in the plan".format(*both)
+    for name in ("loops", "cams"):
+        one, other = (tuple(_of_chain(x) for x in getattr(m, name)) for m in (ours, theirs))
+        if len(one) != len(other) or not all(_same(x, y) for x, y in zip(one, other, strict=True)):
+            yield f"its equalities that close chains are others ({name})"
     a, b = ours.actuators, theirs.actuators
     terms = {
         "gear": (a.moment, b.moment), "gain": (a.gain, b.gain), "bias": (a.bias, b.bias),
@@ -114,3 +119,10 @@ def _values(ours: np.ndarray, theirs: np.ndarray) -> str:
 def _shown(values: np.ndarray) -> str:
     flat = [f"{value:.6g}" for value in np.ravel(values)]
     return flat[0] if len(flat) == 1 else f"({', '.join(flat)})"
+
+
+def _of_chain(chain: Loop | Cam) -> np.ndarray:
+    """The numbers of a loop or a cam."""
+    if isinstance(chain, Cam):
+        return np.array([chain.follower, chain.leader, *chain.offsets, *chain.coefficients], dtype=float)
+    return np.array([*chain.links, chain.rigid, *chain.frames.ravel()], dtype=float)

@@ -23,12 +23,12 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.couplings import Reduction
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import HEAVY, prescribed_dofs, released
 from planner.model.mjcf.read import mechanism_of_model
+from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import differences
-from planner.proof.compare.rigid_parity import coupled_acceleration, random_states, rigid_parity, rounded, unlimited
+from planner.proof.compare.rigid_parity import random_states, rigid_parity, rounded, unlimited
 from planner.proof.replays.simulation import set_state
 
 _ROUNDS = 3  # of u - tau(u) / H: each is H times nearer than the last
@@ -84,7 +84,7 @@ def _driven(
         left = forces_of_prescribed(smooth, prescribed, xs, dynamics.rates(xs, asked)[:, accelerations]) / HEAVY
         asked[:, mechanism.nu :] = us[:, mechanism.nu :] - left
     ours = dynamics.rates(xs, asked)[:, accelerations]
-    theirs = _accelerations(model, mechanism_of_model(model).reduction, xs, us)
+    theirs = _accelerations(model, mechanism_of_model(model), xs, us)
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     scale = np.maximum(_rounded(smooth, prescribed, xs, theirs), speed2)
     error = float((np.abs(theirs - ours) / scale[:, None]).max())
@@ -112,7 +112,7 @@ def forces_of_prescribed(
     return rigid_body.rnea(released(mechanism, prescribed), q, qd, qdd)[:, prescribed_dofs(mechanism, prescribed)]
 
 
-def _accelerations(model: Any, reduction: Reduction | None, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+def _accelerations(model: Any, mechanism: Mechanism, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """MuJoCo's (K, nv), without contacts and ranges."""
     unlimited(model)
     mujoco, result = load_mujoco(), np.empty((len(xs), model.nv))
@@ -121,5 +121,5 @@ def _accelerations(model: Any, reduction: Reduction | None, xs: np.ndarray, us: 
         set_state(model, data, x)
         data.ctrl[:] = u
         mujoco.mj_forward(model, data)
-        result[k] = coupled_acceleration(model, data, reduction)
+        result[k] = constrained_acceleration(model, data, mechanism)
     return result

@@ -23,13 +23,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.errors import ModelError
+from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.dynamics import algorithms as rigid_body
+from planner.dynamics.assembly import assembled, directions
 from planner.dynamics.rigid_body import RigidBodyDynamics
-from planner.model.coupled_states import closed_state
-from planner.model.couplings import Reduction
 from planner.model.joint_curves import curve_torques, one_torque
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.couplings import set_hard
@@ -37,6 +36,7 @@ from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.refuse import no_compensation, unmodelled
 from planner.model.mjcf.survey import field
 from planner.model.space import unit
+from planner.proof.compare.constrained import constrained_acceleration
 from planner.proof.compare.differences import actuator_of, differences, joint_of
 from planner.proof.replays.simulation import set_state
 
@@ -69,20 +69,22 @@ def rigid_parity(
     _check_sizes(mechanism, model)
     left_out = _unmodelled(mechanism, model)
     read = mechanism_of_model(model)
-    named, reduction = differences(mechanism, read), read.reduction
+    named, constrained = differences(mechanism, read), bool(read.couplings or read.loops or read.cams)
     mechanism = replace(mechanism, friction_loss=np.zeros(mechanism.nv))
     rng = np.random.default_rng(seed)
     xs = random_states(mechanism, rng, states)
+    if mechanism.loops or mechanism.cams:
+        xs = np.array([_nearest_assembled(mechanism, x) for x in xs])
     us = spread * rng.normal(size=(states, mechanism.nu))
-    shown = [_soft(mechanism, model, dynamics, xs, us)] if reduction is not None else []
+    shown = [_soft(mechanism, model, dynamics, xs, us)] if constrained else []
     ours = _ours(mechanism, dynamics, xs, us)
-    theirs = _theirs(mechanism, model, reduction, xs, us)
-    if mechanism.reduction is not None:  # ours have the forces of the couplings in them
-        ours, theirs = (one._replace(actuator=_felt(mechanism, one.actuator)) for one in (ours, theirs))
+    theirs = _theirs(mechanism, model, read, xs, us)
+    if constrained:  # ours have the forces of the constraints in them
+        ours, theirs = (one._replace(actuator=_felt(mechanism, xs, one.actuator)) for one in (ours, theirs))
     speed2 = np.square(xs[:, mechanism.nq : mechanism.nq + mechanism.nv]).max(axis=1)
     mass = _largest_of_each(theirs.mass)
     force = np.max([_largest_of_each(theirs.bias), _largest_of_each(theirs.actuator), mass * speed2], axis=0)
-    acceleration = np.maximum(rounded(theirs.mass, theirs.bias, theirs.acceleration, reduction), speed2)
+    acceleration = np.maximum(_rounded(read, theirs, xs), speed2)
     own = np.sqrt(np.einsum("kii->ki", theirs.mass))
     scales = {"mass": own[:, :, None] * own[:, None, :], "bias": force, "actuator": force, "acceleration": acceleration}
     if mechanism.na:
@@ -169,12 +171,25 @@ def _smooth(mechanism: Mechanism, dynamics: RigidBodyDynamics | None) -> RigidBo
     return dynamics
 
 
-def _felt(mechanism: Mechanism, forces: np.ndarray) -> np.ndarray:
-    """Forces (K, nv) as the independent coordinates feel them, G' tau, and 0 for the others."""
-    assert mechanism.reduction is not None  # who asks has couplings
+def _felt(mechanism: Mechanism, xs: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Forces (K, nv) at xs (K, nx) as the leading coordinates feel them, Z' tau, and 0 for the others."""
     felt = np.zeros_like(forces)
-    felt[:, mechanism.reduction.independent] = forces @ mechanism.reduction.G
+    for own, x, tau in zip(felt, xs, forces, strict=True):
+        Z, leading = directions(mechanism, x[: mechanism.nq])
+        own[leading] = tau @ Z
     return felt
+
+
+def _nearest_assembled(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
+    """The state (nx,) on the constraints that is nearest to x, or to a pose between it and home that can be closed."""
+    start = assembled(mechanism, mechanism.home)
+    for share in (1.0, 0.5, 0.25, 0.125, 0.0):
+        between = mechanism.space.integrate(start, share * mechanism.space.difference(x, start))
+        try:
+            return assembled(mechanism, between)
+        except PlannerError:  # no way to close it from there
+            continue
+    return start
 
 
 def _soft(
@@ -188,30 +203,20 @@ def _soft(
     model.actuator_forcelimited[:] = 0
     model.jnt_actfrclimited[:] = 0
     set_hard(model, model.opt.timestep)
-    xs = np.array([closed_state(mechanism, x) for x in xs])
+    xs = np.array([_nearest_assembled(mechanism, x) for x in xs])
     ours = _smooth(mechanism, dynamics).rates(xs, us)[:, mechanism.nv : 2 * mechanism.nv] if mechanism.nu else None
     data, apart = mujoco.MjData(model), 0.0
     for k, (x, u) in enumerate(zip(xs, us, strict=True)):
         set_state(model, data, x)
         data.ctrl[:] = u
         mujoco.mj_forward(model, data)
-        exact = coupled_acceleration(model, data, mechanism.reduction) if ours is None else ours[k]
+        exact = constrained_acceleration(model, data, mechanism) if ours is None else ours[k]
         apart = max(apart, float(np.abs(data.qacc - exact).max() / max(np.abs(exact).max(), 1.0)))
     note = f"of MuJoCo's own, whose equalities are soft, at {len(xs)} states that obey them, relative to the largest"
     return Measured("soft_acceleration_difference", apart, "", None, note)
 
 
-def coupled_acceleration(model: Any, data: Any, reduction: Reduction | None) -> np.ndarray:
-    """G (G' M G)^-1 G' M qacc_smooth (nv,) of what mj_forward left in data; qacc_smooth without couplings."""
-    if reduction is None:
-        return data.qacc_smooth.copy()
-    mass, G = np.empty((model.nv, model.nv)), reduction.G
-    for row, axis in zip(mass, np.eye(model.nv), strict=True):
-        load_mujoco().mj_mulM(model, data, row, axis)
-    return G @ np.linalg.solve(G.T @ mass @ G, G.T @ data.qfrc_smooth)
-
-
-def _theirs(mechanism: Mechanism, model: Any, reduction: Reduction | None, xs: np.ndarray, us: np.ndarray) -> _Terms:
+def _theirs(mechanism: Mechanism, model: Any, read: Mechanism, xs: np.ndarray, us: np.ndarray) -> _Terms:
     mujoco = load_mujoco()
     nv, K = mechanism.nv, len(xs)
     unlimited(model)
@@ -232,7 +237,7 @@ def _theirs(mechanism: Mechanism, model: Any, reduction: Reduction | None, xs: n
         for i, axis in enumerate(np.eye(nv)):
             mujoco.mj_mulM(model, data, terms.mass[k, i], axis)
         terms.actuator[k] = data.qfrc_actuator - lifts
-        terms.acceleration[k] = coupled_acceleration(model, data, reduction)
+        terms.acceleration[k] = constrained_acceleration(model, data, read)
         terms.activation[k] = data.act_dot
     return terms
 
@@ -284,16 +289,23 @@ def _mass_cause(mechanism: Mechanism, difference: np.ndarray, wrong: np.ndarray)
     return f"{what} at {joint_of(mechanism, outermost)}"
 
 
-def rounded(
-    mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray, reduction: Reduction | None = None
-) -> np.ndarray:
+def rounded(mass: np.ndarray, bias: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
     """(K,) errors of accelerations from rounding of the terms of the equation of motion, per unit of rounding."""
     terms = np.einsum("kij,kj->ki", np.abs(mass), np.abs(acceleration)) + np.abs(bias)
-    if reduction is None:
-        return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
-    G = np.abs(reduction.G)
-    inverse = np.abs(np.linalg.inv(reduction.G.T @ mass @ reduction.G))
-    return _largest_of_each(np.einsum("ir,krs,js,kj->ki", G, inverse, G, terms, optimize=True))
+    return _largest_of_each(np.einsum("kij,kj->ki", np.abs(np.linalg.inv(mass)), terms))
+
+
+def _rounded(mechanism: Mechanism, t: _Terms, xs: np.ndarray) -> np.ndarray:
+    """The same of terms at xs (K, nx), on the directions Z that couplings and closed chains leave: Z (Z'MZ)^-1 Z'."""
+    if not (mechanism.couplings or mechanism.loops or mechanism.cams):
+        return rounded(t.mass, t.bias, t.acceleration)
+    terms = np.einsum("kij,kj->ki", np.abs(t.mass), np.abs(t.acceleration)) + np.abs(t.bias)
+    found = np.empty(len(xs))
+    for k, x in enumerate(xs):
+        Z = directions(mechanism, x[: mechanism.nq])[0]
+        inverse = np.abs(np.linalg.inv(Z.T @ t.mass[k] @ Z))
+        found[k] = np.max(np.abs(Z) @ inverse @ np.abs(Z).T @ terms[k])
+    return found
 
 
 def _largest_of_each(values: np.ndarray) -> np.ndarray:

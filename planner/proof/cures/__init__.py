@@ -9,6 +9,7 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.problem.plan import Plan, Status
+from planner.proof.cures.balance import standing_goal
 from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
@@ -22,8 +23,8 @@ from planner.proof.verdict import Proof
 __all__ = ["Cure", "cures"]
 
 _CAUSES = (
-    first_guess, out_of_touch, more_time, shorter_way, within_limits, without_ignored, more_iterations, shorter_stage,
-    wider_margin, larger_weights, other_guesses,
+    standing_goal, first_guess, out_of_touch, more_time, shorter_way, within_limits, without_ignored, more_iterations,
+    shorter_stage, wider_margin, larger_weights, other_guesses,
 )  # fmt: skip
 _found: WeakKeyDictionary[Plan, tuple[str, tuple[Cure, ...]]] = WeakKeyDictionary()  # by the reason of the FAIL
 

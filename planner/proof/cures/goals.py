@@ -9,6 +9,7 @@ from planner.problem.costs.tracking import TrackingCost, tracking_of
 from planner.problem.goals import Goal, goals_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.tasks.cost import WEIGHT
 from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
 from planner.proof.verdict import Proof
 
@@ -28,6 +29,8 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
     cost = tracking_of(problem.cost)
     missed = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
+    if problem.wanted is not None:
+        return _of_task(plan, problem, proof) if missed else []
     if cost is None or not missed or not (followed or any(one.name.startswith("planned") for one in missed)):
         return []
     times: dict[str, dict[int, tuple[float, str]]] = {key: {} for key in _WEIGHTS}
@@ -41,6 +44,19 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
             key = _WEIGHTS[goal.unit.endswith("/s")]
             times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
     return [_of_weight(problem, cost, key, found) for key, found in times.items() if found]
+
+
+def _of_task(plan: Plan, problem: Problem, proof: Proof) -> list[Cure]:
+    """A larger weight of all goals of a task, where the plan misses some: a miss falls as the weight rises."""
+    goals = [one for one in goals_of(problem, plan.xs) if one.alone and np.isfinite(one.tolerance)]
+    over = {one.name: one.miss(plan.t, plan.xs) / one.tolerance for one in goals}
+    worst = max(goals, key=lambda one: over[one.name], default=None)
+    if worst is None or not over[worst.name] > 1.0 or problem.case != FILE:
+        return []
+    own = problem.parameters["weights"].get("goal", WEIGHT)
+    miss = over[worst.name] * worst.tolerance
+    why = f"the plan is {miss:.3g} {worst.unit} from {worst.name}, and {worst.tolerance:.3g} pass"
+    return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / AIM, LEAST, MOST))), why)]
 
 
 def _raised(problem: Problem, goal: Goal, miss: float) -> tuple[float, str]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
-from planner.model.mechanism import DIRECT, SCREW, Mechanism
+from planner.model.actuators import DIRECT
+from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.guess import quintic
 from planner.problem.problem import Problem

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.joint_curves import curve_torques
-from planner.model.mechanism import DIRECT, INTEGRATOR, SCREW, Mechanism
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import conjugate, log_quaternion, product
 from planner.model.tendons import tendon_forces
 

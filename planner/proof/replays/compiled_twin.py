@@ -28,6 +28,8 @@ from planner.model.mjcf.survey import Survey, compile_model
 from planner.model.mjcf.text import is_text, model_tree
 from planner.model.twin import Twin
 from planner.problem.problem import Problem
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import NATIVE
 
 
 class CompiledTwin:
@@ -46,7 +48,10 @@ class CompiledTwin:
         """MuJoCo's model, not to be changed; every user changes a copy()."""
         model = compile_model(self.twin.mjcf, self.twin.assets)
         kinds = load_mujoco().mjtDyn  # the same equation, which MuJoCo's RK4 integrates wrongly when asked for exactly
-        model.actuator_dyntype[model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)] = int(kinds.mjDYN_FILTER)
+        exact = model.actuator_dyntype == int(kinds.mjDYN_FILTEREXACT)
+        if np.any(exact):
+            model = copy.copy(model)
+            model.actuator_dyntype[exact] = int(kinds.mjDYN_FILTER)
         return model
 
     def check(self, nu: int) -> None:
@@ -84,11 +89,16 @@ class CompiledTwin:
         return other
 
     def stepping(self, timestep: float, integrator: str = "RK4") -> Any:
-        """A copy that takes steps of `timestep` s with one of MuJoCo's integrators, and goes on when it runs away."""
+        """A copy that takes steps of `timestep` s with one of MuJoCo's integrators, and goes on when it runs away.
+
+        Where damping is taken implicitly by the plan's method, its own steps are MuJoCo's implicit ones.
+        """
         mujoco, model = load_mujoco(), self.copy()
         model.opt.timestep = timestep
         set_hard(model, timestep)
-        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+        model.opt.integrator = getattr(
+            mujoco.mjtIntegrator, f"mjINT_{NATIVE if integrator == IMPLICIT else integrator}"
+        )
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else what runs away would begin anew
         return model
 

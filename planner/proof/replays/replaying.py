@@ -22,11 +22,14 @@ from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import ContactHistory, ContactRecorder, Touch
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
+from planner.proof.replays.implicit_steps import damping_of, implicit_step
 from planner.proof.replays.ranges import ranges_reached
 from planner.proof.replays.sampled_gains import Gains, Sampling
 from planner.proof.replays.simulation import MOST_STEPS, simulate
 
 REFINEMENT = 20  # simulator steps per stage, at least
+PARTS = 8  # of a step where damping is implicit: after a jump the method is 1e-3 of it off at most, however fast it is
 SUBSTEP_REFINEMENT = 5  # per substep of a plan that has several: its fastest motion is far from MuJoCo's RK4's bound
 
 
@@ -38,7 +41,7 @@ class Replay:
         plan: The plan that was replayed.
         compiled: The model it was replayed in.
         feedback: Whether the plan's gains acted.
-        integrator: MuJoCo's integrator.
+        integrator: MuJoCo's, or "rosenbrock".
         t: (M+1,) s; M = N * substeps.
         qpos: (M+1, nq).
         qvel: (M+1, nv).
@@ -115,7 +118,7 @@ class Replay:
 
 def replay(
     plan: Plan, *, feedback: bool = False, twin: Twin | None = None, substeps: int | None = None,
-    integrator: str = "RK4", sampling: Sampling | None = None,
+    integrator: str | None = None, sampling: Sampling | None = None,
 ) -> Replay:  # fmt: skip
     """Replay a plan in MuJoCo at a refined step.
 
@@ -125,7 +128,8 @@ def replay(
         twin: Another model in place of the plan's own.
         substeps: Simulator steps per stage; by default so that the step is the smallest of dt/20, a fifth of a
             substep and the model's.
-        integrator: MuJoCo's, "RK4" or "EULER", whatever the file says.
+        integrator: MuJoCo's, "RK4" or "EULER", whatever the file says. None is RK4 or, where the plan takes damping
+            implicitly, its own method with MuJoCo's accelerations (implicit_steps).
         sampling: When the gains act, as a controller applies them, in place of at every simulator step.
 
     Raises:
@@ -146,17 +150,19 @@ def replay(
 @np.errstate(all="ignore")  # a motion may run away, and then it says so
 def replay_in(
     compiled: CompiledTwin, plan: Plan, *, feedback: bool = False, substeps: int | None = None,
-    integrator: str = "RK4", sampling: Sampling | None = None,
+    integrator: str | None = None, sampling: Sampling | None = None, planned: np.ndarray | None = None,
 ) -> Replay:  # fmt: skip
-    """replay() in a model that is compiled already."""
+    """replay() in a model that is compiled already; `planned`: plan_xs of another replay, where they fit."""
     problem = problem_of(plan)
     compiled.check(plan.us.shape[1])
-    dt = problem.dynamics.dt
+    dt, damping = problem.dynamics.dt, damping_of(problem.dynamics)
+    integrator = integrator or ("RK4" if damping is None else IMPLICIT)
     sampling = sampling if feedback else None
     parts = 1 if sampling is None else sampling.in_stages(dt).denominator  # of a stage, at whose ends instants fall
     if substeps is None:
         step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
-        least = max(REFINEMENT, SUBSTEP_REFINEMENT * int(getattr(problem.dynamics, "substeps", 1)))
+        own = 1 if damping is not None else int(getattr(problem.dynamics, "substeps", 1))
+        least = max(REFINEMENT, SUBSTEP_REFINEMENT * own)
         substeps = max(least, math.ceil(min(dt / step, 1e12) - 1e-9))
         substeps += -substeps % parts
     n = count("substeps", substeps)
@@ -166,9 +172,11 @@ def replay_in(
     if M > MOST_STEPS:
         raise PlannerError(f"the replay would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
     twin, model = compiled.twin, compiled.stepping(dt / n, integrator)
-    plan_xs, recorder = plan.between_knots(n), ContactRecorder(model, M)
+    plan_xs = planned if planned is not None and len(planned) == M + 1 else plan.between_knots(n)
+    recorder = ContactRecorder(model, M)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
+    move = implicit_step(model, dt / n, damping, PARTS) if integrator == IMPLICIT and damping is not None else None
     gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:
@@ -179,7 +187,7 @@ def replay_in(
     with curves_acting(twin, model):
         w, warnings = simulate(
             model, start, ctrl, control=with_gains if gains else None, held=gains.held if gains else 1,
-            recorder=recorder, every=n,
+            recorder=recorder, every=n, step=move,
         )  # fmt: skip
     t = model.opt.timestep * np.arange(M + 1)
     qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from planner.base.gl import load_mujoco, load_rollout
 from planner.model.mjcf.survey import named
 from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.implicit_steps import Step
 
 MOST_STEPS = 5_000_000  # some minutes and 1 GB
 RUNAWAY = 1e10  # what MuJoCo takes for an unstable simulation
@@ -33,17 +34,19 @@ def state_of(data: Any) -> np.ndarray:
 def simulate(
     model: Any, w0: np.ndarray, ctrl: np.ndarray, *, control: Callable[[int, np.ndarray], np.ndarray] | None = None,
     held: int = 1, recorder: ContactRecorder | None = None, every: int = 1, start: float = 0.0,
+    step: Step | None = None,
 ) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
     """Step a model from w0 (nw,) under controls (M, nu); returns states (M+1, nw) and complaints, one sentence each.
 
     `control` is asked every `held` steps, at a step and its state, for the controls (nu,) or (held, nu) that are to act
     until it is asked again, which are written into ctrl. Every `every` steps the simulation is ended if it has run
-    away: its states are NaN from there. `start` is the time of w0 for sentences, s.
+    away: its states are NaN from there. `start` is the time of w0 for sentences, s. `step` moves the data in place of
+    MuJoCo's own step.
     """
     recorder = recorder or ContactRecorder(model, 0, records=False)
     data, w = load_mujoco().MjData(model), np.full((len(ctrl) + 1, len(w0)), np.nan)
     w[0] = w0
-    if control is None and not recorder.records and _at_once(model, w, ctrl):
+    if step is None and control is None and not recorder.records and _at_once(model, w, ctrl):
         return w, ()
     set_state(model, data, w0)
     nq, nv = model.nq, model.nv
@@ -51,7 +54,11 @@ def simulate(
         if control is not None and i % held == 0:
             ctrl[i : i + held] = control(i, w[i])
         data.ctrl[:] = ctrl[i]
-        recorder.step(i, data)
+        if step is None:
+            recorder.step(i, data)
+        else:
+            recorder.look(i, data)
+            step(data)
         row = w[i + 1]
         row[:nq], row[nq : nq + nv], row[nq + nv :] = data.qpos, data.qvel, data.act
         if i % every == 0 and not np.all(np.abs(row) < RUNAWAY):

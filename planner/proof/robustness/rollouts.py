@@ -25,11 +25,14 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
+from planner.dynamics.assembly import tangents
 from planner.model.mechanism import Mechanism
+from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import NATIVE, damping_of
 from planner.proof.replays.replaying import problem_of
 from planner.proof.replays.simulation import MOST_STEPS, RUNAWAY
 from planner.proof.robustness.perturbation import Draw, Nominal, Perturbation, draw
@@ -78,10 +81,12 @@ class Rollouts:
         self.substeps = max(finest if stiff else min(finest, 2), stable)
         if self.steps > MOST_STEPS:
             raise PlannerError(f"a rollout would take {self.steps} steps, expected at most {MOST_STEPS}.")
-        model = compiled.stepping(self.step)
+        implicit = damping_of(self._problem.dynamics) is not None
+        model = compiled.stepping(self.step, NATIVE if implicit else "RK4")
         self.nominal = Nominal.of(model, plan, twin)
         # (T,) the stages at whose start (or end, the last) states are kept
-        self.knots = np.unique(np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int))
+        spread = np.linspace(0, plan.N, min(plan.N, MOST_KNOTS) + 1).round().astype(int)
+        self.knots = np.union1d(spread, stages_asked(self._problem))
         self._plan_xs = plan.between_knots(self.control_steps)
         self.x_of = _affine(twin.to_x, twin.to_x_offset)  # simulator states (..., nw) as plan states (..., nx)
         self._scratch = mujoco.MjData(model)
@@ -92,7 +97,7 @@ class Rollouts:
         threads = cores if threads is None else threads
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
-        self.integrator = "EULER" if stiff and self._euler_agrees() else "RK4"
+        self.integrator = NATIVE if implicit else "EULER" if stiff and self._euler_agrees() else "RK4"
 
     def __enter__(self) -> Rollouts:
         return self
@@ -133,7 +138,7 @@ class Rollouts:
     @property
     def seconds(self) -> float:
         """Estimate of what a rollout takes in one mode, s, from the sizes alone."""
-        evaluations = 1 if self.integrator == "EULER" else 4
+        evaluations = 4 if self.integrator == "RK4" else 1
         own = 0.125 * (5e-6 + 2.5e-6 * self.nominal.model.nv)
         return evaluations * self.steps * own
 
@@ -149,8 +154,10 @@ class Rollouts:
         plan = self.plan
         joints = self.nominal.model.dof_jntid[[curve.dof for curve in self.twin.curves]]
         x0, mechanism = self._problem.x0, getattr(self._problem.dynamics, "mechanism", None)
-        coupled = mechanism.reduction if isinstance(mechanism, Mechanism) else None
-        starts = [errors.start if coupled is None else coupled.along(errors.start) for errors in draws]
+        starts = [errors.start for errors in draws]
+        if isinstance(mechanism, Mechanism):
+            T, places = tangents(mechanism, x0)
+            starts = [T @ start[places] for start in starts]
         return Batch(
             models=[self.nominal.with_errors(errors, self._scratch) for errors in draws],
             start=np.array([self.twin.sim_of(plan.space.integrate(x0, start)) for start in starts]),

@@ -54,7 +54,21 @@ def rule_of(plan: Plan) -> Rule:
         return replace(near, words="by its own rule", follows=own.follows, most=math.nan)
     if own is not None and own.success is not None:
         return Rule("by its own rule", own.success)
+    if any(one.times is not None for one in goals):
+        return replace(_on_the_way(plan, goals), most=math.nan)
     return within_goals(goals) if goals else near
+
+
+def _on_the_way(plan: Plan, goals: Sequence[Goal]) -> Rule:
+    """The same of goals at their times, with states between the kept knots on lines."""
+
+    def follows(xs: np.ndarray, _: np.ndarray, stages: np.ndarray) -> np.ndarray:
+        t = plan.t[stages]
+        return np.array([all(one.miss(t, x) <= GOAL_TOLERANCES * one.tolerance for one in goals) for x in xs])
+
+    words = f"is within {GOAL_TOLERANCES:g} tolerances of every goal at its time"
+    ends = [one for one in goals if one.times is None]
+    return replace(within_goals(ends), words=words, follows=follows)
 
 
 def within_goals(goals: Sequence[Goal]) -> Rule:

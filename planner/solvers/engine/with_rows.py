@@ -43,6 +43,7 @@ class RowsEngine(CompiledEngine):
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
+            assert isinstance(part.measure, ResidualMeasure)
             lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], part.measure.rows
             asked = np.isfinite(lower) | np.isfinite(upper)
             exact = bool(np.all((lower == upper)[asked]))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +236,10 @@ def _bytes(rgba: tuple[float, ...]) -> tuple[int, ...]:
 @cache
 def _font(name: str, size: float) -> ImageFont.FreeTypeFont:
     """A font that matplotlib brings, so that pictures look the same on every machine."""
-    import matplotlib
+    found = find_spec("matplotlib")  # its import takes a fifth of a second
+    data = Path(next(iter(found.submodule_search_locations or ()), "") if found else "") / "mpl-data"
+    if not data.is_dir():  # where a distribution keeps it elsewhere
+        import matplotlib
 
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), max(6, round(size)))
+        data = Path(matplotlib.get_data_path())
+    return ImageFont.truetype(str(data / "fonts" / "ttf" / name), max(6, round(size)))

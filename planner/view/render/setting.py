@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 from xml.etree import ElementTree
 
@@ -55,7 +56,7 @@ def _furnished(film: Film) -> tuple[Any, int]:
     ElementTree.SubElement(world, "geom", _PLANE | {"name": _OURS.format("floor"), "material": paving})
     if not lit:
         ElementTree.SubElement(world, "light", _LAMP | {"name": _OURS.format("lamp")})
-    model = compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets)
+    model = copy.copy(compile_model(ElementTree.tostring(root, encoding="unicode"), film.assets))
     ours = int(model.geom(_OURS.format("floor")).id)
     if lit:
         model.geom_rgba[ours, :3] = _LIT_BY_OTHERS

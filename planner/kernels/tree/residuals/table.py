@@ -131,7 +131,7 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
     """Constants of the terms, with rotations and axes of frames in the kernels' frames."""
     constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
     for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
-        turn = frames[ends[0]] if len(frames) else np.eye(3)
+        turn = frames[ends[0]] if ends[0] < len(frames) else np.eye(3)  # a term without points has none
         if kind in (ORIENTATION, POSE):
             constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
         elif kind in (POINTING, TILT):

@@ -30,7 +30,7 @@ class ResidualArrays:
     share: np.ndarray  # (P,) how much of the link's motion the point has
     world: np.ndarray  # (P, N+1, 3) m, added
     kind: np.ndarray  # (T,)
-    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin
+    ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin. -1 for none
     # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's, shapes of two solids
     constant: np.ndarray
     first_row: np.ndarray  # (T+1,) where the rows of a term begin
@@ -74,7 +74,8 @@ def joined(parts: Sequence[ResidualArrays]) -> ResidualArrays:
     """The terms of several, of the same mechanism and horizon, as one."""
     together = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ResidualArrays)}
     first = np.cumsum([0, *(len(part.link) for part in parts[:-1])])
-    together["ends"] = np.concatenate([part.ends + k for part, k in zip(parts, first, strict=True)])
+    ends = [np.where(part.ends < 0, -1, part.ends + k) for part, k in zip(parts, first, strict=True)]
+    together["ends"] = np.concatenate(ends)
     for name in ("first_row", "first_reference"):
         sizes = np.concatenate([np.diff(getattr(part, name)) for part in parts])
         together[name] = np.cumsum(np.concatenate([[0], sizes]), dtype=np.int64)
@@ -107,7 +108,7 @@ class ResidualList:
         shape, constants = (ROWS[kind], self.N + 1), np.zeros(CONSTANTS)
         constants[: np.size(constant)] = np.ravel(constant)
         self._terms.append((
-            kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else 0]], constants,
+            kind, [*ends, *(4 - len(ends)) * [ends[0] if ends else -1]], constants,
             np.asarray(reference, dtype=float).reshape(REFERENCES[kind], self.N + 1),
             np.full(ROWS[kind], side), np.full(ROWS[kind], ramp), np.array(np.broadcast_to(bound, shape), dtype=float),
             np.array(np.broadcast_to(weight, shape), dtype=float),

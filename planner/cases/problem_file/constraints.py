@@ -1,0 +1,128 @@
+"""[[constraint]] of a problem.toml: what the plan keeps, of a frame or of an actuator.
+
+[[constraint]]                      # upright: the hand's z axis stays within an angle of a direction
+frame = "hand"
+pointing = [0, 0, 1]
+within = 0.1                        # rad
+
+[[constraint]]                      # a corridor: the hand's height stays between two bounds
+frame = "hand"
+along = "z"
+least = 0.3                         # m
+most = 0.6
+
+[[constraint]]                      # there exactly, at the end unless it says when
+frame = "hand"
+position = [0.4, 0.1, 0.5]
+
+[[constraint]]                      # what a motor gives: its force times its speed
+power = "shoulder"
+most = 50.0                         # W
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from planner.base.arguments import array, choice, number, shown
+from planner.base.errors import PlannerError
+from planner.cases.problem_file.keys import CONSTRAINT
+from planner.problem.constraints.constraint import END, Constraint
+from planner.problem.constraints.of_terms import Along, Place, Tilt, Turn
+from planner.problem.constraints.power import Power
+
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_WHAT = ("position", "orientation", "pointing", "along")  # of a frame, one of them
+_ALL = ("when", "tolerance", "name")
+
+
+def constraints_of(given: Any) -> list[Constraint]:
+    """The constraints of a file's list of tables.
+
+    Raises:
+        PlannerError: It is no such list, a key is unknown, missing or wrong.
+    """
+    if not isinstance(given, list) or not all(isinstance(table, Mapping) for table in given):
+        raise PlannerError(f"constraint is {shown(given)}, expected tables [[constraint]].")
+    return [_constraint(f"[[constraint]] {i}", dict(table)) for i, table in enumerate(given, 1)]
+
+
+def _constraint(where: str, table: dict[str, Any]) -> Constraint:
+    for key in table:
+        choice(f"the key in {where}", key, CONSTRAINT)
+    kind = _kind(where, table)
+    known = {kind, *_ALL, *(() if kind == "power" else ("frame",)), *_KINDS[kind][1]}
+    for key in table:
+        if key not in known:
+            raise PlannerError(f"{where} has {key!r} beside {kind!r}, expected some of: {', '.join(sorted(known))}.")
+    more = {key: table[key] for key in ("tolerance", "name") if key in table}
+    return Constraint(
+        **_KINDS[kind][0](where, table), when=table.get("when", _DEFAULT_WHEN.get(kind, "always")), **more
+    )
+
+
+def _kind(where: str, table: dict[str, Any]) -> str:
+    kinds = [key for key in (*_WHAT, "power") if key in table]
+    if len(kinds) != 1 or ("frame" in table) == (kinds[0] == "power"):
+        raise PlannerError(
+            f"{where} has {' and '.join(map(repr, table)) or 'no keys'}, expected frame with one of "
+            f"{', '.join(_WHAT)}, or power."
+        )
+    return kinds[0]
+
+
+def _position(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    return {"of": Place(_frame(where, table)), "equal": array(f"{where}'s position", table["position"], (3,))}
+
+
+def _orientation(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    wanted = array(f"{where}'s orientation", table["orientation"], (4,))
+    return {"of": Turn(_frame(where, table), wanted), "equal": 0.0}
+
+
+def _pointing(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    direction = _direction(f"{where}'s pointing", table["pointing"])
+    axis = _direction(f"{where}'s axis", table.get("axis", "z"))
+    if "within" not in table:
+        raise PlannerError(f"{where} has no key 'within', expected the largest angle in rad, e.g. within = 0.1.")
+    within = number(f"{where}'s within", table["within"], above=0.0)
+    return {"of": Tilt(_frame(where, table), direction, axis), "most": within}
+
+
+def _along(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    direction = _direction(f"{where}'s along", table["along"])
+    return {"of": Along(_frame(where, table), direction), **_between(where, table)}
+
+
+def _power(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(table["power"], str):
+        raise PlannerError(f"{where}'s power is {shown(table['power'])}, expected the name of an actuator.")
+    return {"of": Power(table["power"]), **_between(where, table)}
+
+
+def _between(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    sides = {side: number(f"{where}'s {side}", table[side]) for side in ("least", "most") if side in table}
+    if not sides:
+        raise PlannerError(f"{where} has no bound, expected least or most.")
+    return sides
+
+
+def _direction(name: str, value: Any) -> Any:
+    return AXES[choice(name, value, AXES)] if isinstance(value, str) else array(name, value, (3,))
+
+
+def _frame(where: str, table: dict[str, Any]) -> str:
+    if not isinstance(table["frame"], str):
+        raise PlannerError(f"{where}'s frame is {shown(table['frame'])}, expected the name of a site or body.")
+    return table["frame"]
+
+
+_KINDS: dict[str, tuple[Callable[[str, dict[str, Any]], dict[str, Any]], tuple[str, ...]]] = {
+    "position": (_position, ()),
+    "orientation": (_orientation, ()),
+    "pointing": (_pointing, ("axis", "within")),
+    "along": (_along, ("least", "most")),
+    "power": (_power, ("least", "most")),
+}
+_DEFAULT_WHEN = {"position": END, "orientation": END}

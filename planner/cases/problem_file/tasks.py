@@ -1,0 +1,151 @@
+"""Goals and paths of a problem file: [[goal]] and [follow] as a Task, its cost, its first guess, what is judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.cases.problem_file.guess import Way
+from planner.cases.problem_file.keys import GOAL, RESOLVED
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+from planner.problem.costs.terms import Cost
+from planner.problem.costs.wanted import Wanted
+from planner.problem.default_weights import DefaultWeights, default_weights
+from planner.problem.goals import ROUNDING, staying
+from planner.problem.limits import Limits
+from planner.problem.tasks.cost import task_cost, task_wanted
+from planner.problem.tasks.follow import Follow, follow_of, with_points
+from planner.problem.tasks.goal import Goal, goal_of
+from planner.problem.tasks.motion import controls, rows_of, way_of
+from planner.problem.tasks.poses import Poses, poses_of
+from planner.problem.tasks.timetable import Task, task_of
+
+MOST = 1000  # goals
+_OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
+
+
+class Made(NamedTuple):
+    """A task and the poses on its way."""
+
+    task: Task
+    poses: Poses
+    rows: np.ndarray  # (N+1, nx) the states of the motion through them
+
+
+def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
+    """Whether a table has goals of frames, goals at times or paths, rather than one state to end in."""
+    goal = table.get("goal")
+    if "follow" in table or (isinstance(goal, list) and any(isinstance(part, (dict, Goal)) for part in goal)):
+        return True
+    if not isinstance(goal, dict):
+        return False
+    return bool({"frame", "joints"} & set(goal)) and not set(goal) & set(mechanism.joint_names)
+
+
+def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
+    """The table with its goals and paths checked, as lists of tables.
+
+    Raises:
+        PlannerError: One of them is wrong.
+    """
+    goals, follows = table.get("goal", []), table.get("follow", [])
+    goals = [goals] if isinstance(goals, (dict, Goal)) else goals
+    follows = follows if isinstance(follows, list) else [follows]
+    if not isinstance(goals, list) or len(goals) > MOST:
+        keys = ", ".join(GOAL)
+        raise PlannerError(f"goal is {shown(goals)} beside follow, expected at most {MOST} tables [[goal]] of: {keys}.")
+    checked = [goal_of(goal, f"goal {k}") for k, goal in enumerate(goals, 1)]
+    paths = [follow_of(path, "follow") for path in follows]
+    table = {name: value for name, value in table.items() if name not in ("goal", "follow")}
+    if not checked and not paths:
+        raise PlannerError("there is neither a goal nor a path, expected a table [[goal]] or [follow].")
+    for kind, found in (("goal", checked), ("follow", paths)):
+        if found:
+            table[kind] = [one.to_dict() for one in found]
+    return table
+
+
+def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table of a file with the rows of the CSV files that its paths name."""
+    given = table.get("follow")
+    if isinstance(given, dict):
+        return table | {"follow": with_points(given, folder)}
+    if isinstance(given, list):
+        paths = [with_points(path, folder) if isinstance(path, dict) else path for path in given]
+        return table | {"follow": paths}
+    return table
+
+
+def made(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None) -> Made:
+    """The task of a table and its poses; those of a stored plan are not refused again.
+
+    Raises:
+        PlannerError: What cannot be meant, or not be reached.
+    """
+    objective = table.get("objective", {})
+    goals = [goal_of(goal, f"goal {k}") for k, goal in enumerate(table.get("goal", []), 1)]
+    follows = [Follow(**path) for path in table.get("follow", [])]
+    if "time" in objective and (follows or any(goal.time is not None for goal in goals)):
+        raise PlannerError(
+            "the objective has time, which changes the duration, and goals have times of their own: expected goals at "
+            "the end alone, or another objective."
+        )
+    task = task_of(dynamics.mechanism, goals, follows, N, dynamics.dt, table["tolerance"])
+    ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
+    if limits is not None:
+        ranges = limits.position_ranges(dynamics)
+    poses = poses_of(task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table)
+    return Made(task, poses, rows_of(task, poses, x0))
+
+
+def weights_of(
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, way: Made, limits: Limits | None
+) -> DefaultWeights:
+    """The default weights along the poses, by the controls' own limits; ends are weighed by the goals."""
+    bounds = None if limits is None else limits.bounds(dynamics, way.task.N)
+    most = None if bounds is None else np.maximum(np.abs(bounds.lower), np.abs(bounds.upper)).max(axis=0)
+    there = way_of(way.task, way.poses)
+    alone = "objective" in table
+    found = default_weights(
+        dynamics, x0, way.rows[-1], table["duration"], effort_alone=alone, stays=False, way=there, most=most
+    )
+    weights = {name: weight for name, weight in found.weights.items() if name not in _OF_GOALS}
+    reasons = {name: reason for name, reason in found.reasons.items() if name not in _OF_GOALS}
+    return DefaultWeights(weights, reasons)
+
+
+def cost_of(way: Made, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> tuple[Cost, tuple[Wanted, ...]]:
+    """The cost of a task and what its proof judges."""
+    return task_cost(way.task, dynamics, way.rows, weights), task_wanted(way.task)
+
+
+def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
+    """What the first controls may be made of."""
+    return Way(controls(way.task, way.poses, dynamics, x0), way.rows)
+
+
+def trail_of(way: Made) -> str:
+    """The site whose path pictures draw: the last one that goals or paths are about; "" for none."""
+    task = way.task
+    frames = [path.frame for path in task.follows] + [one.goal.frame for one in reversed(task.goals)]
+    return next((frame for frame in frames if frame in task.mechanism.sites), "")
+
+
+def check_task_departure(x0: np.ndarray, wanted: tuple[Wanted, ...], task: Task) -> None:
+    """Refuse a task that doing nothing solves, unless its goals are at the start exactly: then to stay is the task."""
+    asked = [one for one in wanted if one.tolerance is not None]
+    if task.follows or any(staying(one, x0) > (one.tolerance or 0.0) for one in asked):
+        return
+    ways = {one.name: staying(one, x0) for one in asked}
+    worst = max(asked, key=lambda one: ways[one.name] / (one.tolerance or 1.0))
+    if ways[worst.name] > ROUNDING:
+        raise PlannerError(
+            f"the start is already within the tolerance of every goal (the farthest, {worst.name}, is "
+            f"{ways[worst.name]:.3g} {worst.unit} away, and {worst.tolerance:g} pass), expected a smaller tolerance, "
+            "or another goal: a plan that does nothing would pass."
+        )

@@ -1,0 +1,176 @@
+"""Inverse kinematics: a configuration in which frames of a Mechanism are where they are asked to be.
+
+    minimise |r(q)|^2 + (LEAN |q - q_start|)^2   within the ranges of the joints
+
+by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
+turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
+weight of the way takes one near the start. The search begins at the start, then at random configurations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from planner.base.arguments import array, count
+from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.model.mechanism import SCREW, Frame, Mechanism
+from planner.model.space import hat, log_jacobian
+
+LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
+REACHED = 0.1  # of the scales: a residual below it ends the search
+STARTS = 8
+
+
+class Target(NamedTuple):
+    """Where a frame is to be; what is None is free."""
+
+    frame: str | Frame
+    position: np.ndarray | None = None  # (3,) m, in the world
+    orientation: np.ndarray | None = None  # (4,) unit quaternion, w first
+    pointing: tuple[np.ndarray, np.ndarray] | None = None  # unit vectors: of the frame, and of the world it points to
+    metre_scale: float = 5e-3  # m, of a residual of 1
+    turn_scale: float = 0.02  # rad
+
+
+class Found(NamedTuple):
+    """The configuration that is nearest to all targets."""
+
+    q: np.ndarray  # (nq,)
+    residual: float  # the largest over the scales of its target
+
+
+def inverse_kinematics(
+    mechanism: Mechanism, targets: Sequence[Target], q: Any, *, ranges: np.ndarray | None = None,
+    free: np.ndarray | None = None, starts: int = STARTS, seed: int = 0,
+) -> Found:  # fmt: skip
+    """A configuration with frames at targets, near q.
+
+    Args:
+        mechanism: The machine.
+        targets: All are to be met together.
+        q: (nq,) where the search begins; on the couplings, where the machine has some.
+        ranges: (nv, 2) of hinges and slides, rad or m; infinite where there are none. By default those of the model.
+        free: (nv,) True for the degrees of freedom that may move; all by default.
+        starts: How many starts at most: q, then random configurations within the ranges.
+        seed: Of the random configurations.
+
+    Returns:
+        The best configuration, whether it reaches the targets or not.
+
+    Raises:
+        PlannerError: A wrong shape, or no frame of that name.
+    """
+    q = array("q", q, (mechanism.nq,))
+    count("starts", starts)
+    free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
+    B, dofs = _directions(mechanism, free)
+    low, high = (mechanism.joint_range if ranges is None else ranges).T
+    found = _from(mechanism, targets, q, q, B, dofs, (low, high))
+    rng = np.random.default_rng(count("seed", seed, least=0))
+    for _ in range(starts - 1 if len(dofs) else 0):
+        if found.residual < REACHED:
+            break
+        other = moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng))
+        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high)), key=lambda f: f.residual)
+    return found
+
+
+def moved(mechanism: Mechanism, q: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """The configuration (nq,) to which a deviation e (nv,) leads from q (nq,)."""
+    x = np.concatenate([q, np.zeros(mechanism.space.nx - mechanism.nq)])
+    return mechanism.space.integrate(x, np.concatenate([e, np.zeros(mechanism.space.ndx - mechanism.nv)]))[: len(q)]
+
+
+def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is missing at configurations q (nq,): r (n,) in m, or rad, J (n, nv), and True (n,) for angles."""
+    T, J = frame_pose(mechanism, q, target.frame), jacobian(mechanism, q, target.frame)
+    R, rows = T[:3, :3], []
+    if target.position is not None:
+        rows.append((T[:3, 3] - target.position, J[:3], False))
+    if target.orientation is not None:
+        reference = Rotation.from_quat(target.orientation[[1, 2, 3, 0]]).as_matrix()
+        r = Rotation.from_matrix(reference.T @ R).as_rotvec()
+        rows.append((r, log_jacobian(r) @ R.T @ J[3:], True))
+    if target.pointing is not None:
+        axis = R @ target.pointing[0]
+        rows.append((axis - target.pointing[1], -hat(axis) @ J[3:], True))
+    r, J = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
+    return r, J, np.repeat([row[2] for row in rows], 3)
+
+
+def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """B (nv, n), the deviations that the search may take, and the degree of freedom of each column."""
+    if mechanism.reduction is None:
+        dofs = np.flatnonzero(free)
+        return np.eye(mechanism.nv)[:, dofs], dofs
+    kept = np.flatnonzero(free[mechanism.reduction.independent])
+    return mechanism.reduction.G[:, kept], mechanism.reduction.independent[kept]
+
+
+def _from(
+    mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
+    ranges: tuple[np.ndarray, np.ndarray],
+) -> Found:  # fmt: skip
+    """The minimum to which one start leads; deviations are taken from q."""
+    space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
+
+    def stacked(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        e = B @ y
+        at = moved(mechanism, q, e)
+        parts = [residuals(mechanism, at, target) for target in targets]
+        r, J = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        size = np.concatenate(
+            [np.where(part[2], one.turn_scale, one.metre_scale) for part, one in zip(parts, targets, strict=True)]
+        )
+        own = np.linalg.inv(space.difference_jacobian(np.concatenate([e, pad]))[: mechanism.nv, : mechanism.nv])
+        return r / size, (J @ own @ B) / size[:, None]
+
+    def largest(y: np.ndarray) -> Found:
+        return Found(moved(mechanism, q, B @ y), float(np.abs(stacked(y)[0]).max()))
+
+    if not len(dofs):
+        return largest(np.zeros(0))
+    lean = LEAN * np.eye(len(dofs))
+    low, high = _bounds(mechanism, q, dofs, ranges)
+    x = np.concatenate([begin, np.zeros(space.nx - mechanism.nq)])
+    x0 = np.concatenate([q, np.zeros(space.nx - mechanism.nq)])
+    y = np.clip(space.difference(x, x0)[dofs], low, high)
+    last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # SciPy asks for the Jacobian where it asked for r
+
+    def both(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if y.tobytes() not in last:
+            last.clear()
+            last[y.tobytes()] = stacked(y)
+        return last[y.tobytes()]
+
+    done = least_squares(
+        lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
+        bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
+    )  # fmt: skip
+    return largest(done.x)
+
+
+def _bounds(
+    mechanism: Mechanism, q: np.ndarray, dofs: np.ndarray, ranges: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the deviations of degrees of freedom from q; a start outside of its range may stay there."""
+    screw = mechanism.kind[dofs] == SCREW
+    here = np.where(screw, q[mechanism.q_address[dofs]], 0.0)
+    low, high = (np.where(screw, side[dofs] - here, end) for side, end in zip(ranges, (-np.inf, np.inf), strict=True))
+    return np.minimum(low, -1e-9), np.maximum(high, 1e-9)
+
+
+def _random(
+    mechanism: Mechanism, q: np.ndarray, dofs: np.ndarray, ranges: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> np.ndarray:  # fmt: skip
+    """A deviation (n,) within the ranges, else within half a turn or a metre."""
+    turns = np.any(mechanism.S[dofs, :3] != 0.0, axis=1)
+    reach = np.where(turns, np.pi, 1.0)
+    low, high = _bounds(mechanism, q, dofs, ranges)
+    return rng.uniform(np.maximum(low, -reach), np.minimum(high, reach))

@@ -1,0 +1,29 @@
+"""The damping of a mechanism's joints, by whatever has it: dampers, servos and tendons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.model.tendons import acting_tendons
+
+
+def damping_matrix(mechanism: Any) -> np.ndarray:
+    """(nv, nv) -d(force)/d(qd) of dampers, actuators and tendons: N m s/rad and N s/m."""
+    actuators = mechanism.actuators
+    D = np.diag(np.array(mechanism.damping, dtype=float))
+    D -= actuators.moment.T @ (actuators.bias[:, 2:3] * actuators.moment)
+    for tendon in acting_tendons(mechanism):
+        row = np.zeros(mechanism.nv)
+        row[list(tendon.dofs)] = tendon.coefficients
+        D += tendon.damping * np.outer(row, row)
+    return D
+
+
+def implicit_damping(mechanism: Any) -> np.ndarray:
+    """(nv,) the diagonal damping that an implicit step takes: the sizes of each row's damping, added up.
+
+    So it is no less than the matrix: what couples joints stays stable too.
+    """
+    return np.abs(damping_matrix(mechanism)).sum(axis=1)

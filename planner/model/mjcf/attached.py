@@ -1,0 +1,224 @@
+"""Attach a payload or a tool to a frame of a model: its file is edited, so plan, replay and pictures all carry it.
+
+    {frame = "hand", mass = 2.0}                                    a ball of aluminium
+    {frame = "hand", mass = 2.0, size = [0.1, 0.1, 0.2]}            a box, m
+    {frame = "flange", model = "gripper.xml"}                       the first body of another MJCF file
+
+A payload touches nothing: its shape is there to be seen.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from planner.base.arguments import array, choice, number, numbers, shown
+from planner.base.errors import ModelError, PlannerError
+from planner.base.gl import load_mujoco
+from planner.model.mjcf.opened import Opened
+from planner.model.mjcf.survey import Survey, compile_model
+from planner.model.mjcf.text import is_text, model_tree, written
+
+ALUMINIUM = 2700.0  # kg/m^3
+COLOUR = "0.55 0.35 0.75 1"
+Frame = tuple[ElementTree.Element, np.ndarray, np.ndarray]  # a body's element, and position and quaternion in it
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A payload, or a body of another file, at a frame.
+
+    Attributes:
+        frame: Name of a site or body, whose axes it has.
+        mass: kg, of a payload.
+        size: Its radius, of a ball, or its three edges, of a box, m.
+        com: (3,) m, its centre in the frame.
+        inertia: kg m^2 about the centre, (3,) or (6,) as MJCF's fullinertia; by default that of the shape.
+        model: Path of an MJCF file, or its text, whose body is attached in the place of a payload.
+        body: Which of its bodies; the first by default.
+        name: Of the new body; of a file's bodies, what stands before their names.
+
+    Raises:
+        PlannerError: Neither mass nor model, or both; a number out of range.
+    """
+
+    frame: str
+    mass: float | None = None
+    size: Any = None
+    com: Any = (0.0, 0.0, 0.0)
+    inertia: Any = None
+    model: str | Path | None = None
+    body: str | None = None
+    name: str = "payload"
+
+    def __post_init__(self) -> None:
+        if (self.mass is None) == (self.model is None):
+            raise PlannerError("attach has neither mass nor model, or both: expected one of the two.")
+        for key in ("frame", "name"):
+            if not isinstance(getattr(self, key), str) or not getattr(self, key):
+                raise PlannerError(f"{key} of attach is {shown(getattr(self, key))}, expected a name.")
+        array("com of attach", self.com, (3,))
+        if self.mass is not None:
+            number("mass of attach", self.mass, above=0.0)
+            _ = self.shape, self.moments
+
+    @property
+    def shape(self) -> np.ndarray:
+        """The radius (1,), or the edges (3,), m."""
+        if self.size is None:
+            assert self.mass is not None
+            return np.array([(3.0 * self.mass / (4.0 * np.pi * ALUMINIUM)) ** (1.0 / 3.0)])
+        size = numbers("size of attach", self.size).ravel()
+        if len(size) not in (1, 3) or not np.all(size > 0.0) or not np.isfinite(size).all():
+            raise PlannerError(f"size of attach is {shown(self.size)}, expected a radius or three edges above 0, m.")
+        return size
+
+    @property
+    def moments(self) -> np.ndarray:
+        """(6,) kg m^2: xx, yy, zz, xy, xz, yz about the centre."""
+        assert self.mass is not None
+        if self.inertia is None:
+            size = self.shape
+            square = size**2
+            own = np.full(3, 0.4 * square[0]) if len(size) == 1 else (square.sum() - square) / 12.0
+            return np.concatenate([self.mass * own, np.zeros(3)])
+        given = numbers("inertia of attach", self.inertia).ravel()
+        if len(given) not in (3, 6) or not np.isfinite(given).all():
+            raise PlannerError(f"inertia of attach is {shown(self.inertia)}, expected three or six numbers, kg m^2.")
+        six = np.concatenate([given, np.zeros(6 - len(given))])
+        xx, yy, zz, xy, xz, yz = six
+        principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1.0 + 1e-9):
+            raise PlannerError(
+                f"inertia of attach is {shown(self.inertia)}, which no body has: expected principal moments above 0, "
+                "none larger than the sum of the others."
+            )
+        return six
+
+
+def attachments(value: Any) -> tuple[Attachment, ...]:
+    """Attachments from one, from tables, or from a list of either.
+
+    Raises:
+        PlannerError: A key that there is not, or a wrong value.
+    """
+    if value is None:
+        return ()
+    found = []
+    keys = [one.name for one in fields(Attachment)]
+    for one in value if isinstance(value, Sequence) and not isinstance(value, str) else (value,):
+        if isinstance(one, Mapping):
+            given = {choice("a key of attach", key, keys): part for key, part in one.items()}
+            if "frame" not in given:
+                raise PlannerError("attach has no key 'frame', expected the name of a site or body.")
+            one = Attachment(**given)
+        if not isinstance(one, Attachment):
+            raise PlannerError(f"attach is {shown(one)}, expected a table with some of: {', '.join(keys)}.")
+        found.append(one)
+    return tuple(found)
+
+
+def stored_attachments(value: Any, folder: Path) -> list[dict[str, Any]]:
+    """Attachments as tables of JSON values, their files relative to a folder.
+
+    Raises:
+        PlannerError: As attachments().
+    """
+    tables = []
+    for one in attachments(value):
+        given = {field.name: (getattr(one, field.name), field.default) for field in fields(one)}
+        table = {name: value for name, (value, default) in given.items() if value is not default and value != default}
+        if one.model is not None and not is_text(one.model):
+            table["model"] = str(folder / one.model)
+        tables.append(table)
+    return tables
+
+
+def with_attached(file: Opened, given: Sequence[Attachment]) -> Opened:
+    """A file with payloads and tools in it, compiled again.
+
+    Raises:
+        PlannerError: No such frame, or a name that is taken.
+        ModelError: MuJoCo refuses the result.
+    """
+    for one in given:
+        root, files = copy.deepcopy(file.root), dict(file.files)
+        body, position, quaternion = _place(root, file.survey.model, one.frame)
+        taken = [element.get("name") for element in root.iter("body")]
+        if one.name in taken:
+            raise PlannerError(f"name of attach is {one.name!r}, which the model has: expected another name.")
+        at = {"pos": written(*position), "quat": written(*quaternion)}
+        if one.model is None:
+            _add_payload(body, one, at)
+        else:
+            _add_model(root, files, body, one, at)
+        survey = Survey(compile_model(root, files, file.name))
+        file = file._replace(root=root, files=files, survey=survey, compiled=True)
+    return file
+
+
+def _place(root: ElementTree.Element, model: Any, frame: str) -> Frame:
+    """The body's element that carries a site or body of this name, and the frame's pose in it."""
+    mujoco = load_mujoco()
+    bodies = [name for i in range(1, model.nbody) if (name := model.body(i).name)]
+    sites = [name for i in range(model.nsite) if (name := model.site(i).name)]
+    choice("frame of attach", frame, [*sites, *bodies])
+    parents = {child: parent for parent in root.iter() for child in parent}
+    if frame in sites:
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, frame)
+        element = next((one for one in root.iter("site") if one.get("name") == frame), None)
+        while element is not None and element.tag not in ("body", "worldbody"):
+            element = parents.get(element)
+        position, quaternion = model.site_pos[site], model.site_quat[site]
+    else:
+        element = next((one for one in root.iter("body") if one.get("name") == frame), None)
+        position, quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    if element is None:
+        raise ModelError(
+            f"frame of attach is {frame!r}, which the model makes by other means (<attach>, <replicate>): expected a "
+            "frame that is written in the file."
+        )
+    return element, np.array(position), np.array(quaternion)
+
+
+def _add_payload(body: ElementTree.Element, one: Attachment, at: dict[str, str]) -> None:
+    payload = ElementTree.SubElement(body, "body", {"name": one.name, **at})
+    com, size = written(*np.asarray(one.com, dtype=float)), one.shape
+    mass = written(float(one.mass or 0.0))
+    ElementTree.SubElement(
+        payload, "inertial", {"pos": com, "mass": mass, "fullinertia": written(*one.moments)}
+    )  # fmt: skip
+    ball = len(size) == 1
+    kind = {"type": "sphere" if ball else "box", "size": written(*(size if ball else 0.5 * size))}
+    ElementTree.SubElement(
+        payload, "geom",
+        {"name": one.name, **kind, "pos": com, "mass": mass, "contype": "0", "conaffinity": "0", "rgba": COLOUR},
+    )  # fmt: skip
+
+
+def _add_model(
+    root: ElementTree.Element, files: dict[str, bytes], body: ElementTree.Element, one: Attachment, at: dict[str, str]
+) -> None:
+    """Another file as an asset, and its body in a frame of the body."""
+    assert one.model is not None
+    tool, own = model_tree(one.model)
+    bodies = [element.get("name", "") for section in tool.findall("worldbody") for element in section.findall("body")]
+    named = [name for name in bodies if name]
+    if not named:
+        raise ModelError("the model of attach has no body with a name, expected one to attach.")
+    which = named[0] if one.body is None else choice("body of attach", one.body, named)
+    for name, content in own.items():
+        if files.setdefault(name, content) != content:
+            raise ModelError(f"the model of attach has a file {name!r}, and so has the machine: expected another name.")
+    stored = f"{one.name}.xml"
+    files[stored] = ElementTree.tostring(tool)
+    assets = ElementTree.SubElement(root, "asset")
+    ElementTree.SubElement(assets, "model", {"name": one.name, "file": stored})
+    frame = ElementTree.SubElement(body, "frame", at)
+    ElementTree.SubElement(frame, "attach", {"model": one.name, "body": which, "prefix": f"{one.name}-"})

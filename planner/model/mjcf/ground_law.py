@@ -1,0 +1,153 @@
+"""The law of the ground under a machine: for its mass, as soft as the file's own, and what its feet let a plan follow.
+
+A machine of mass m sinks in by SINK on one contact and does not bounce: ContactLaw.resting. Where the file's own
+contact is softer under a foot's LOAD, its slope there is the stiffness, and balls begin to press as much later
+(`recess`) as puts them at the file's depth: rubber feet, whose solimp begins at next to nothing. A foot that is light
+beside the machine feels the damping B of the whole machine and the friction before it slips c as
+
+    rates = eigenvalues of sum_k J_k M^-1 J_k' C,   C = B n n' + c (1 - n n'),
+
+J_k of the points that it stands on together, M the mass matrix, in the file's own pose, its keyframes or midway between
+the ends of ranges: a leg that is straight gives way less than one that is bent. An integrator follows them step
+by step, so where the largest is above FASTEST the damping is less in proportion, and where friction's own is, so is c.
+How deep the machine stands does not change. MuJoCo's default contact gives way to what is light by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.contact.laws import ContactLaw
+from planner.model.contact.shapes import meets_plane, plane_of, spheres_of
+from planner.model.mjcf.contact_points import points_of
+from planner.model.mjcf.sinking import depth_at_rest
+from planner.model.mjcf.survey import Pair, Survey
+
+SINK = 3e-3  # m, of the whole machine on one contact: MuJoCo's default ground is stiffer still, but kinks want a ramp
+LOAD = 0.25  # of the weight, on one foot
+DAMPING = 1.0  # of critical, for that ground creeps back where it was pressed
+FASTEST = 2000.0  # 1/s: what 16 substeps of a stage of 10 ms follow, and some to spare for other poses
+MOST_KEYFRAMES = 10
+TOGETHER = 0.1  # of a foot's size: points that are no higher above its lowest one stand together
+
+
+class Ground(NamedTuple):
+    """The law of a pair of a plane and what stands on it."""
+
+    law: ContactLaw
+    recess: float  # m, how much deeper than the shapes touch it begins
+
+
+def laws_of_ground(survey: Survey, pairs: Iterable[Pair]) -> dict[tuple[int, int], Ground]:
+    """The law of each pair of a plane and what stands on it, by the pair's geoms."""
+    laws, of_body = {}, dict[int, list[Pair]]()
+    for pair in pairs:
+        laws[pair.geoms] = _for_mass(survey, pair)
+        of_body.setdefault(_body_of(survey, pair), []).append(pair)
+    poses = _poses(survey)
+    for body, own in of_body.items():
+        slip = max(laws[pair.geoms].law.slip_damping for pair in own)
+        damping = max(laws[pair.geoms].law.damping for pair in own)
+        along, across = (
+            max(pose.fastest(body, own, *dampings) for pose in poses) for dampings in ((0.0, slip), (damping, 0.0))
+        )
+        less = [min(1.0, FASTEST / max(rate, 1e-300)) for rate in (along, across)]
+        for pair in own:
+            law, recess = laws[pair.geoms]
+            law = replace(law, slip_damping=less[0] * law.slip_damping, damping=less[1] * law.damping)
+            laws[pair.geoms] = Ground(law, recess)
+    return laws
+
+
+def _for_mass(survey: Survey, pair: Pair) -> Ground:
+    """The law for the mass on a pair, as if its feet were not light."""
+    model, mass, gravity = survey.model, mass_of(survey, pair), float(np.linalg.norm(survey.model.opt.gravity))
+    weight = mass * gravity
+    depth, slope = depth_at_rest(model, pair, LOAD * weight)
+    usual = ContactLaw.resting(mass, gravity=gravity, sink=SINK, damping_ratio=DAMPING)
+    if slope >= usual.stiffness:
+        return Ground(usual, 0.0)
+    recess, match = depth - LOAD * weight / slope, meets_plane(survey, pair.geoms)
+    spheres = spheres_of(model, match[1]) if match else []
+    if not (spheres and spheres[0].radius > 2.0 * recess > 0.0):
+        recess, slope = 0.0, min(LOAD * weight / depth, usual.stiffness)
+    law = ContactLaw.resting(
+        mass, gravity=gravity, sink=weight / slope, damping_ratio=DAMPING, ramp=usual.ramp
+    )  # fmt: skip
+    return Ground(law, recess)
+
+
+def _body_of(survey: Survey, pair: Pair) -> int:
+    """The body that stands, with what is welded to it; planes at rest are welded to body 0."""
+    return int(survey.model.body_weldid[survey.model.geom_bodyid[list(pair.geoms)]].max())
+
+
+def mass_of(survey: Survey, pair: Pair) -> float:
+    """Of all that hangs together with the body that is not at rest, kg."""
+    model = survey.model
+    bodies = [int(model.geom_bodyid[geom]) for geom in pair.geoms]
+    return float(max(model.body_subtreemass[model.body_rootid[body]] for body in bodies if model.body_weldid[body]))
+
+
+def _poses(survey: Survey) -> list[_Pose]:
+    """The file's own pose, its keyframes, and joints midway between the ends of their ranges."""
+    model = survey.model
+    middle = np.array(survey.home.qpos)
+    hinges = np.flatnonzero((model.jnt_limited == 1) & (model.jnt_type >= int(load_mujoco().mjtJoint.mjJNT_SLIDE)))
+    middle[model.jnt_qposadr[hinges]] = model.jnt_range[hinges].mean(axis=1)
+    return [_Pose(survey, qpos) for qpos in (survey.home.qpos, middle, *model.key_qpos[:MOST_KEYFRAMES])]
+
+
+class _Pose:
+    """A pose of the file in MuJoCo: what is read here is its mass matrix and where its points are."""
+
+    def __init__(self, survey: Survey, qpos: np.ndarray) -> None:
+        mujoco = load_mujoco()
+        self._survey, self._model, self._data = survey, survey.model, mujoco.MjData(survey.model)
+        self._data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(self._model, self._data)
+
+    def fastest(self, body: int, pairs: Iterable[Pair], damping: float, slip: float) -> float:
+        """The fastest rate, 1/s, at which a body that stands on a plane with these dampings comes to rest."""
+        J, n = self._footing(body, pairs)
+        return self._rate(J, n, damping, slip)
+
+    def _footing(self, body: int, pairs: Iterable[Pair]) -> tuple[np.ndarray, np.ndarray]:
+        """Jacobians (P, 3, nv) of the points of a body that stand on the plane together, and its normal (3,)."""
+        points, normal = [], np.array([0.0, 0.0, 1.0])
+        for pair in pairs:
+            match = meets_plane(self._survey, pair.geoms)
+            if match is None:
+                continue
+            flat, other = match
+            plane = plane_of(self._survey, flat)
+            normal = normal if plane is None else plane.normal
+            spheres = spheres_of(self._model, other)
+            radius = spheres[0].radius if spheres else 0.0
+            R = self._data.geom_xmat[other].reshape(3, 3)
+            points.append(points_of(self._model, other) @ R.T + self._data.geom_xpos[other] - radius * normal)
+        every = np.concatenate(points) if points else np.zeros((0, 3))
+        heights = every @ normal
+        size = float(np.ptp(every, axis=0).max()) if len(every) else 0.0
+        low = every[heights <= heights.min(initial=np.inf) + TOGETHER * size]
+        return np.array([self._jacobian(body, p) for p in low]).reshape(-1, 3, self._model.nv), normal
+
+    def _jacobian(self, body: int, point: np.ndarray) -> np.ndarray:
+        J = np.zeros((3, self._model.nv))
+        load_mujoco().mj_jac(self._model, self._data, J, None, np.ascontiguousarray(point), body)
+        return J
+
+    def _rate(self, J: np.ndarray, n: np.ndarray, damping: float, slip: float) -> float:
+        """The fastest rate, 1/s, at which points (P, 3, nv) with these dampings come to rest; 0 for none."""
+        if not len(J):
+            return 0.0
+        root: Any = np.sqrt(damping) * np.outer(n, n) + np.sqrt(slip) * (np.eye(3) - np.outer(n, n))
+        rows = np.ascontiguousarray((root @ J).reshape(-1, self._model.nv))
+        solved = np.zeros_like(rows)
+        load_mujoco().mj_solveM(self._model, self._data, solved, rows)
+        return float(np.linalg.eigvalsh(rows @ solved.T).max())

@@ -1,0 +1,202 @@
+"""The cost of a task, and what its proof judges: one number for each goal, in m, rad or m/s, at its time.
+
+A goal weighs WEIGHT / tolerance^2 on its squared error / 2 at its stage, as the end of a joint motion does, so that an
+error of the tolerance costs more than the whole effort. A path weighs RATE times as much, per second. Where a goal is
+not passed, the joints that carry the frame stand still there.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import number
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.inverse_kinematics import Target, residuals
+from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.kernels.tree.model import chain_of
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.mechanism import Mechanism
+from planner.problem.costs.frame import FrameCost
+from planner.problem.costs.terms import SumCost
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.costs.wanted import Wanted
+from planner.problem.default_weights import VELOCITY
+from planner.problem.goals import LEAST
+from planner.problem.tasks.follow import Follow
+from planner.problem.tasks.timetable import Task, Timed, unit_of
+
+WEIGHT = 4.0  # over the square of a goal's tolerance
+RATE = 25.0  # 1/s, of a path beside a goal
+
+
+def task_cost(
+    task: Task, dynamics: RigidBodyDynamics, reference: np.ndarray, weights: dict[str, Any]
+) -> TrackingCost | SumCost:
+    """The cost of a task.
+
+    Args:
+        task: Goals and paths.
+        dynamics: The machine.
+        reference: (N+1, nx) the states through its poses, at rest at the end.
+        weights: Arguments of TrackingCost.joints, and `goal` in place of WEIGHT.
+    """
+    mechanism, N = task.mechanism, task.N
+    weights = dict(weights)
+    factor = number("weights.goal", weights.pop("goal", WEIGHT), above=0.0)
+    if not task.rests:
+        weights["final_velocity"] = 0.0
+    still = reference.copy()
+    still[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
+    base = TrackingCost.joints(dynamics, still[N], N, reference=still, **weights)
+    Q, x_ref = base.Q.copy(), base.x_ref.copy()
+    terms: list[Any] = []
+    for one in task.goals:
+        for dof, value in one.joints.items():
+            Q[one.stage, dof, dof] += factor / one.tolerances[_part(unit_of(mechanism, dof))] ** 2
+            x_ref[one.stage, mechanism.q_address[dof]] = value
+        if not (one.goal.through or one.last):
+            for dof in _carrying(mechanism, one):
+                i = mechanism.nv + dof
+                Q[one.stage, i, i] += VELOCITY / LEAST[f"{unit_of(mechanism, dof)}/s"] ** 2
+        if one.goal.frame is not None:
+            terms.append(_of_frame(task, one, factor))
+    for path in task.follows:
+        terms += _of_path(task, path, factor, Q, x_ref)
+    tracking = TrackingCost(Q, base.R, x_ref, base.u_ref, base.space)
+    return SumCost(tracking, *terms) if terms else tracking
+
+
+def task_wanted(task: Task) -> tuple[Wanted, ...]:
+    """What the proof judges: every goal and path, and rest at the end."""
+    mechanism, found = task.mechanism, []
+    coordinates = coordinates_of_mechanism(mechanism)
+    for one in task.goals:
+        times, tolerances, goal = None if one.last else (one.time,), one.tolerances, one.goal
+        for dof, value in one.joints.items():
+            name, unit = coordinates[dof]
+            missed = partial(_off_joints, np.array([mechanism.q_address[dof]]), np.array([[value]]))
+            found.append(Wanted(name + one.when, unit, missed, times, tolerances[_part(unit)]))
+        if goal.frame is None:
+            continue
+        position = None if goal.position is None else np.asarray(goal.position, dtype=float)
+        targets = {"position": position, "orientation": goal.quaternion, "pointing": goal.direction}
+        for part, value in targets.items():
+            if value is not None:
+                missed = partial(_off_frame, mechanism, Target(goal.frame, **{part: value}))
+                unit = "m" if part == "position" else "rad"
+                found.append(Wanted(f"{part} of {goal.frame}{one.when}", unit, missed, times, tolerances[part]))
+        if not (goal.through or one.last):
+            missed = partial(_speed, mechanism, goal.frame)
+            found.append(Wanted(f"speed of {goal.frame}{one.when}", "m/s", missed, times, tolerances["velocity"]))
+    for path in task.follows:
+        stages = np.arange(task.span(path)[0], task.span(path)[1] + 1)
+        points, times = task.place(path, stages), tuple((task.dt * stages).tolist())
+        if path.frame is not None:
+            missed, unit = partial(_off_path, mechanism, path.frame, points), "m"
+        else:
+            missed, unit = partial(_off_joints, _addresses(mechanism, path), points), task.units(path)[0]
+        found.append(Wanted(f"path of {path.what}", unit, missed, times, task.tolerance(path)))
+    if task.rests:
+        nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
+        found += [Wanted(*coordinates[nv + i], partial(_moving, states.start + i)) for i in range(nv)]
+    return tuple(found)
+
+
+def _of_frame(task: Task, one: Timed, factor: float) -> FrameCost:
+    """The term of a goal of a frame."""
+    goal, at = one.goal, dict[str, Any]()
+    for part, target in (("position", goal.position), ("orientation", goal.quaternion), ("pointing", goal.direction)):
+        if target is not None:
+            at |= {part: target, **_at_stage(task, one, f"{part}_weight", factor / one.tolerances[part] ** 2)}
+    return FrameCost(task.mechanism, str(goal.frame), dt=task.dt, **at)
+
+
+def _at_stage(task: Task, one: Timed, name: str, weight: float) -> dict[str, Any]:
+    """Arguments of FrameCost for a weight at one stage."""
+    if one.last:
+        return {f"final_{name}": weight}
+    rows = np.zeros((task.N + 1, 3))
+    rows[one.stage] = weight / task.dt  # weights on the way are multiplied by dt
+    return {name: rows, f"final_{name}": 0.0}
+
+
+def _of_path(task: Task, path: Follow, factor: float, Q: np.ndarray, x_ref: np.ndarray) -> list[Any]:
+    """The terms of a path; one of joints goes into the weights Q (N+1, ndx, ndx) and their reference."""
+    mechanism, (first, last) = task.mechanism, task.span(path)
+    weight = factor / task.tolerance(path) ** 2 * RATE
+    stages = np.arange(first, last + 1)
+    points = task.place(path, np.arange(task.N + 1))
+    if path.frame is None:
+        for k, name in enumerate(path.joints):
+            dof = mechanism.joint(name).start
+            Q[stages, dof, dof] += task.dt * weight
+            x_ref[stages, mechanism.q_address[dof]] = points[stages, k]
+        return []
+    rows = np.zeros((task.N + 1, 3))
+    rows[stages] = weight
+    final = task.dt * weight if last == task.N else 0.0
+    weighed = {"position_weight": rows, "final_position_weight": final}
+    return [FrameCost(mechanism, path.frame, position=points, dt=task.dt, **weighed)]
+
+
+def _part(unit: str) -> str:
+    """Which of a goal's tolerances joints have, by their unit."""
+    return "position" if unit == "m" else "orientation"
+
+
+def _carrying(mechanism: Mechanism, one: Timed) -> list[int]:
+    """The degrees of freedom that move a goal's frame, or its joints."""
+    if one.goal.frame is None:
+        return list(one.joints)
+    link = mechanism.frame(one.goal.frame).link
+    return [] if link < 0 else list(chain_of(mechanism.parent, link))
+
+
+def _addresses(mechanism: Mechanism, path: Follow) -> np.ndarray:
+    return np.array([mechanism.q_address[mechanism.joint(name).start] for name in path.joints])
+
+
+def _off_joints(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    """(K,) the largest distance of joints from points (1 or K, n)."""
+    return np.abs(xs[:, addresses] - points).max(axis=1)
+
+
+def _moving(address: int, xs: np.ndarray) -> np.ndarray:
+    return np.abs(xs[:, address])
+
+
+def _of_finite(mechanism: Mechanism, xs: np.ndarray, measure: Any) -> np.ndarray:
+    """(K,) what a function (rows) -> (k,) measures; infinite where a motion ran away."""
+    known, found = np.flatnonzero(np.isfinite(xs).all(axis=1)), np.full(len(xs), np.inf)
+    if len(known):
+        found[known] = measure(known)
+    return found
+
+
+def _off_frame(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
+    def measure(known: np.ndarray) -> list[float]:
+        missed = [float(np.linalg.norm(residuals(mechanism, xs[k, : mechanism.nq], target)[0])) for k in known]
+        return missed if target.pointing is None else [2.0 * float(np.arcsin(min(0.5 * r, 1.0))) for r in missed]
+
+    return _of_finite(mechanism, xs, measure)
+
+
+def _off_path(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    def measure(known: np.ndarray) -> np.ndarray:
+        here = frame_pose(mechanism, xs[known, : mechanism.nq], frame)[:, :3, 3]
+        return np.linalg.norm(here - points[known], axis=1)
+
+    return _of_finite(mechanism, xs, measure)
+
+
+def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
+    nq, nv = mechanism.nq, mechanism.nv
+
+    def measure(known: np.ndarray) -> np.ndarray:
+        J = jacobian(mechanism, xs[known, :nq], frame)[:, :3]
+        return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[known, nq : nq + nv]), axis=1)
+
+    return _of_finite(mechanism, xs, measure)

@@ -1,0 +1,169 @@
+"""Follow: a path of a frame, or of joints, that a motion is to keep to, all along."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, number, numbers, shown
+from planner.base.errors import FileError, PlannerError
+from planner.base.files import printable, read_text
+from planner.problem.tasks.goal import plain
+
+LONGEST = 100_000  # rows of a file
+PLACE = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Follow:
+    """A path to follow: straight lines between points, each at its time.
+
+    Attributes:
+        frame: Name of a site or body, whose points are places in the world; None for joints.
+        joints: Names of the joints whose positions the points are; None for a frame.
+        points: (M, 1 + n) rows of t, s, and x, y, z in m or the joints' positions in rad or m; or (M, n) without
+            times, for points at equal times from the start to the end.
+        tolerance: How far from the path passes, m or rad; by default 10 mm or 0.04 rad.
+
+    Raises:
+        PlannerError: Neither frame nor joints, or both; a wrong shape; times that do not rise.
+    """
+
+    points: Any
+    frame: str | None = None
+    joints: Any = None
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.frame is None) == (self.joints is None):
+            raise PlannerError("follow has neither frame nor joints, or both: expected one of the two.")
+        if self.frame is not None and not isinstance(self.frame, str):
+            raise PlannerError(f"frame of follow is {shown(self.frame)}, expected the name of a site or body.")
+        if self.joints is not None and (
+            not isinstance(self.joints, (list, tuple)) or not all(isinstance(name, str) for name in self.joints)
+        ):
+            raise PlannerError(f"joints of follow is {shown(self.joints)}, expected a list of names of joints.")
+        if self.tolerance is not None:
+            number("tolerance of follow", self.tolerance, above=0.0)
+        given = numbers("points of follow", self.points)
+        n = self.width
+        if given.ndim != 2 or len(given) < 2 or given.shape[1] not in (n, n + 1):
+            raise PlannerError(
+                f"points of follow have shape {given.shape}, expected at least 2 rows of t and {self.words}, or of "
+                f"{self.words} alone."
+            )
+        if not np.isfinite(given).all():
+            raise PlannerError("points of follow are not all finite, expected numbers.")
+        if given.shape[1] == n + 1 and not np.all(np.diff(given[:, 0]) > 0.0):
+            row = int(np.argmax(np.diff(given[:, 0]) <= 0.0)) + 2
+            raise PlannerError(
+                f"the time in row {row} of follow's points is not after the one before, expected times that rise."
+            )
+
+    @property
+    def width(self) -> int:
+        """Numbers of a point, without its time."""
+        return 3 if self.joints is None else len(self.joints)
+
+    @property
+    def words(self) -> str:
+        """The numbers of a point, for a sentence."""
+        return ", ".join(PLACE if self.joints is None else self.joints)
+
+    @property
+    def what(self) -> str:
+        """Whose path it is, for a sentence."""
+        return self.frame or " and ".join(self.joints)
+
+    def times(self, duration: float) -> np.ndarray:
+        """(M,) s, of the points."""
+        points = np.asarray(self.points, dtype=float)
+        return points[:, 0] if points.shape[1] > self.width else np.linspace(0.0, duration, len(points))
+
+    def at(self, t: np.ndarray, duration: float) -> np.ndarray:
+        """The path (K, n) at times t (K,)."""
+        points = np.asarray(self.points, dtype=float)[:, -self.width :]
+        return np.stack([np.interp(t, self.times(duration), column) for column in points.T], axis=1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values; what is at its default is left out."""
+        return {one.name: plain_of(value) for one in fields(self) if (value := getattr(self, one.name)) is not None}
+
+
+def plain_of(value: Any) -> Any:
+    """A value as JSON values; names stay names."""
+    return list(value) if isinstance(value, (list, tuple)) and value and isinstance(value[0], str) else plain(value)
+
+
+def follow_of(value: Any, name: str) -> Follow:
+    """A Follow from one, or from a table.
+
+    Raises:
+        PlannerError: It is neither, or wrong.
+    """
+    if isinstance(value, Follow):
+        return value
+    keys = [one.name for one in fields(Follow)]
+    if not isinstance(value, Mapping):
+        raise PlannerError(f"{name} is {shown(value)}, expected a Follow or a table with some of: {', '.join(keys)}.")
+    given = {choice(f"a key of {name}", key, (*keys, "file")): part for key, part in value.items()}
+    if "points" not in given:
+        raise PlannerError(f'{name} has no points, expected points = [[t, x, y, z], ...] or file = "path.csv".')
+    return Follow(**given)
+
+
+def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The table of a file with the rows of the CSV that it names, relative to a folder, in the place of the name.
+
+    A heading t,x,y,z may be left out for a frame; for joints it has their names.
+
+    Raises:
+        FileError: It cannot be read, or is no table of numbers.
+        PlannerError: It has a file and points.
+    """
+    if "file" not in table:
+        return dict(table)
+    if "points" in table:
+        raise PlannerError("follow has a file and points, expected one of the two.")
+    if not isinstance(table["file"], str):
+        raise PlannerError(f"file of follow is {shown(table['file'])}, expected the name of a CSV file.")
+    path = folder / table["file"]
+    heading, rows = read_rows(path)
+    rest = {key: value for key, value in table.items() if key != "file"}
+    if table.get("frame") is None and table.get("joints") is None:
+        if not heading or heading[0] != "t" or len(heading) < 2:
+            expected = 'expected one, or frame = "..." in [follow]'
+            raise FileError(f"{printable(path)} has no heading t,JOINT,..., {expected}.")
+        rest["joints"] = heading[1:]
+    elif heading and table.get("frame") is not None and heading not in (["t", *PLACE], [*PLACE]):
+        raise FileError(f"{printable(path)} has the heading {','.join(heading)}, expected t,x,y,z.")
+    return {**rest, "points": rows}
+
+
+def read_rows(path: Path) -> tuple[list[str], list[list[float]]]:
+    """The heading of a CSV file, if it has one, and its rows of numbers."""
+    lines = [row for row in csv.reader(io.StringIO(read_text(path, "the path to follow"))) if any(map(str.strip, row))]
+    if len(lines) > LONGEST:
+        raise FileError(f"{printable(path)} has {len(lines)} rows, expected at most {LONGEST}.")
+    heading = [cell.strip() for cell in lines[0]] if lines and not all(map(_is_number, lines[0])) else []
+    rows = []
+    for i, cells in enumerate(lines[bool(heading) :], 1 + bool(heading)):
+        if not all(map(_is_number, cells)) or len(cells) != len(lines[-1]):
+            row = ",".join(cells)[:60]
+            raise FileError(f"row {i} of {printable(path)} is {row!r}, expected {len(lines[-1])} numbers.")
+        rows.append([float(cell) for cell in cells])
+    return heading, rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,215 @@
+"""Poses of a task: a configuration for each of its times, by inverse kinematics, and what cannot be reached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
+from planner.dynamics.kinematics import frame_pose
+from planner.model.mechanism import SCREW
+from planner.model.mjcf.driven import driven_dofs
+from planner.problem.tasks.follow import Follow
+from planner.problem.tasks.timetable import Task, Timed
+
+MOST = 60  # configurations along a path: between them joints move on a spline
+
+
+class Poses(NamedTuple):
+    """Configurations at stages, the first of them the start."""
+
+    stages: np.ndarray  # (E,)
+    q: np.ndarray  # (E, nq)
+    stops: np.ndarray  # (E,) True where the machine stands still
+
+
+class _Asked(NamedTuple):
+    """What is asked at one stage."""
+
+    targets: list[Target]
+    labels: list[str]
+    joints: dict[int, float]  # positions by degree of freedom
+
+
+def poses_of(
+    task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True
+) -> Poses:
+    """The configurations of a task, one after the other, each near the one before.
+
+    Args:
+        task: Goals and paths.
+        dynamics: The machine; what no actuator drives moves only where it must.
+        x0: (nx,) start.
+        ranges: (nv, 2) of hinges and slides.
+        seed: Of the random starts of the search.
+        check: Whether to refuse what cannot be reached.
+
+    Raises:
+        PlannerError: A goal out of reach, goals that contradict each other, or a path that begins elsewhere.
+    """
+    mechanism = task.mechanism
+    q = x0[: mechanism.nq]
+    stages, found, stops = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
+    if check:
+        for path in task.follows:
+            _check_beginning(task, path, q)
+    for stage in _stages(task):
+        here = [one for one in task.goals if one.stage == stage]
+        if check and stage < task.N:  # ends are judged by the limits
+            _check_joints(task, here, ranges)
+        asked = _asked(task, stage, here)
+        q = _pose(task, dynamics, q, asked, ranges, seed, stage if check else None, here)
+        stages.append(stage)
+        found.append(q)
+        stops.append(any(not one.goal.through for one in here) if stage < task.N else task.rests)
+    if stages[-1] < task.N:  # nothing is asked of the end but rest
+        stages, found, stops = [*stages, task.N], [*found, q], [*stops, task.rests]
+    return Poses(np.array(stages), np.array(found), np.array(stops))
+
+
+def _check_joints(task: Task, here: Sequence[Timed], ranges: np.ndarray) -> None:
+    """Refuse goals of joints outside of their ranges."""
+    for one in here:
+        for dof, value in one.joints.items():
+            low, high = ranges[dof]
+            if not low <= value <= high:
+                raise PlannerError(
+                    f"{one.label} has {task.mechanism.joint_of(dof)} at {value:g}, outside of its range: expected "
+                    f"{low:.6g} ... {high:.6g}."
+                )
+
+
+def _stages(task: Task) -> list[int]:
+    """The stages at which something is asked: of a long path a part."""
+    stages = {one.stage for one in task.goals}
+    for path in task.follows:
+        first, last = task.span(path)
+        stages |= set(np.linspace(first, last, min(last - first, MOST) + 1).round().astype(int).tolist())
+    return sorted(stages - {0})
+
+
+def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
+    targets, labels, joints = [], [], {}
+    for one in here:
+        goal = one.goal
+        for dof, value in one.joints.items():
+            if abs(joints.setdefault(dof, value) - value) > 1e-9:
+                name = task.mechanism.joint_of(dof)
+                both = f"{name} is at {joints[dof]:g} and {value:g}"
+                raise PlannerError(f"{one.label} contradicts a goal at the same time: {both}, expected one of them.")
+        if goal.frame is not None:
+            position = None if goal.position is None else np.asarray(goal.position, dtype=float)
+            turn = one.tolerances["pointing" if goal.orientation is None else "orientation"]
+            targets.append(
+                Target(goal.frame, position, goal.quaternion, goal.direction, one.tolerances["position"], turn)
+            )
+            labels.append(one.label)
+    for path in task.follows:
+        first, last = task.span(path)
+        if first <= stage <= last:
+            point = task.place(path, np.array([stage]))[0]
+            if path.frame is not None:
+                targets.append(Target(path.frame, point, metre_scale=task.tolerance(path)))
+                labels.append(f"the path of {path.frame} at {stage * task.dt:.4g} s")
+            else:
+                named = zip(path.joints, point, strict=True)
+                joints |= {task.mechanism.joint(name).start: value for name, value in named}
+    return _Asked(targets, labels, joints)
+
+
+def _pose(
+    task: Task, dynamics: RigidBodyDynamics, q: np.ndarray, asked: _Asked, ranges: np.ndarray, seed: int,
+    stage: int | None, here: Sequence[Timed],
+) -> np.ndarray:  # fmt: skip
+    """The configuration (nq,) at a stage; a stage of None refuses nothing."""
+    mechanism = task.mechanism
+    q = q.copy()
+    for dof, value in asked.joints.items():
+        q[mechanism.q_address[dof]] = value
+    if mechanism.reduction is not None:
+        q = mechanism.reduction.closed(q, np.zeros(mechanism.nv), mechanism.q_address)[0]
+    if not asked.targets:
+        return q
+
+    def tried(targets: list[Target], joints: dict[int, float]) -> tuple[np.ndarray, float]:
+        found = None
+        for free in _masks(dynamics, joints):
+            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=free, seed=seed)
+            found = other if found is None or other.residual < found.residual else found
+            if found.residual <= 1.0:
+                break
+        assert found is not None
+        return found.q, found.residual
+
+    best, residual = tried(asked.targets, asked.joints)
+    if residual <= 1.0 or stage is None:
+        return best
+    within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
+    for target, label in zip(asked.targets, asked.labels, strict=True):
+        if target.position is not None:
+            near, alone = tried([target._replace(orientation=None, pointing=None)], {})
+            if alone > 1.0:
+                point = frame_pose(mechanism, near, target.frame)[:3, 3]
+                words = ", ".join(f"{float(value):.4g}" for value in point)
+                away = float(np.linalg.norm(point - target.position))
+                raise PlannerError(
+                    f"{label} is out of reach by {away:.3g} m{within}: the nearest point is [{words}] m."
+                )
+        near, alone = tried([target], {})
+        if alone > 1.0:
+            way, turn = _missed(task, near, target)
+            raise PlannerError(
+                f"{label} is out of reach{within}: {target.frame} gets to its position but not with that orientation, "
+                f"at best {way:.3g} m and {turn:.3g} rad away."
+            )
+    others = [one.label for one in here if one.joints]
+    raise PlannerError(
+        f"{' and '.join([*asked.labels, *others])} contradict each other at {stage * task.dt:.4g} s{within}: together "
+        f"they are missed by at least {residual:.2g} tolerances; move one, or give it another time."
+    )
+
+
+def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
+    r, _, turns = residuals(task.mechanism, q, target)
+    return float(np.linalg.norm(r[~turns])), float(np.linalg.norm(r[turns]))
+
+
+def _masks(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
+    """Which degrees of freedom may move: those that are driven, then all of them unless the machine stands."""
+    mechanism = dynamics.mechanism
+    driven = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
+    driven[driven_dofs(dynamics)] = True
+    everything = np.ones(mechanism.nv, dtype=bool)
+    masks = [driven] if mechanism.contacts or driven.all() else [driven, everything]
+    for mask in masks:
+        mask[list(joints)] = False
+    return masks
+
+
+def _check_beginning(task: Task, path: Follow, q: np.ndarray) -> None:
+    """Refuse a path that begins at once and elsewhere."""
+    mechanism = task.mechanism
+    if task.span(path)[0] > 0:
+        return
+    point = task.place(path, np.array([0]))[0]
+    if path.frame is not None:
+        here = frame_pose(mechanism, q, path.frame)[:3, 3]
+    else:
+        here = np.array([q[mechanism.q_address[mechanism.joint(name).start]] for name in path.joints])
+    away = float(np.linalg.norm(here - point))
+    if away > task.tolerance(path):
+        unit = task.units(path)[0]
+        words = ", ".join(f"{float(value):.4g}" for value in here)
+        raise PlannerError(
+            f"the path of {path.what} begins at t = 0, {away:.3g} {unit} from where the start has it: expected its "
+            f"first point at [{words}] {unit}, or a later first time."
+        )
+
+
+def is_screws(task: Task) -> bool:
+    """Whether all degrees of freedom are hinges and slides."""
+    return bool(np.all(task.mechanism.kind == SCREW))

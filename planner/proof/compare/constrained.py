@@ -1,0 +1,84 @@
+"""Accelerations of MuJoCo's own terms with its equalities kept exactly: what a plan's couplings and loops are held to.
+
+MuJoCo's equalities are soft. With its M, forces, Jacobians and their rates, the exact accelerations are
+
+    qdd = W qfrc + W J'f,   J qdd + Jdot qd + 2 rate J qd + rate^2 phi = 0,   W = G (G'MG)^-1 G'
+
+G of the couplings (planner.model.couplings), J, Jdot qd and phi of connects, welds and cams (planner.model.loops), all
+by MuJoCo's mj_jac and mj_jacDot at the places that the compiled model holds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.loops import RATE, Cam
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.loops import joined, joins
+
+_WEAK = 1e-9  # of the largest eigenvalue of J W J': redundant equations
+
+
+def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.ndarray:
+    """(nv,) of what mj_forward left in data; qacc_smooth for a tree. The mechanism was read from the model."""
+    if not (mechanism.couplings or mechanism.loops or mechanism.cams):
+        return data.qacc_smooth.copy()
+    mass = np.empty((model.nv, model.nv))
+    for row, axis in zip(mass, np.eye(model.nv), strict=True):
+        load_mujoco().mj_mulM(model, data, row, axis)
+    G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
+    W = G @ np.linalg.solve(G.T @ mass @ G, G.T)
+    free = W @ data.qfrc_smooth
+    if not (mechanism.loops or mechanism.cams):
+        return free
+    J, lacks = _rows(model, data, mechanism.cams)
+    values, vectors = np.linalg.eigh(J @ W @ J.T)
+    keep = values > _WEAK * values.max()
+    forces = -vectors[:, keep] @ ((vectors[:, keep].T @ (lacks + J @ free)) / values[keep])
+    return free + W @ J.T @ forces
+
+
+def _rows(model: Any, data: Any, cams: tuple[Cam, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """J (rows, nv) of all equalities that close chains, and Jdot qd + 2 rate J qd + rate^2 phi (rows,).
+
+    Also where a flag keeps MuJoCo's own from acting.
+    """
+    parts = [_held(model, data, i) for i in map(int, np.flatnonzero(model.eq_active0)) if joins(model, i)]
+    parts += [_cam(model, data, cam) for cam in cams]
+    J, drift, phi = (np.concatenate(one) for one in zip(*parts, strict=True))
+    return J, drift + 2.0 * RATE * (J @ data.qvel) + RATE**2 * phi
+
+
+def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J, Jdot qd and phi of a connect or a weld, as MuJoCo moves its two bodies."""
+    mujoco = load_mujoco()
+    bodies, frames, rigid = joined(model, i)
+    J, drift, places, axes = np.zeros((6, model.nv)), np.zeros(6), [], []
+    for sign, body, T in zip((1.0, -1.0), bodies, frames, strict=True):
+        R = data.xmat[body].reshape(3, 3)
+        places.append(data.xpos[body] + R @ T[:3, 3])
+        axes.append(R @ T[:3, :3])
+        own, rate = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+        mujoco.mj_jac(model, data, own[:3], own[3:], places[-1], body)
+        mujoco.mj_jacDot(model, data, rate[:3], rate[3:], places[-1], body)
+        J += sign * own
+        drift += sign * rate @ data.qvel
+    turn = 0.5 * sum(np.cross(axes[1][:, c], axes[0][:, c]) for c in range(3))
+    rows = 6 if rigid else 3
+    return J[:rows], drift[:rows], np.concatenate([places[0] - places[1], turn])[:rows]
+
+
+def _cam(model: Any, data: Any, cam: Cam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of an equality of joints that is not linear."""
+    p = np.polynomial.Polynomial(cam.coefficients)
+    follower, leader = (
+        data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]] - offset
+        for dof, offset in zip((cam.follower, cam.leader), cam.offsets, strict=True)
+    )
+    J = np.zeros((1, model.nv))
+    J[0, cam.follower], J[0, cam.leader] = 1.0, -p.deriv()(leader)
+    drift = -p.deriv(2)(leader) * data.qvel[cam.leader] ** 2
+    return J, np.array([drift]), np.array([follower - p(leader)])

@@ -1,0 +1,40 @@
+"""The tasks in examples/tasks: every file converges, meets each of its goals, and (slow) passes its proof."""
+
+import numpy as np
+import pytest
+from places import ROOT
+
+import planner
+from planner.cases.problem_file import load
+from planner.problem.goals import goals_of
+
+TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return {}
+
+
+def plan_of(path, plans):
+    if path not in plans:
+        plans[path] = planner.solve(load(path).problem)
+    return plans[path]
+
+
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+def test_it_converges_and_meets_every_goal(path, plans):
+    plan = plan_of(path, plans)
+    assert plan.success
+    goals = goals_of(plan.problem, plan.xs)
+    assert [one for one in goals if one.alone]
+    for one in goals:
+        assert one.miss(plan.t, plan.xs) <= 0.5 * one.tolerance, one.name  # by default weights, with room
+    assert np.isfinite(plan.K).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+def test_it_passes(path, plans):
+    proof = planner.prove(plan_of(path, plans), rollouts=0)
+    assert proof.passed, proof.reason

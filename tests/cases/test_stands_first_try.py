@@ -1,0 +1,52 @@
+"""A machine with feet passes at the first try with four lines: nothing of it is tuned."""
+
+import numpy as np
+import pytest
+from standing_dog import dog
+
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.proof import prove
+from planner.solvers.slq import solve
+
+FOUR_LINES = """model = "dog.xml"
+start = {}
+goal = { "fore hip" = 0.15, "hind hip" = 0.15, "fore knee" = -0.1, "hind knee" = -0.1 }
+duration = 0.8
+"""
+
+
+def loaded(tmp_path, more=""):
+    (tmp_path / "dog.xml").write_text(dog())
+    (tmp_path / "problem.toml").write_text(FOUR_LINES + more)
+    return load(tmp_path / "problem.toml").problem
+
+
+def test_a_dog_bends_its_legs(tmp_path):
+    problem = loaded(tmp_path)
+    plan = solve(problem)
+    proof = prove(plan, rollouts=0)
+    assert proof.verdict == "PASS", proof.reason
+    assert len(plan.history) <= 20  # it takes 4: a goal that drags feet, or a tight end, took 20 to 200
+
+
+def test_the_goal_is_where_the_feet_carry_the_trunk(tmp_path):
+    """Legs that turn backwards carry it forwards: its feet roll, and none slides."""
+    problem = loaded(tmp_path)
+    m, goal = problem.dynamics.mechanism, problem.cost.x_ref[-1]
+    way = m.space.difference(goal, problem.x0)
+    assert abs(way[0]) > 0.02
+    middle = m.space.integrate(problem.x0, 0.5 * way)[: m.nq]
+    carrying = np.flatnonzero(contact_forces(m, goal[: m.nq], np.zeros(m.nv)).forces.any(axis=1))
+    slides = contact_jacobians(m, middle, carrying)[:, 0] @ way[: m.nv]
+    # Both legs bend alike on a level ground, so what one slides forwards the other slides back: little.
+    assert len(carrying) == 2
+    assert np.abs(slides).max() < 0.05 * abs(way[0])
+
+
+@pytest.mark.parametrize("x", [0.1, -0.05])
+def test_a_place_that_is_asked_for_stays(tmp_path, x):
+    text = FOUR_LINES.replace("goal = {", f"goal = {{ x = {x},")
+    (tmp_path / "dog.xml").write_text(dog())
+    (tmp_path / "problem.toml").write_text(text)
+    assert load(tmp_path / "problem.toml").problem.cost.x_ref[-1][0] == x

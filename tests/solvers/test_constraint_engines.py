@@ -1,0 +1,109 @@
+"""Constraints in both engines: the same numbers, and derivatives that are differences of the values."""
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from trees import drawn, machines, relative_error
+
+from planner import Constraint, Limits, Problem
+from planner.constraints import MassCentre, Place, Power, Tilt, Turn
+from planner.costs import Distance, Height, Point, Segment, Velocity
+from planner.dynamics.protocol import INTEGRATORS
+from planner.kernels.lq import search
+from planner.problem.constraints.measures import measure_of
+from planner.problem.state_ranges import Hinges
+from planner.solvers.engine import NumpyEngine, RowsEngine, borrow
+
+TOLERANCE = {"tolerance": 1e-3}
+
+
+def of_all_kinds(rng, dynamics):
+    """A constraint of each kind, with bounds on both sides of what a random motion does."""
+    m = dynamics.mechanism
+    frames = [str(one) for one in rng.choice([*m.sites, *filter(None, m.body_names)], 6)]
+    a, b, c = (Point(frame, offset=rng.normal(size=3)) for frame in frames[:3])
+    names = [name for name in m.actuators.names if name]
+
+    def smooth(xs):
+        return np.sin(xs[:, -dynamics.mechanism.nv :]).sum(axis=1)
+
+    def mixed(xs, us):
+        return np.stack([us[:, 0] * xs[:, -1], us[:, -1] ** 2], axis=1)
+
+    kinds = [
+        Constraint(Height(a, least=0.3, **TOLERANCE)),
+        Constraint(Height(b, target=0.1, **TOLERANCE)),
+        Constraint(Distance(a, Segment(b, c, radius=0.1), least=1.0, **TOLERANCE)),
+        Constraint(Velocity(c, rng.normal(size=3), most=0.2, **TOLERANCE)),
+        Constraint(Place(frames[3]), least=-rng.random(3), most=rng.random(3)),
+        Constraint(Place(frames[4]), equal=rng.normal(size=3), when="end"),
+        Constraint(Turn(frames[5], rng.normal(size=4)), equal=0.0, when="end"),
+        Constraint(Tilt(frames[0], rng.normal(size=3), rng.normal(size=3)), most=0.7),
+        Constraint(MassCentre(), least=[np.nan, -0.2, 0.0]),
+        Constraint(smooth, least=-0.1, most=0.1),
+        Constraint(mixed, most=[0.1, 0.2]),
+        *(Constraint(Power(name), least=-0.1, most=0.1) for name in names[:2]),
+    ]
+    return [kinds[i] for i in sorted(rng.choice(len(kinds), 5, replace=False))]
+
+
+def later(constraints, task):
+    """The same from the second knot on: a random start breaks some."""
+    dt, N = task.dynamics.dt, task.N
+    return [one if one.when == "end" else Constraint(**(vars(one) | {"when": (dt, N * dt)})) for one in constraints]
+
+
+def hinged(rng, kept):
+    """Hinges as multipliers make them: shifted bounds and weights."""
+    lower, upper = kept.lower - 0.1 * rng.random(kept.lower.shape), kept.upper + 0.1 * rng.random(kept.lower.shape)
+    exact = kept.lower == kept.upper
+    weight = rng.random(lower.shape) * (np.isfinite(lower) | np.isfinite(upper))
+    return Hinges(np.where(exact, upper, lower), upper, weight)
+
+
+@machines(16, max_dofs=12, max_bodies=4, integrator=st.sampled_from(INTEGRATORS), full=st.booleans())
+def test_both_engines_do_the_same(text, seed, integrator, full):
+    task, rng = drawn(text, seed, integrator, full), np.random.default_rng(seed)
+    limits = Limits(control=2.0) if rng.random() < 0.3 else None
+    constraints = later(of_all_kinds(rng, task.dynamics), task)
+    task = Problem(task.dynamics, task.cost, task.x0, task.first_guess, limits=limits, constraints=constraints)
+    hinges, ours, twin = hinged(rng, task.kept), borrow(task), NumpyEngine(task)
+    assert isinstance(ours, RowsEngine)
+    costs = []
+    for engine in (ours, twin):
+        engine.hinge(hinges)
+        costs.append(engine.start(task.x0, task.first_guess))
+    assert costs[0] == pytest.approx(costs[1], rel=1e-10)
+    a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
+    assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8)
+    assert relative_error(ours.gradient(), twin.gradient()) < 1e-9
+    a, b = (
+        engine.iterate(True, search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
+        for engine, cost in zip((ours, twin), costs, strict=True)
+    )
+    assert (a.kind, a.step) == (b.kind, b.step)
+    assert a.cost == pytest.approx(b.cost, rel=1e-8)
+    assert relative_error(ours.gains(), twin.gains()) < 1e-7
+
+
+@machines(12, max_dofs=10, max_bodies=4)
+def test_derivatives_are_differences(text, seed):
+    task, rng = drawn(text, seed, "rk4", True), np.random.default_rng(seed)
+    space, nu, h = task.dynamics.space, task.dynamics.nu, 1e-6
+    x = space.integrate(task.x0, 0.5 * rng.normal(size=space.ndx))
+    u, n = rng.normal(size=nu), np.zeros(1, dtype=int)
+    for constraint in of_all_kinds(rng, task.dynamics):
+        measure = measure_of(constraint, task.dynamics, task.N, task.x0, task.first_guess[0])
+        by_x, by_u = measure.derivatives(x[None], u[None], n)
+        size = 1.0 + np.abs(measure.values(x[None], u[None], n)).max()
+
+        def at(dx, du, measure=measure):
+            return measure.values(space.integrate(x, dx)[None], (u + du)[None], n)[0]
+
+        for i, e in enumerate(h * np.eye(space.ndx)):
+            slope = (at(e, 0.0) - at(-e, 0.0)) / (2.0 * h)
+            # rounding of a difference over h, and what curvature makes of it near kinks
+            assert slope == pytest.approx(by_x[0, :, i], rel=1e-5, abs=1e-7 * size / 1e-1), constraint
+        for i, e in enumerate(h * np.eye(nu)):
+            slope = (at(0.0 * x[: space.ndx], e) - at(0.0 * x[: space.ndx], -e)) / (2.0 * h)
+            assert slope == pytest.approx(by_u[0, :, i], rel=1e-5, abs=1e-6 * size), constraint
