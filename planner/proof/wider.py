@@ -44,7 +44,7 @@ def kept_wider(
     """Solve and prove again with a larger clearance of the pairs that touched, while that is why a proof fails.
 
     Args:
-        plan: A plan whose problem keeps shapes apart (planner.Avoid).
+        plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
         proof: Of the plan.
         limit: Most times.
         seconds: After which no other solve begins.

@@ -104,7 +104,7 @@ from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "stops", "avoid", "dt", "substeps")  # of what was chosen, what is said before a solve
+TOLD = ("contacts", "settle", "stops", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said at once
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -269,9 +269,9 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["stops"] = " ".join(stops)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     way = made(table, dynamics, x0, N, limits) if tasked else None
-    end = goal if way is None else way.rows[-1]
-    apart = Avoid(**table["avoid"]).constraint(mechanism, x0, end) if "avoid" in table else None
-    if apart is not None:
+    apart = None
+    if "avoid" in table:  # the pose of a task's end is not yet known
+        apart = Avoid(**table["avoid"]).constraint(mechanism, x0, None if tasked else goal)
         reasons["avoid"] = " ".join(apart.notes)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]

@@ -28,7 +28,7 @@ class Apart:
     """Distances of pairs of shapes, m.
 
     Attributes:
-        pairs: Which, and how far they are to be apart; planner.Avoid finds them.
+        pairs: Which, and how far they are to be apart; planner.constraints.Avoid finds them.
         more: (P,) m, by which each is kept further apart than that.
         soft: A violation of so many m costs 1/2 a second in the first solve, before multipliers are known: a motion
             then stays on the side of an obstacle on which its first guess is.

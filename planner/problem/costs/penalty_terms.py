@@ -208,7 +208,7 @@ class Clearance(Penalty):
     """How far apart two solids are, negative by the shortest way out where they overlap. It has a least alone.
 
     Attributes:
-        a: The first Solid; planner.Avoid makes them of a model's shapes.
+        a: The first Solid; planner.constraints.Avoid makes them of a model's shapes.
         b: The second, in the order of model.contact.solids.in_order.
         lift: m, added to the distance: what a fit overstates at the start.
     """
