@@ -50,3 +50,8 @@ class Cam:
     leader: int
     offsets: tuple[float, float]  # of the follower and of the leader, rad or m
     coefficients: tuple[float, ...]  # (5,) of powers 0 to 4
+
+    @property
+    def dofs(self) -> tuple[int, int]:
+        """Both degrees of freedom."""
+        return self.follower, self.leader

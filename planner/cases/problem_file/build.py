@@ -78,8 +78,9 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.assembly import assembled, check_assembled
+from planner.dynamics.assembly import assembled, carried, check_assembled
 from planner.model.contact.laws import ContactLaw
+from planner.model.coupled_states import check_closed
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.attached import stored_attachments
@@ -366,6 +367,9 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = assembled(mechanism, x, given)
-    check_assembled(name, x, mechanism, most)
-    return states(name, x if isinstance(value, dict) else assembled(mechanism, x), mechanism.space, ())
+        x = carried(mechanism, base, x, given, name)
+        check_assembled(name, x, mechanism, most)
+    else:
+        check_closed(name, x, mechanism, most)
+        x = assembled(mechanism, x, name=name)
+    return states(name, x, mechanism.space, ())
