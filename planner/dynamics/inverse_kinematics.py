@@ -5,7 +5,7 @@
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
 weight of the way takes one near the start. The search begins at the start, then at random configurations. Closed chains
-are rows too, over a scale that is CLOSED times smaller, and where the search ends they are put together.
+are rows too, over CLOSED, and where the search ends they are put together.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from planner.model.space import hat, log_jacobian
 
 LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
 REACHED = 0.1  # of the scales: a residual below it ends the search
-CLOSED = 1e-4  # m or rad that a closed chain misses weigh as a residual of 1
+CLOSED = 1e-3  # m or rad that a closed chain misses weigh as a residual of 1: a tenth makes the search slow
 STARTS = 8
 
 
