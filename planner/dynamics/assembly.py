@@ -120,6 +120,17 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
     return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]
 
 
+def lost_ranks(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
+    """How far closed chains are from losing an equation at each of qs (K, nq): the least singular value of J that is
+    not of a redundant equation, over the largest (K,).
+
+    At zero a chain lies in line, say: it could go on in more than one way, and its forces say which one by rounding.
+    """
+    values = np.array([np.linalg.svd(jacobian(mechanism, q), compute_uv=False) for q in qs])
+    shares = values / values[:, :1]
+    return shares[:, int(np.count_nonzero(shares > _WEAK, axis=1).max()) - 1]
+
+
 def tangents(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T (ndx, n), the directions of states (dq, dv, dact) on the constraints at x (nx,), and where T is 1.
 
