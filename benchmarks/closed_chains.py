@@ -2,9 +2,10 @@
 
 python benchmarks/closed_chains.py [--crocoddyl ITS_PYTHON]
 
-Ratios of minima in one run, one thread, 100 stages of RK4. The open tree is the same machine without its equalities, from
-the same controls. Beside Crocoddyl: an arm of seven joints whose hand is pinned to the world, a contact in three
-directions (DifferentialActionModelContactFwdDynamics) with the same pull back; both sides linearise, sweep and try steps.
+Ratios of minima in one run, one thread, 100 stages of RK4. The open tree is the same machine without its equalities,
+from the same controls. Beside Crocoddyl: an arm of seven joints whose hand is pinned to the world, a contact in three
+directions (DifferentialActionModelContactFwdDynamics) with the same pull back. Both sides linearise, sweep and roll
+out; Crocoddyl tries one step, we four.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def arm() -> str:
     axes = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "1 0 0")
     body, end = "", ""
     for k, axis in enumerate(axes):
-        body += f"""<body name="l{k}" pos="{0.02 if k else 0} 0.01 {0.2 if k else 0.1}"><joint name="j{k}" axis="{axis}"/>
+        body += f"""<body name="l{k}" pos="{0.02 if k else 0} 0.01 {0.2 if k else 0.1}">
+          <joint name="j{k}" axis="{axis}"/>
           <inertial pos=".01 .02 .1" mass="{3.0 - 0.3 * k}" diaginertia=".02 .03 .01"/>"""
         end += "</body>"
     motors = "".join(f'<motor joint="j{k}"/>' for k in range(7))

@@ -21,14 +21,12 @@ _CLOSE = 1e-13  # m or rad, of what is left of a miss
 _STEPS = 100  # from far away; near a closed pose five are enough
 _HALVINGS = 20  # of a step that would open the chains further
 _LARGEST = 0.5  # rad or m, of a step in one coordinate: longer ones lead to poses that are nowhere near
-_CARRIED = 0.1  # rad or m, of a step along a way: shorter than what leads from one way to put a chain together to another
+_CARRIED = 0.1  # rad or m, of a step along a way: it does not turn a chain over
 _PREFERRED = 10.0  # coordinates with actuators lead where they move the chain at all
 _WEAK = 1e-9  # of the largest singular value: a direction that closes less closes nothing
 
 
-def assembled(
-    mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), name: str = "the pose"
-) -> np.ndarray:
+def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), name: str = "the pose") -> np.ndarray:
     """The state (nx,) nearest to x that couplings and closed chains allow, as Gauss and Newton's steps find it.
 
     Degrees of freedom that are `given` keep their positions.
@@ -121,10 +119,10 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def lost_ranks(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
-    """How far closed chains are from losing an equation at each of qs (K, nq): the least singular value of J that is
-    not of a redundant equation, over the largest (K,).
+    """How far closed chains are from losing an equation, (K,) for configurations qs (K, nq).
 
-    At zero a chain lies in line, say: it could go on in more than one way, and its forces say which one by rounding.
+    The least singular value of J that is not of a redundant equation, over the largest. At zero a chain
+    lies in line, say: it could go on in more than one way, and rounding decides which.
     """
     values = np.array([np.linalg.svd(jacobian(mechanism, q), compute_uv=False) for q in qs])
     shares = values / values[:, :1]

@@ -101,9 +101,7 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
 
 
 def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measured]:
-    """How far closed chains are, at the knot where they are nearest to it, from a pose that they could leave in two
-    ways; nothing without closed chains.
-    """
+    """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
     mechanism = getattr(problem.dynamics, "mechanism", None)
     if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
         return []

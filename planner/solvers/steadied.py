@@ -112,8 +112,10 @@ def _holding(problem: Problem) -> Control:
 
 
 def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]:
-    """The state of each stage on the straight line from the start to a goal, fast in the middle; of closed chains the
-    nearest one that closes them."""
+    """The state of each stage on the straight line from the start to a goal, fast in the middle.
+
+    Of closed chains it is the nearest one that closes them.
+    """
     space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)

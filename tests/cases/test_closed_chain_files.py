@@ -73,8 +73,8 @@ def test_a_goal_is_reached_the_way_the_start_is_put_together():
 
 def test_a_start_that_is_moved_is_told_and_one_that_cannot_close_is_refused(tmp_path):
     given = load(four_bar(tmp_path)).problem.x0
-    off = (given[:3] + [0.0, 0.01, 0.0]).tolist()
-    (note,) = (one for one in load(four_bar(tmp_path, start=str(off))).notes if "chains" in one)
+    off = [given[0], given[1] + 0.01, given[2]]
+    (note,) = (one for one in load(four_bar(tmp_path, start=str([float(x) for x in off]))).notes if "chains" in one)
     assert re.fullmatch(r"start is moved so that its chains close, \w+ by -?0\.00\d+ rad\.", note)
     with pytest.raises(PlannerError, match=r"goal misses equality 'pin' by 0\.\d+ m, and no motion"):
         load(four_bar(tmp_path, goal="{ crank = 0.0, rocker = 2.5 }"))

@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from planner import PlannerError, Problem, RigidBodyDynamics
+from planner.base.gl import load_mujoco
 from planner.costs import default_cost
 from planner.dynamics import (
     assembled,
@@ -286,3 +288,23 @@ def test_a_parallelogram_that_folds_flat_goes_through():
     first, last = lost_ranks(m, np.array([0.5 * flat, flat]))
     assert first > 0.1
     assert last < 1e-9
+
+
+@pytest.mark.parametrize("example", ["four_bar", "two_arms", "stewart"])
+def test_mujoco_as_hard_as_it_gets_accelerates_alike(example):
+    """Its equalities at solimp 0.9999, the most it takes, in motion: Jdot qd is in its releases from 4.0.0 at least."""
+    mujoco = load_mujoco()
+    if int(mujoco.__version__.split(".")[0]) < 4:
+        pytest.skip("3.3.0 has no Jdot qd")
+    text = (ROOT / "examples" / "closed_chains" / f"{example}.xml").read_text(encoding="utf-8")
+    text = re.sub(r"(<connect )", r'\1solref="-1e-9 -1e-9" solimp="0.9999 0.9999 0.001 0.5 2" ', text)
+    m, rng = Mechanism.from_mjcf(text), np.random.default_rng(0)
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, dynamics = mujoco.MjData(model), RigidBodyDynamics(m, 0.01)
+    for _ in range(5):
+        x, u = assembled(m, m.space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx))), rng.normal(size=m.nu)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = x[: m.nq], x[m.nq :], u
+        mujoco.mj_forward(model, data)
+        exact = dynamics.rates(x[None], u[None])[0, m.nv : 2 * m.nv]
+        assert np.abs(data.qacc - exact).max() < 1e-3 * max(np.abs(exact).max(), 1.0)

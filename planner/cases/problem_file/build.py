@@ -80,8 +80,8 @@ from planner.cases.problem_file.tasks import (
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.assembly import assembled, carried, check_assembled
 from planner.model.contact.laws import ContactLaw
-from planner.model.coupled_states import check_closed
 from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.coupled_states import check_closed
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.attached import stored_attachments
@@ -100,7 +100,7 @@ from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "closed", "settle", "stops", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "closed", "settle", "stops", "dt", "substeps")  # of what is done by itself: told before a solve
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it

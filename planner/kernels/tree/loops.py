@@ -156,7 +156,7 @@ def _lacks(m, q, v, ws, c):
 
 @inline
 def _projected(m, r, J, W, ld):
-    """WJ = W J' (rows, ld), and N, the lower half of J W J' (rows, rows); W of prescribed coordinates counts as zero."""
+    """WJ = W J' (rows, ld), N the lower half of J W J' (rows, rows); W of prescribed coordinates counts as zero."""
     rows, prescribed = m[TREE.loop_rows], integers(m, TREE.prescribed)
     start, dof, stop = integers(m, TREE.row_start), integers(m, TREE.row_dof), integers(m, TREE.block_stop)
     first, reach, kinds = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.row_kind)

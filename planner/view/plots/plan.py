@@ -259,11 +259,9 @@ def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-def _draw_chains(
-    figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str, np.ndarray], plan: Plan
-) -> Axes:
+def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str, np.ndarray], plan: Plan) -> Axes:
     axes = figure.add_subplot(cell)
-    dress(axes, "What holds closed chains together, in the plan", f"force, {unit}" if unit == "N" else f"moment, {unit}")
+    dress(axes, "What holds closed chains together, in the plan", f"{'force' if unit == 'N' else 'moment'}, {unit}")
     for values, hue in zip(curves.values(), cycle(HUES), strict=False):
         axes.plot(plan.t, drawable(_to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
     _name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
