@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from problems import SINGLE_THREAD
@@ -56,7 +57,7 @@ def shortest(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
     return best
 
 
-def engine_of(mechanism: object, x0: np.ndarray, u: np.ndarray) -> object:
+def engine_of(mechanism: Any, x0: np.ndarray, u: np.ndarray) -> Any:
     """An engine after its first sweep, from constant controls, of a cost that weighs all states and controls."""
     from planner import Problem, RigidBodyDynamics, TrackingCost
     from planner.solvers.engine import borrow
@@ -71,7 +72,7 @@ def engine_of(mechanism: object, x0: np.ndarray, u: np.ndarray) -> object:
     return engine
 
 
-def iteration(engine: object) -> Callable[[], object]:
+def iteration(engine: Any) -> Callable[[], object]:
     """Linearise along the same trajectory, sweep, and four steps of the line search."""
     w, dynamics, memory = engine._w, engine._dynamics, engine._memory
 

@@ -120,15 +120,15 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
     mechanism: Any = getattr(problem.dynamics, "mechanism", None)
-    closed = mechanism is not None and (mechanism.loops or mechanism.cams)
+    closed: Any = mechanism if mechanism is not None and (mechanism.loops or mechanism.cams) else None
 
     def place(n: int) -> np.ndarray:
         x = space.integrate(start, places[n] * way)
         if mechanism is not None:
             x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
-        if closed:
+        if closed is not None:
             with contextlib.suppress(PlannerError):  # then it is a way all the same
-                return assembled(mechanism, x)
+                return assembled(closed, x)
         return x
 
     return place
