@@ -20,17 +20,19 @@ from planner.model.mechanism import Mechanism
 _CLOSE = 1e-13  # m or rad, of what is left of a miss
 _STEPS = 100  # from far away; near a closed pose five are enough
 _HALVINGS = 20  # of a step that would open the chains further
+_LARGEST = 0.5  # rad or m, of a step in one coordinate: longer ones lead to poses that are nowhere near
+_CARRIED = 0.1  # rad or m, of a step along a way: it does not turn a chain over
 _PREFERRED = 10.0  # coordinates with actuators lead where they move the chain at all
 _WEAK = 1e-9  # of the largest singular value: a direction that closes less closes nothing
 
 
-def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = ()) -> np.ndarray:
+def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), name: str = "the pose") -> np.ndarray:
     """The state (nx,) nearest to x that couplings and closed chains allow, as Gauss and Newton's steps find it.
 
     Degrees of freedom that are `given` keep their positions.
 
     Raises:
-        PlannerError: No motion of the other joints closes the chains.
+        PlannerError: No motion of the other joints closes the chains; with the state's name.
     """
     x = closed_state(mechanism, x, given)
     if not (mechanism.loops or mechanism.cams):
@@ -43,6 +45,7 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = ()) 
             break
         step = np.zeros(space.ndx)
         step[:nv] = -free @ np.linalg.lstsq(jacobian(mechanism, x[:nq]) @ free, miss, rcond=_WEAK)[0]
+        step *= _LARGEST / max(float(np.abs(step).max()), _LARGEST)
         for _ in range(_HALVINGS):
             candidate = space.integrate(x, step)
             left = misses(mechanism, candidate[:nq])
@@ -53,11 +56,40 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = ()) 
             break
         x, miss = candidate, left
     if np.abs(miss).max() > CLOSED:
-        raise PlannerError(f"the pose {_apart(mechanism, miss)}, and no motion of the joints that may move closes it.")
+        raise PlannerError(f"{name} {_apart(mechanism, miss)}, and no motion of the joints that may move closes it.")
     J = jacobian(mechanism, x[:nq]) @ free
     qd = x[nq : nq + nv]
     x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_WEAK)[0]
     return x
+
+
+def carried(
+    mechanism: Mechanism, base: np.ndarray, x: np.ndarray, given: Collection[int], name: str = "the pose"
+) -> np.ndarray:
+    """The state (nx,) to which a machine comes from `base` when the joints that are given move to where x has them.
+
+    A chain can often be put together in more than one way: small steps keep to that of the base. Where they get stuck,
+    and for machines without closed chains, it is what `assembled` finds.
+
+    Raises:
+        PlannerError: As assembled.
+    """
+    if mechanism.loops or mechanism.cams:
+        way = mechanism.space.difference(x, base)
+        parts = int(np.ceil(np.abs(way).max() / _CARRIED))
+        stay = np.setdiff1d(np.arange(mechanism.nv), [*given])
+        try:
+            at = assembled(mechanism, base)
+            for k in range(1, parts):
+                step = mechanism.space.difference(mechanism.space.integrate(base, k / parts * way), at)
+                step[stay], step[mechanism.nv :] = 0.0, 0.0
+                at = assembled(mechanism, mechanism.space.integrate(at, step), given)
+            step = mechanism.space.difference(x, at)
+            step[stay] = 0.0
+            return assembled(mechanism, mechanism.space.integrate(at, step), given)
+        except PlannerError:
+            pass
+    return assembled(mechanism, x, given, name)
 
 
 def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
@@ -84,6 +116,17 @@ def directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndar
     order = qr(N.T * np.where(driven, _PREFERRED, 1.0), mode="r", pivoting=True)[-1]
     chosen = np.sort(order[: N.shape[1]])
     return G @ N @ np.linalg.inv(N[chosen]), leading[chosen]
+
+
+def lost_ranks(mechanism: Mechanism, qs: np.ndarray) -> np.ndarray:
+    """How far closed chains are from losing an equation, (K,) for configurations qs (K, nq).
+
+    The least singular value of J that is not of a redundant equation, over the largest. At zero a chain
+    lies in line, say: it could go on in more than one way, and rounding decides which.
+    """
+    values = np.array([np.linalg.svd(jacobian(mechanism, q), compute_uv=False) for q in qs])
+    shares = values / values[:, :1]
+    return shares[:, int(np.count_nonzero(shares > _WEAK, axis=1).max()) - 1]
 
 
 def tangents(mechanism: Mechanism, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,8 @@
 
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
-weight of the way takes one near the start. The search begins at the start, then at random configurations.
+weight of the way takes one near the start. The search begins at the start, then at random configurations. Closed chains
+are rows too, over CLOSED, and where the search ends they are put together.
 """
 
 from __future__ import annotations
@@ -17,12 +18,16 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from planner.base.arguments import array, count
+from planner.base.errors import PlannerError
+from planner.dynamics import loops
+from planner.dynamics.assembly import assembled
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.space import hat, log_jacobian
 
 LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by some 1e-4 of what passes
 REACHED = 0.1  # of the scales: a residual below it ends the search
+CLOSED = 1e-3  # m or rad that a closed chain misses weigh as a residual of 1: a tenth makes the search slow
 STARTS = 8
 
 
@@ -70,13 +75,14 @@ def inverse_kinematics(
     free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     B, dofs = _directions(mechanism, free)
     low, high = (mechanism.joint_range if ranges is None else ranges).T
-    found = _from(mechanism, targets, q, q, B, dofs, (low, high))
+    closed = np.flatnonzero(~free) if mechanism.loops or mechanism.cams else None
+    found = _from(mechanism, targets, q, q, B, dofs, (low, high), closed)
     rng = np.random.default_rng(count("seed", seed, least=0))
     for _ in range(starts - 1 if len(dofs) else 0):
         if found.residual < REACHED:
             break
         other = moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng))
-        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high)), key=lambda f: f.residual)
+        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high), closed), key=lambda f: f.residual)
     return found
 
 
@@ -114,9 +120,9 @@ def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.
 
 def _from(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
-    ranges: tuple[np.ndarray, np.ndarray],
+    ranges: tuple[np.ndarray, np.ndarray], closed: np.ndarray | None,
 ) -> Found:  # fmt: skip
-    """The minimum to which one start leads; deviations are taken from q."""
+    """The minimum to which one start leads; deviations are taken from q. `closed`: what chains to close leave alone."""
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
 
     def stacked(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,11 +133,23 @@ def _from(
         size = np.concatenate(
             [np.where(part[2], one.turn_scale, one.metre_scale) for part, one in zip(parts, targets, strict=True)]
         )
+        if closed is not None:
+            r, J = np.append(r, loops.misses(mechanism, at)), np.vstack([J, loops.jacobian(mechanism, at)])
+            size = np.append(size, np.full(len(r) - len(size), CLOSED))
         own = np.linalg.inv(space.difference_jacobian(np.concatenate([e, pad]))[: mechanism.nv, : mechanism.nv])
         return r / size, (J @ own @ B) / size[:, None]
 
     def largest(y: np.ndarray) -> Found:
-        return Found(moved(mechanism, q, B @ y), float(np.abs(stacked(y)[0]).max()))
+        at = moved(mechanism, q, B @ y)
+        if closed is None:
+            return Found(at, float(np.abs(stacked(y)[0]).max()))
+        try:
+            at = assembled(mechanism, np.concatenate([at, pad, np.zeros(mechanism.nv)])[: space.nx], closed)[: len(at)]
+        except PlannerError:
+            return Found(at, np.inf)
+        rows = [residuals(mechanism, at, target) for target in targets]
+        scales = [np.where(row[2], one.turn_scale, one.metre_scale) for row, one in zip(rows, targets, strict=True)]
+        return Found(at, float(max(np.abs(row[0] / size).max() for row, size in zip(rows, scales, strict=True))))
 
     if not len(dofs):
         return largest(np.zeros(0))

@@ -50,9 +50,10 @@ def _polynomial(mechanism: Mechanism, cam: Cam, q: np.ndarray) -> tuple[Any, Any
 def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """J (rows, nv): phidot = J qd but for rotations, whose rows are those of angular velocities."""
     G = world_poses(mechanism, q)
+    screws = np.array([Ad(pose) @ S for pose, S in zip(G, mechanism.S, strict=False)])  # at the world's origin
     rows = []
     for loop in mechanism.loops:
-        ends = [_moves(mechanism, G, link, T) for link, T in zip(loop.links, loop.frames, strict=True)]
+        ends = [_moves(mechanism, G, screws, link, T) for link, T in zip(loop.links, loop.frames, strict=True)]
         rows.append((ends[0] - ends[1])[: loop.rows])
     for cam in mechanism.cams:
         row = np.zeros((1, mechanism.nv), dtype=G.dtype)
@@ -61,12 +62,12 @@ def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def _moves(mechanism: Mechanism, G: np.ndarray, link: int, T: np.ndarray) -> np.ndarray:
+def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T: np.ndarray) -> np.ndarray:
     """(6, nv) linear and angular velocity of a frame's origin, in the world's axes."""
     place = (G[link] @ T)[:3, 3]
     J, i = np.zeros((6, mechanism.nv), dtype=G.dtype), link
     while i >= 0:
-        angular, linear = np.split(Ad(G[i]) @ mechanism.S[i], 2)  # at the world's origin
+        angular, linear = screws[i, :3], screws[i, 3:]
         J[:, i] = *(linear + _cross(angular, place)), *angular
         i = int(mechanism.parent[i])
     return J

@@ -51,6 +51,11 @@ class Cam:
     offsets: tuple[float, float]  # of the follower and of the leader, rad or m
     coefficients: tuple[float, ...]  # (5,) of powers 0 to 4
 
+    @property
+    def dofs(self) -> tuple[int, int]:
+        """Both degrees of freedom."""
+        return self.follower, self.leader
+
 
 def pull() -> float:
     """The rate, 1/s, by which kernels pull states back onto the constraints; a number of their tables."""

@@ -187,6 +187,10 @@ def _effort(
     held = np.maximum(*(np.abs(bias(mechanism, x[:nq], still)) for x in (x0, goal)))
     inertia = np.diagonal(mass_matrix(mechanism, x0[:nq]))
     force = held + inertia * swift
+    if mechanism.loops or mechanism.cams:  # what leads a chain carries what follows
+        Z, leading = directions(mechanism, x0[:nq])
+        carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ swift)
+        force[leading] = np.maximum(force[leading], carried)
     corrects = np.full(mechanism.nv, np.inf) if kept is None else inertia * SWIFT**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0

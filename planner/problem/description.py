@@ -145,7 +145,9 @@ def _planned(mechanism: Mechanism | None, joints: list[Record]) -> list[str]:
         (mechanism.nv, "degree", " of freedom"), (mechanism.nu, "actuator", ""),
         (sum(joint["range"] is not None for joint in joints), "joint range", ""),
         (len(mechanism.stops), "spring", " at ends of joint ranges"),
-        (len(mechanism.couplings), "coupling", " of joints"), (len(mechanism.tendons), "fixed tendon", ""),
+        (len(mechanism.couplings), "coupling", " of joints"),
+        (len(mechanism.loops), "closed chain", ""),
+        (len(mechanism.cams), "polynomial coupling", " of two joints"), (len(mechanism.tendons), "fixed tendon", ""),
         (len(mechanism.contacts), "contact", " with the ground"),
         (len(mechanism.body_contacts), "contact", " between bodies"),
     ]  # fmt: skip

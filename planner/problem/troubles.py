@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.dynamics.algorithms import bias
+from planner.dynamics.assembly import directions
 from planner.model.actuators import INTEGRATOR
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
@@ -167,8 +168,13 @@ def holding(mechanism: Mechanism, qpos: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     actuators = mechanism.actuators
     driven = np.any(actuators.moment != 0.0, axis=0)
-    tau = bias(mechanism, qpos, np.zeros(mechanism.nv))[driven]
-    force = np.linalg.lstsq(actuators.moment[:, driven].T, tau, rcond=None)[0]
+    tau, moment = bias(mechanism, qpos, np.zeros(mechanism.nv)), actuators.moment.T
+    if mechanism.loops or mechanism.cams:
+        Z = directions(mechanism, qpos)[0]  # what closed chains carry by themselves needs no holding
+        tau, moment = Z.T @ tau, Z.T @ moment
+    else:
+        tau, moment = tau[driven], moment[driven]
+    force = np.linalg.lstsq(moment, tau, rcond=None)[0]
     screws = np.flatnonzero(mechanism.kind == 0)
     lengths = actuators.moment[:, screws] @ qpos[mechanism.q_address[screws]]
     controlled = (actuators.dynamics != INTEGRATOR) & (actuators.gain != 0.0)

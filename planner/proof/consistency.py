@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.measured import Measured, Section
+from planner.dynamics.assembly import lost_ranks
 from planner.problem.costs.terms import Quadratic
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -27,6 +28,7 @@ _LAST_DIGITS = 1e-13  # relative errors of states and controls: what sums over a
 _MARGIN = 30.0  # between two such computations and the worst of many
 _MOST = 1e-3  # a plan whose numbers rounding moves by more than this is not known
 _MOST_GAINS = 0.1  # of one stage's gains: an LQ regulator has a gain margin of 2, and step 3 judges what they do
+SINGULAR = 0.02  # of the largest singular value of the closed chains' Jacobian: forces are some fifty times larger
 _DRAWS = 3  # of wrong last digits
 _LEAST = 1e-3  # of the cost of errors that pass: costs smaller than that are as good as zero
 
@@ -94,7 +96,21 @@ def consistency(plan: Plan, problem: Problem, now: Recomputed) -> Section:
     measured.append(Measured("changed_parts", float(len(plan.changed)), "", 0.0, note))
     measured += limit_violations(problem, plan.xs, plan.us, "at the plan's knots")
     measured += planned_violations(plan, problem)
+    measured += _nearest_to_singular(plan, problem)
     return Section("plan", tuple(measured))
+
+
+def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measured]:
+    """How far closed chains are from a pose that they could leave in two ways, where they are nearest to one."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if mechanism is None or not mechanism.loops or not np.isfinite(plan.xs).all():
+        return []
+    shares = lost_ranks(mechanism, plan.xs[:, : mechanism.nq])
+    worst = int(np.argmin(shares))
+    note = f"least singular value of the closed chains' Jacobian over its largest, at {plan.t[worst]:.3g} s"
+    if shares[worst] < SINGULAR:
+        note += ": a chain lies nearly in line there, could go on in more than one way and takes large forces"
+    return [Measured("nearest_to_singular", float(shares[worst]), "", None, note)]
 
 
 def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:

@@ -7,10 +7,14 @@ holds a state of the machine, linearised there, where a unit of the state costs 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from planner.base.errors import PlannerError
+from planner.dynamics.assembly import assembled
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
 from planner.problem.guess import quintic
@@ -108,16 +112,23 @@ def _holding(problem: Problem) -> Control:
 
 
 def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int], np.ndarray]:
-    """The state of each stage on the straight line from the start to a goal, fast in the middle."""
+    """The state of each stage on the straight line from the start to a goal, fast in the middle.
+
+    Of closed chains it is the nearest one that closes them.
+    """
     space, start = space_of(problem.dynamics), _at_rest(problem, problem.x0)
     way = space.difference(_at_rest(problem, goal), start)
     places, speeds, _ = quintic(np.zeros(1), np.ones(1), problem.duration, problem.N)
-    mechanism = getattr(problem.dynamics, "mechanism", None)
+    mechanism: Any = getattr(problem.dynamics, "mechanism", None)
+    closed: Any = mechanism if mechanism is not None and (mechanism.loops or mechanism.cams) else None
 
     def place(n: int) -> np.ndarray:
         x = space.integrate(start, places[n] * way)
         if mechanism is not None:
             x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
+        if closed is not None:
+            with contextlib.suppress(PlannerError):  # then it is a way all the same
+                return assembled(closed, x)
         return x
 
     return place

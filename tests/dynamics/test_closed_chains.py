@@ -1,16 +1,30 @@
 """Closed chains: multipliers by a KKT system, complex steps, a closed form, energy and drift."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from planner import PlannerError, Problem, RigidBodyDynamics
+from planner.base.gl import load_mujoco
 from planner.costs import default_cost
-from planner.dynamics import assembled, closed_dynamics, forward_dynamics, loops, poe
-from planner.dynamics.assembly import check_assembled, directions
+from planner.dynamics import (
+    assembled,
+    closed_dynamics,
+    constraint_forces,
+    constraint_names,
+    forward_dynamics,
+    loops,
+    poe,
+)
+from planner.dynamics.assembly import check_assembled, directions, lost_ranks
+from planner.dynamics.friction import friction_forces
+from planner.model.coupled_states import closed_state
+from planner.model.couplings import Coupling
 from planner.model.loops import RATE
-from planner.model.mechanism import Mechanism
+from planner.model.mechanism import SCREW, Mechanism
 from tests.closed_chains import PARALLELOGRAM, four_bar, parallelogram_acceleration, random_chain
 from tests.trees import machines, random_state, stepped
 
@@ -186,3 +200,111 @@ def test_the_algorithms_of_trees_refuse_closed_chains():
 def test_a_stage_of_a_tenth_of_a_second_is_stable():
     """RK4 takes rates up to 2.7 / dt; the pull back onto the constraints has two of RATE."""
     assert RATE * 0.1 < 2.7
+
+
+def everything(text, rng):
+    """A random chain with friction loss, couplings and prescribed joints, and the directions Z that couplings leave."""
+    rough = re.sub(r'(type="(hinge|slide)")', r'\1 frictionloss="0.4"', text)
+    m, screws = random_chain(rough, rng, loops=1), []
+    for i in np.flatnonzero(m.kind == SCREW):
+        links = m.joint_links[m.joint_names.index(m.joint_of(int(i)).split("'")[1])]
+        if links.stop - links.start == 1 and not any(i in cam.dofs for cam in m.cams):
+            screws.append(int(i))
+    screws = rng.permutation(screws)
+    prescribed = [m.joint_of(int(i)).split("'")[1] for i in screws[:1]] if len(screws) > 4 else []
+    if len(screws) > 2:
+        pair = tuple(int(i) for i in screws[1:3])
+        m = replace(m, couplings=(Coupling("equality of two", pair, (1.0, float(rng.normal())), 0.0),))
+    G = np.eye(m.nv) if m.reduction is None else m.reduction.G
+    given = [dof for name in prescribed for dof in range(m.nv)[m.joint(name)]]
+    return m, prescribed, G[:, ~np.any(G[given] != 0.0, axis=0)]
+
+
+def well_closed(m, q, Z):
+    """Whether the equations are independent in the directions Z, far from singular."""
+    if not (m.loops or m.cams) or not Z.shape[1]:
+        return False
+    J = loops.jacobian(m, q) @ Z
+    return len(J) <= Z.shape[1] and np.linalg.cond(J.T) < 1e3
+
+
+@machines(20, max_dofs=18, plain=True)
+def test_chains_beside_friction_couplings_and_prescribed_joints(text, seed):
+    """The equations of motion with the forces that constraint_forces finds, and the chains' own, at any state."""
+    rng = np.random.default_rng(seed)
+    m, prescribed, Z = everything(text, rng)
+    dynamics = RigidBodyDynamics(m, 0.01, prescribed=prescribed)
+    x, u = closed_state(m, random_state(m.space, rng, unnormalised=False)), rng.normal(size=dynamics.nu)
+    q, qd = split(m, x)
+    if not well_closed(m, q, Z):
+        return
+    qdd = dynamics.rates(x[None], u[None])[0, m.nv : 2 * m.nv]
+    tree = RigidBodyDynamics(replace(without(m), couplings=(), friction_loss=np.zeros(m.nv)), 0.01)
+    tau = poe.rnea(m, q, qd, tree.rates(x[None], u[None, : m.nu])[0, m.nv : 2 * m.nv])
+    f, J = constraint_forces(dynamics, x[None], u[None])[0], loops.jacobian(m, q)
+    scale = np.abs(poe.mass_matrix(m, q)).sum(axis=1).max() * (np.abs(qdd).max() + 1.0) + np.abs(tau).max()
+    left = poe.rnea(m, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0] - J.T @ f
+    assert np.abs(Z.T @ left).max() <= 1e-9 * scale  # cond(J)^2 times rounding, and some tens of operations
+    lacks = J @ qdd + loops.drifts(m, q, qd) + 2.0 * RATE * (J @ qd) + RATE**2 * loops.misses(m, q)
+    assert np.abs(lacks).max() <= 1e-9 * (np.abs(J).sum(axis=1).max() * np.abs(qdd).max() + RATE**2)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi-implicit-euler"])
+@machines(8, max_dofs=12)
+def test_derivatives_of_stages_are_those_of_differences(integrator, text, seed):
+    rng = np.random.default_rng(seed)
+    m, prescribed, Z = everything(text, rng)
+    dynamics, space = RigidBodyDynamics(m, 5e-3, integrator, prescribed), m.space
+    x, u = closed_state(m, random_state(m.space, rng, unnormalised=False)), rng.normal(size=dynamics.nu)
+    if not well_closed(m, x[: m.nq], Z):
+        return
+    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
+    h, dx, du = 1e-5, rng.normal(size=space.ndx), rng.normal(size=dynamics.nu)
+    ends = [dynamics.step(space.integrate(x, s * h * dx)[None], (u + s * h * du)[None])[0] for s in (1.0, -1.0)]
+    moved = space.difference(ends[0], ends[1]) / (2.0 * h)
+    scale = np.abs(A).sum(axis=1).max() + np.abs(B).sum(axis=1).max()
+    assert np.abs(A @ dx + B @ du - moved).max() <= 1e-5 * scale  # h^2 times third derivatives, of up to 1e5
+
+
+def test_forces_of_a_parallelogram_are_those_of_statics():
+    """At rest, upright: the coupler's weight rests half on each crank, and nothing pushes sideways."""
+    m = Mechanism.from_mjcf(PARALLELOGRAM)
+    dynamics = RigidBodyDynamics(m, 0.01)
+    f = constraint_forces(dynamics, np.zeros((1, 6)), np.zeros((1, 1)))[0]
+    np.testing.assert_allclose(f, [0.0, 0.0, 0.5 * 2.0 * 9.81], atol=1e-9)  # on the coupler, whose mass is 2 kg
+    assert [(one.name, one.unit) for one in constraint_names(m)][2] == ("equality 'pin' z", "N")
+
+
+def test_a_parallelogram_that_folds_flat_goes_through():
+    """All of its bars lie in line at a quarter turn, where J loses a rank and the chain could fold two ways."""
+    m = Mechanism.from_mjcf(PARALLELOGRAM)
+    flat = np.array([0.5 * np.pi, -0.5 * np.pi, 0.5 * np.pi])
+    assert np.linalg.matrix_rank(loops.jacobian(m, flat), tol=1e-9) == 1
+    dynamics, x = RigidBodyDynamics(m, 0.01), np.array([0.9, -0.9, 0.9, 3.0, -3.0, 3.0])
+    for _ in range(60):
+        x = dynamics.step(x[None], np.zeros((1, 1)))[0]
+    assert x[0] > 2.0  # beyond it
+    np.testing.assert_allclose(x[:3], x[0] * np.array([1.0, -1.0, 1.0]), atol=1e-6)
+    first, last = lost_ranks(m, np.array([0.5 * flat, flat]))
+    assert first > 0.1
+    assert last < 1e-9
+
+
+@pytest.mark.parametrize("example", ["four_bar", "two_arms", "stewart"])
+def test_mujoco_as_hard_as_it_gets_accelerates_alike(example):
+    """Its equalities at solimp 0.9999, the most it takes, in motion: Jdot qd is in its releases from 4.0.0 at least."""
+    mujoco = load_mujoco()
+    if int(mujoco.__version__.split(".")[0]) < 4:
+        pytest.skip("3.3.0 has no Jdot qd")
+    text = (ROOT / "examples" / "closed_chains" / f"{example}.xml").read_text(encoding="utf-8")
+    text = re.sub(r"(<connect )", r'\1solref="-1e-9 -1e-9" solimp="0.9999 0.9999 0.001 0.5 2" ', text)
+    m, rng = Mechanism.from_mjcf(text), np.random.default_rng(0)
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, dynamics = mujoco.MjData(model), RigidBodyDynamics(m, 0.01)
+    for _ in range(5):
+        x, u = assembled(m, m.space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx))), rng.normal(size=m.nu)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = x[: m.nq], x[m.nq :], u
+        mujoco.mj_forward(model, data)
+        exact = dynamics.rates(x[None], u[None])[0, m.nv : 2 * m.nv]
+        assert np.abs(data.qacc - exact).max() < 1e-3 * max(np.abs(exact).max(), 1.0)

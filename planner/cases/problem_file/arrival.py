@@ -58,7 +58,7 @@ def check_arrival(problem: Problem) -> None:
 
 
 def _loose(dynamics: RigidBodyDynamics) -> np.ndarray:
-    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling or tendon reaches."""
+    """(nv,) the degrees of freedom of trees that no actuator, contact, coupling, tendon or closed chain reaches."""
     mechanism = dynamics.mechanism
     root = np.arange(mechanism.nv)
     for i, parent in enumerate(mechanism.parent):
@@ -67,4 +67,9 @@ def _loose(dynamics: RigidBodyDynamics) -> np.ndarray:
     reached |= {*map(int, driven_dofs(dynamics)), *(contact.link for contact in mechanism.contacts)}
     reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
     reached |= {dof for one in (*mechanism.couplings, *mechanism.tendons) for dof in one.dofs}
+    for first, second in (*(loop.links for loop in mechanism.loops), *(cam.dofs for cam in mechanism.cams)):
+        if -1 in (first, second):
+            reached.add(max(first, second))  # the world holds it
+        else:
+            root[root == root[first]] = root[second]  # what drives one tree drives the other
     return ~np.isin(root, root[sorted(reached)])

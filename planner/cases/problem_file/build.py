@@ -83,8 +83,10 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.assembly import assembled, check_assembled
+from planner.dynamics.assembly import assembled, carried, check_assembled
 from planner.model.contact.laws import ContactLaw
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.coupled_states import check_closed
 from planner.model.couplings import CLOSED
 from planner.model.mechanism import BALL, Mechanism
 from planner.model.mjcf.attached import stored_attachments
@@ -104,8 +106,9 @@ from planner.problem.recipe import Recipe
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "stops", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said at once
+TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
+MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
 
@@ -247,10 +250,11 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     if "goal" in table["weights"] and not tasked:
         raise PlannerError("weights.goal is for [[goal]] and [follow], expected final_position and final_velocity.")
     table = with_tasks(table, mechanism) if tasked else table
-    x0 = state_of("start", table["start"], mechanism, mechanism.home)
+    closed: list[str] = []
+    x0 = state_of("start", table["start"], mechanism, mechanism.home, closed)
     at_rest = x0.copy()
     at_rest[mechanism.nq :] = 0.0
-    goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest)
+    goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest, closed)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
@@ -263,6 +267,8 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked:
         notes = tuple(note for note in notes if not note.startswith("goal "))  # it has none of the whole machine
+    if closed:
+        reasons["closed"] = " ".join(closed)
     if notes:
         reasons["settle"] = " ".join(notes)
     if stops:
@@ -352,11 +358,14 @@ def _states_of(mechanism: Mechanism) -> str:
     return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
 
 
-def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
+def state_of(
+    name: str, value: Any, mechanism: Mechanism, base: np.ndarray, notes: list[str] | None = None
+) -> np.ndarray:
     """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed.
 
     Coordinates that follow others are where these put them: a table need not name them, and numbers, or a keyframe
-    that a soft simulator has left, are nearly there.
+    that a soft simulator has left, are nearly there. Closed chains are closed by least squares; where that moves a
+    whole pose by more than MOVED a sentence is added to the notes.
     """
     nq, nv = mechanism.nq, mechanism.nv
     x, given, most = base.copy(), set(), CLOSED
@@ -381,6 +390,14 @@ def state_of(name: str, value: Any, mechanism: Mechanism, base: np.ndarray) -> n
     else:
         raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
     if isinstance(value, dict):
-        x = assembled(mechanism, x, given)
-    check_assembled(name, x, mechanism, most)
-    return states(name, x if isinstance(value, dict) else assembled(mechanism, x), mechanism.space, ())
+        x = carried(mechanism, base, x, given, name)
+        check_assembled(name, x, mechanism, most)
+    else:
+        check_closed(name, x, mechanism, most)
+        told, x = x, assembled(mechanism, x, name=name)
+        moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
+        if notes is not None and (mechanism.loops or mechanism.cams) and np.abs(moved).max() > MOVED:
+            most = int(np.argmax(np.abs(moved)))
+            place = coordinates_of_mechanism(mechanism)[most]
+            notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
+    return states(name, x, mechanism.space, ())

@@ -18,6 +18,10 @@ position = [0.4, 0.1, 0.5]
 [[constraint]]                      # what a motor gives: its force times its speed
 power = "shoulder"
 most = 50.0                         # W
+
+[[constraint]]                      # what a pin carries: the force of an equality that closes a chain
+chain = "pin"
+most = 100.0                        # N
 """
 
 from __future__ import annotations
@@ -28,12 +32,14 @@ from typing import Any
 from planner.base.arguments import array, choice, number, shown
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import CONSTRAINT
+from planner.problem.constraints.chain_force import ChainForce
 from planner.problem.constraints.constraint import END, Constraint
 from planner.problem.constraints.of_terms import Along, Place, Tilt, Turn
 from planner.problem.constraints.power import Power
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WHAT = ("position", "orientation", "pointing", "along")  # of a frame, one of them
+_WITHOUT_FRAME = ("power", "chain")
 _ALL = ("when", "tolerance", "name")
 
 
@@ -52,7 +58,7 @@ def _constraint(where: str, table: dict[str, Any]) -> Constraint:
     for key in table:
         choice(f"the key in {where}", key, CONSTRAINT)
     kind = _kind(where, table)
-    known = {kind, *_ALL, *(() if kind == "power" else ("frame",)), *_KINDS[kind][1]}
+    known = {kind, *_ALL, *(() if kind in _WITHOUT_FRAME else ("frame",)), *_KINDS[kind][1]}
     for key in table:
         if key not in known:
             raise PlannerError(f"{where} has {key!r} beside {kind!r}, expected some of: {', '.join(sorted(known))}.")
@@ -63,11 +69,11 @@ def _constraint(where: str, table: dict[str, Any]) -> Constraint:
 
 
 def _kind(where: str, table: dict[str, Any]) -> str:
-    kinds = [key for key in (*_WHAT, "power") if key in table]
-    if len(kinds) != 1 or ("frame" in table) == (kinds[0] == "power"):
+    kinds = [key for key in (*_WHAT, *_WITHOUT_FRAME) if key in table]
+    if len(kinds) != 1 or ("frame" in table) == (kinds[0] in _WITHOUT_FRAME):
         raise PlannerError(
             f"{where} has {' and '.join(map(repr, table)) or 'no keys'}, expected frame with one of "
-            f"{', '.join(_WHAT)}, or power."
+            f"{', '.join(_WHAT)}, or power, or chain."
         )
     return kinds[0]
 
@@ -101,6 +107,12 @@ def _power(where: str, table: dict[str, Any]) -> dict[str, Any]:
     return {"of": Power(table["power"]), **_between(where, table)}
 
 
+def _chain(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(table["chain"], str):
+        raise PlannerError(f"{where}'s chain is {shown(table['chain'])}, expected the name of an equality.")
+    return {"of": ChainForce(table["chain"]), **_between(where, table)}
+
+
 def _between(where: str, table: dict[str, Any]) -> dict[str, Any]:
     sides = {side: number(f"{where}'s {side}", table[side]) for side in ("least", "most") if side in table}
     if not sides:
@@ -124,5 +136,6 @@ _KINDS: dict[str, tuple[Callable[[str, dict[str, Any]], dict[str, Any]], tuple[s
     "pointing": (_pointing, ("axis", "within")),
     "along": (_along, ("least", "most")),
     "power": (_power, ("least", "most")),
+    "chain": (_chain, ("least", "most")),
 }
 _DEFAULT_WHEN = {"position": END, "orientation": END}

@@ -99,6 +99,7 @@ CONSTRAINT = {
     "axis": "of the frame, for pointing: x, y, z or three numbers; z by default",
     "within": "rad, for pointing",
     "power": "an actuator, whose force times speed stays between least and most, in place of a frame",
+    "chain": "an equality that closes a chain, whose force stays between least and most, likewise",
     "least": "m or W",
     "most": "m or W",
     "when": '"always", "end" or [from, to] in s; by default the end for position and orientation, else always',

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, add3, add6, axpy, dot, load3, load6, scaled, store3, symmetric
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
+from planner.kernels.numba.lanes import at, floats, integers, lanes, load, spread, store
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import ACCELERATION, ARTICULATED, BIAS, CORIOLIS, RECORD, SCREW_AXIS
@@ -123,8 +123,11 @@ def expand(m, M, ld):
 @inline
 def invert_coupled(m, M, ld):
     """M (nv, ld) becomes W, the inverse where nothing is coupled."""
+    stop, i = integers(m, TREE.block_stop), 0
     condense(m, M, ld)
-    invert(M, m[TREE.nv], ld)
+    while i < m[TREE.nv]:  # block by block
+        invert(at(M, i * ld + i), load(stop, i) - i, ld)
+        i = load(stop, i)
     expand(m, M, ld)
 
 

@@ -15,7 +15,7 @@ from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_de
 from planner.kernels.tree.friction import add_friction_derivatives
 from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
 from planner.kernels.tree.joint_curves import subtract_curve_derivatives
-from planner.kernels.tree.loops import close, close_derivatives
+from planner.kernels.tree.loops import close, close_derivatives, less_bound
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
@@ -52,20 +52,6 @@ def store_four(p, k, v):
     store(p, k + 1, v[1])
     store(p, k + 2, v[2])
     store(p, k + 3, v[3])
-
-
-@inline
-def _take_constraints(m, r, dA):
-    """Subtract W J'N dr2 of closed chains from the derivatives by positions and velocities."""
-    nv, ld, columns, x0, width = m[TREE.nv], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first], r[MEMORY.loop_width]
-    Y, D = lanes(r, MEMORY.loop_Y), lanes(r, MEMORY.loop_D)
-    for i in range(nv):
-        for j in range(2 * nv):
-            o = i * columns + x0 + j
-            total = load(dA, o)
-            for k in range(m[TREE.loop_rows]):
-                total -= load(Y, k * ld + i) * load(D, k * width + j)
-            store(dA, o, total)
 
 
 @inline
@@ -123,10 +109,10 @@ def acceleration_derivatives(m, r, q, v, a, dA, external):
             for i0 in range(0, nv, 2):
                 i1 = min(i0 + 1, nv - 1)
                 first, second = _minus_product(M, D, ld, i0, i1, j0, nonzero)
+                if external is not None and m[TREE.loop_rows] > 0:
+                    first, second = less_bound(m, r, (first, second), i0, i1, j0, half)
                 store_four(dA, i0 * columns + x0 + half * nv + j0, first)
                 store_four(dA, i1 * columns + x0 + half * nv + j0, second)
-    if external is not None and m[TREE.loop_rows] > 0:
-        _take_constraints(m, r, dA)
     for i in range(nv):
         for k in range(x0):
             store(dA, i * columns + k, zero)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, load9, rotated, scaled, store3, sub
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, select, spread, store
+from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, maximum, select, spread, store
 from planner.kernels.tree.couplings import invert_coupled, mass_and_rest
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import CAM_SIZE, JOINED_SIZE, TREE
@@ -155,63 +155,82 @@ def _lacks(m, q, v, ws, c):
 
 
 @inline
-def _kind(m, row):
-    """0, 1 or 2 for a row of a place, a rotation or a cam."""
-    rigid, first, kind = integers(m, TREE.loop_rigid), 0, 2
-    for k in range(m[TREE.loops]):
-        rows = 6 if load(rigid, k) > 0 else 3
-        if first <= row < first + rows:
-            kind = 0 if row - first < 3 else 1
-        first += rows
-    return kind
-
-
-@inline
 def _projected(m, r, J, W, ld):
-    """WJ = W J' (rows, ld), and N (rows, rows), the inverse of J W J'; W of prescribed coordinates counts as zero."""
-    n, rows, prescribed = m[TREE.nv], m[TREE.loop_rows], integers(m, TREE.prescribed)
+    """WJ = W J' (rows, ld), N the lower half of J W J' (rows, rows); W of prescribed coordinates counts as zero."""
+    rows, prescribed = m[TREE.loop_rows], integers(m, TREE.prescribed)
+    start, dof, stop = integers(m, TREE.row_start), integers(m, TREE.row_dof), integers(m, TREE.block_stop)
+    first, reach, kinds = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.row_kind)
     WJ, N, least = lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_least)
     zero = spread(0.0)
     for kind in range(3):
         store(least, kind, zero)
+    for k in range(rows * ld):
+        store(WJ, k, zero)
     for k in range(rows):
-        for i in range(n):
-            total = zero
+        for t in range(load(first, k), load(first, k + 1)):
+            i, total = load(reach, t), zero
             if load(prescribed, i) < 0:
-                for j in range(n):
-                    total += load(W, i * ld + j) * load(J, k * ld + j)
+                for s in range(load(start, k), load(start, k + 1)):
+                    j = load(dof, s)
+                    if load(stop, j) == load(stop, i):
+                        total += load(W, i * ld + j) * load(J, k * ld + j)
             store(WJ, k * ld + i, total)
         for l in range(k + 1):
             total = zero
-            for i in range(n):
-                total += load(J, l * ld + i) * load(WJ, k * ld + i)
+            for s in range(load(start, l), load(start, l + 1)):
+                j = load(dof, s)
+                total += load(J, l * ld + j) * load(WJ, k * ld + j)
             store(N, k * rows + l, total)
-            store(N, l * rows + k, total)
-        kind = _kind(m, k)
+        kind = load(kinds, k)
         store(least, kind, maximum(load(least, kind), INDEPENDENT * load(N, k * rows + k)))
-    _invert_independent(m, N, rows, least)
+
+
+@inline
+def _solve(m, N, rows, least, c, f):
+    """F = -N^-1 c by L D L', in place of the lower half of N; dependent rows have no force."""
+    kinds = integers(m, TREE.row_kind)
+    for k in range(rows):  # column by column: what stands right of it has all that comes before taken off
+        pivot = load(N, k * rows + k)
+        d = select(load(least, load(kinds, k)), pivot, 1.0 / pivot, 0.0)
+        store(N, k * rows + k, d)
+        total = load(c, k)
+        for i in range(k + 1, rows):
+            factor = load(N, i * rows + k) * d
+            for j in range(k + 1, i + 1):
+                store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, j * rows + k))
+            store(c, i, load(c, i) - factor * total)
+        store(f, k, (-1.0 * d) * total)
+    for k in range(rows - 1, -1, -1):  # L' f: entries below the diagonal are L D
+        total, d = load(f, k), load(N, k * rows + k)
+        for i in range(k + 1, rows):
+            total -= (load(N, i * rows + k) * d) * load(f, i)
+        store(f, k, total)
 
 
 @inline
 def _invert_independent(m, N, rows, least):
     """N becomes the inverse of its independent rows and columns, and zero in the others: kernels.tree.sensitivity's."""
+    kinds = integers(m, TREE.row_kind)
     for k in range(rows):
         pivot = load(N, k * rows + k)
-        d = select(load(least, _kind(m, k)), pivot, 1.0 / pivot, 0.0)
+        d = select(load(least, load(kinds, k)), pivot, 1.0 / pivot, 0.0)
         store(N, k * rows + k, -1.0 * d)
         for i in range(rows):
             if i != k:
-                factor = load(N, i * rows + k) * d
-                for j in range(rows):
-                    if j != k:
-                        store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, k * rows + j))
-        for i in range(rows):
-            if i != k:
-                x = load(N, k * rows + i) * d
-                store(N, k * rows + i, x)
-                store(N, i * rows + k, x)
-    for k in range(rows * rows):
-        store(N, k, -1.0 * load(N, k))
+                factor = (load(N, i * rows + k) if i > k else load(N, k * rows + i)) * d
+                for j in range(min(i + 1, k)):
+                    store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, k * rows + j))
+                for j in range(k + 1, i + 1):
+                    store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, j * rows + k))
+        for i in range(k):
+            store(N, k * rows + i, load(N, k * rows + i) * d)
+        for i in range(k + 1, rows):
+            store(N, i * rows + k, load(N, i * rows + k) * d)
+    for i in range(rows):
+        for j in range(i + 1):
+            x = -1.0 * load(N, i * rows + j)
+            store(N, i * rows + j, x)
+            store(N, j * rows + i, x)
 
 
 @part
@@ -238,24 +257,27 @@ def accelerate_closed(m, r, q, v, forces, a, ws, armature, f):
     invert_coupled(m, M, ld)
     _constraint_rows(m, q, ws, J, ld)
     _projected(m, r, J, M, ld)
+    first, reach, stop = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.block_stop)
     for k in range(rows):
         total = load(c, k)
-        for i in range(n):
-            total += load(WJ, k * ld + i) * load(rest, i)
+        for t in range(load(first, k), load(first, k + 1)):
+            total += load(WJ, k * ld + load(reach, t)) * load(rest, load(reach, t))
         store(c, k, total)
-    for k in range(rows):
-        total = zero
-        for l in range(rows):
-            total -= load(N, k * rows + l) * load(c, l)
-        store(f, k, total)
+    _solve(m, N, rows, lanes(r, MEMORY.loop_least), c, f)
+    begin = 0
     for i in range(n):
+        if i > 0 and load(stop, i) != load(stop, i - 1):
+            begin = i
         if load(prescribed, i) < 0:
             total = zero
-            for j in range(n):
+            for j in range(begin, load(stop, i)):
                 total += load(M, i * ld + j) * load(rest, j)
-            for k in range(rows):
-                total += load(WJ, k * ld + i) * load(f, k)
             store(a, i, total)
+    for k in range(rows):
+        for t in range(load(first, k), load(first, k + 1)):
+            i = load(reach, t)
+            if load(prescribed, i) < 0:
+                store(a, i, load(a, i) + load(WJ, k * ld + i) * load(f, k))
 
 
 @inline
@@ -370,17 +392,43 @@ def close(m, r, q, W, ld, ws):
     J, WJ, N, Y_ = (
         lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_Y)
     )  # fmt: skip
+    first, reach = integers(m, TREE.reach_start), integers(m, TREE.reach_dof)
     _constraint_rows(m, q, ws, J, ld)
     _projected(m, r, J, W, ld)
+    _invert_independent(m, N, rows, lanes(r, MEMORY.loop_least))
+    for k in range(rows * ld):
+        store(Y_, k, spread(0.0))
     for k in range(rows):
-        for i in range(n):
-            total = spread(0.0)
-            for l in range(rows):
-                total += load(N, k * rows + l) * load(WJ, l * ld + i)
-            store(Y_, k * ld + i, total)
-    for i in range(n):
-        for j in range(n):
-            total = load(W, i * ld + j)
-            for k in range(rows):
-                total -= load(Y_, k * ld + i) * load(WJ, k * ld + j)
-            store(W, i * ld + j, total)
+        for l in range(rows):
+            x = load(N, k * rows + l)
+            for t in range(load(first, l), load(first, l + 1)):
+                o = load(reach, t)
+                store(Y_, k * ld + o, load(Y_, k * ld + o) + x * load(WJ, l * ld + o))
+    for k in range(rows):
+        for t in range(load(first, k), load(first, k + 1)):
+            j = load(reach, t)
+            x = load(WJ, k * ld + j)
+            for i in range(n):
+                store(W, j * ld + i, load(W, j * ld + i) - x * load(Y_, k * ld + i))
+
+
+@inline
+def less_bound(m, r, tile, i0, i1, j0, half):
+    """A tile of derivatives, rows i0 and i1 in four columns from j0 on, less that of W J'N dr2."""
+    start, rows = integers(m, TREE.bound_start), integers(m, TREE.bound_rows)
+    ld, width = r[MEMORY.ld], r[MEMORY.loop_width]
+    Y_, D = lanes(r, MEMORY.loop_Y), lanes(r, MEMORY.loop_D)
+    (a0, a1, a2, a3), (b0, b1, b2, b3) = tile
+    for t in range(load(start, j0 // WIDTH), load(start, j0 // WIDTH + 1)):
+        k = load(rows, t)
+        y0, y1, o = load(Y_, k * ld + i0), load(Y_, k * ld + i1), k * width + half * m[TREE.nv] + j0
+        d0, d1, d2, d3 = load(D, o), load(D, o + 1), load(D, o + 2), load(D, o + 3)
+        a0 -= y0 * d0
+        b0 -= y1 * d0
+        a1 -= y0 * d1
+        b1 -= y1 * d1
+        a2 -= y0 * d2
+        b2 -= y1 * d2
+        a3 -= y0 * d3
+        b3 -= y1 * d3
+    return (a0, a1, a2, a3), (b0, b1, b2, b3)

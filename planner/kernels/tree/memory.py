@@ -31,7 +31,7 @@ class TreeMemory:
         rows = model.loop_rows
         stride = nv + rows  # of a stage's accelerations, and the forces of its closed chains behind them
         kept = substeps * stages * stride  # of a whole stage
-        loop_width = padded(2 * nv)
+        loop_width = padded(2 * nv) + WIDTH  # tiles read past the end
         block = padded(nv) * (columns - WIDTH)  # of a knot's derivatives, one row an acceleration
         slack = 4 * columns  # tiles read past the end
         lanes = {

@@ -42,7 +42,8 @@ TREE = Layout(
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
     "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value "
     "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
-    "loop_rigid loop_rate cam_dof cam_value implicit_damping",
+    "loop_rigid loop_rate cam_dof cam_value row_kind row_start row_dof reach_start reach_dof bound_start bound_rows "
+    "block_stop implicit_damping",
 )
 
 
@@ -101,13 +102,13 @@ class Model:
             common = common_carrier(mechanism.parent, pair)
             chains = [chain_of(mechanism.parent, part.link, common) for part in (pair.first, pair.second)]
             coupled[np.ix_(chains[0], chains[1])] = coupled[np.ix_(chains[1], chains[0])] = True
-        for loop in loops:  # what one frame feels changes with where the chains of both are
-            both = [i for link in loop.links for i in chain_of(mechanism.parent, link)]
-            coupled[np.ix_(both, both)] = True
+        for cam in cams:
+            coupled[cam.leader, cam.leader] = True
         arrays["related_start"], arrays["related_rows"] = _related(mechanism.parent, coupled)
         arrays |= _contacts(contacts, mechanism, arrays) | _stops(stops) | _pairs(pairs, mechanism.parent, arrays)
         arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
         arrays |= loss_arrays(mechanism, losses) | _dependents(reduction) | _loops(loops, cams, arrays)
+        arrays |= _rows(loops, cams, mechanism)
         arrays["implicit_damping"] = implicit_damping(mechanism)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
@@ -372,6 +373,59 @@ def _loops(loops: Any, cams: Any, tree: dict[str, np.ndarray]) -> dict[str, np.n
         "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
         "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
     }  # fmt: skip
+
+
+def _rows(loops: Any, cams: Any, mechanism: Any) -> dict[str, np.ndarray]:
+    """Where the constraints' rows are not zero, and the blocks of dofs between which the mass matrix is.
+
+    Per row of J its kind (0 of places, 1 of rotations, 2 of cams), its dofs, and those of their blocks, which a force
+    along it accelerates; per four columns of J the rows that are not zero there; per dof where its block ends.
+    """
+    parent, nv, kinds, moved = mechanism.parent, mechanism.nv, list[int](), list[list[int]]()
+    for loop in loops:
+        chains = sorted({i for link in loop.links for i in chain_of(parent, link)})
+        kinds += [0, 0, 0, 1, 1, 1][: loop.rows]
+        moved += [chains] * loop.rows
+    for cam in cams:
+        kinds.append(2)
+        moved.append(sorted(cam.dofs))
+    stop = _block_stops(mechanism) if kinds else np.full(nv, nv)
+    reached = [np.flatnonzero(np.isin(stop, stop[dofs])) for dofs in moved]
+    nonzero = np.zeros((len(kinds), nv), dtype=bool)
+    for row, dofs in zip(nonzero, moved, strict=True):
+        row[dofs] = True
+    bound = [np.flatnonzero(nonzero[:, j : j + WIDTH].any(axis=1)) for j in range(0, nv, WIDTH)]
+    return {
+        "row_kind": np.array(kinds, dtype=np.int64), **_lists("row", "dof", moved),
+        **_lists("reach", "dof", reached), **_lists("bound", "rows", bound), "block_stop": stop,
+    }  # fmt: skip
+
+
+def _lists(name: str, of: str, parts: Any) -> dict[str, np.ndarray]:
+    """Lists behind each other, and where each of them starts."""
+    return {
+        f"{name}_start": np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64),
+        f"{name}_{of}": np.array([i for part in parts for i in part], dtype=np.int64),
+    }
+
+
+def _block_stops(mechanism: Any) -> np.ndarray:
+    """(nv,) where the block of each dof ends: of its tree, and of what lies between trees that are coupled."""
+    nv, first = mechanism.nv, np.arange(mechanism.nv)
+    furthest = first.copy()
+    for i, parent in enumerate(mechanism.parent):
+        first[i] = i if parent < 0 else first[parent]
+        furthest[first[i]] = i
+    for coupling in mechanism.couplings:
+        begin = min(first[list(coupling.dofs)])
+        furthest[begin] = max(furthest[begin], *coupling.dofs)
+    stops, begin = np.empty(nv, dtype=np.int64), 0
+    while begin < nv:
+        i, last = begin, begin
+        while i <= last:
+            last, i = max(last, int(furthest[i])), i + 1
+        stops[begin:i] = begin = i
+    return stops
 
 
 def _contact_law_numbers(law: Any) -> list[float]:

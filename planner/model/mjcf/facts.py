@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.couplings import acting
+from planner.model.mjcf.loops import joined, joins
 from planner.model.mjcf.refuse import actuator_disabled
 from planner.model.mjcf.survey import disabled, named
 
@@ -153,8 +155,11 @@ def has_ground(model: Any) -> bool:
 
 
 def free_bases(model: Any) -> list[str]:
-    """Names of the bodies that nothing holds up: on a free joint, or on an upright slide without spring or actuator."""
-    kinds, names = load_mujoco().mjtJoint, []
+    """Names of the bodies that nothing holds up: on a free joint, or on an upright slide without spring or actuator.
+
+    Those that a connect or a weld joins to the world, or to what is held, are held too.
+    """
+    kinds, found = load_mujoco().mjtJoint, list[int]()
     for j in range(model.njnt):
         body = int(model.jnt_bodyid[j])
         upright = model.jnt_type[j] == kinds.mjJNT_SLIDE and abs(model.jnt_axis[j, 2]) > _UPRIGHT
@@ -163,9 +168,13 @@ def free_bases(model: Any) -> list[str]:
             for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
         )
         loose = upright and not held and model.body_weldid[model.body_parentid[body]] == 0
-        if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and named(model, "body", body) not in names:
-            names.append(named(model, "body", body))
-    return names
+        if (model.jnt_type[j] == kinds.mjJNT_FREE or loose) and body not in found:
+            found.append(body)
+    free = {int(model.body_rootid[body]) for body in found}
+    pairs = [{int(model.body_rootid[one]) for one in joined(model, i)[0]} for i in acting(model) if joins(model, i)]
+    for _ in pairs:  # along chains of trees
+        free -= {root for pair in pairs if pair - free for root in pair}
+    return [named(model, "body", body) for body in found if int(model.body_rootid[body]) in free]
 
 
 def gravity_of(model: Any) -> np.ndarray:

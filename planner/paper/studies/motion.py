@@ -14,6 +14,7 @@ import numpy as np
 from planner import cases
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics import poe
+from planner.paper.studies.closed_chains import SECONDS, closed_form_error, drift
 from planner.paper.studies.masses import arm_mechanism, by_splines, with_first_effort
 from planner.paper.studies.records import plan_record, table
 from planner.paper.studies.study import Row, Study, timed
@@ -33,6 +34,8 @@ def _run() -> dict[str, Any]:
     return {
         "machines": [_machine(name) for name in cases.CASES],
         "inverse_dynamics_error": max(inverse_dynamics_error(case) for case in ("two-link", "acrobot")),
+        "closed_form_error": closed_form_error(),
+        "drift": drift(),
         "motions": [
             _papers_arm(),
             _motion("Fig. 3: two-link, from the paper's first guess", "two-link", 1),
@@ -138,6 +141,10 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("1.2, Fig. 2", "Recursive inverse dynamics by matrix exponentials",
             f"as printed in poe.py, compiled: relative difference {results['inverse_dynamics_error']:.1e}",
             "it does not differ; gravity enters as acceleration of the base, which the figure leaves out"),
+        Row("1.2", "The kinematics of closed chains by a set of algebraic constraints (no example)",
+            f"a parallelogram against its closed form: relative difference {results['closed_form_error']:.1e}; open by "
+            f"at most {results['drift']:.1e} m while it swings for {SECONDS:g} s",
+            "it does not differ; the paper gives no example"),
         Row("2.1, Fig. 3",
             "The arm swings down while folding the second link, then swings up and pumps the second link upright",
             f"the arm whose efforts are the paper's {theirs['first_effort']:.1f} and {theirs['effort']:.1f} (points "

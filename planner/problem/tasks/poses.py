@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.assembly import assembled
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, residuals
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import SCREW
@@ -132,6 +133,9 @@ def _pose(
         q[mechanism.q_address[dof]] = value
     if mechanism.reduction is not None:
         q = mechanism.reduction.closed(q, np.zeros(mechanism.nv), mechanism.q_address)[0]
+    if mechanism.loops or mechanism.cams:
+        x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
+        q = assembled(mechanism, x, asked.joints)[: len(q)]
     if not asked.targets:
         return q
 
@@ -179,12 +183,16 @@ def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
 
 
 def _masks(dynamics: RigidBodyDynamics, joints: dict[int, float]) -> list[np.ndarray]:
-    """Which degrees of freedom may move: those that are driven, then all of them unless the machine stands."""
+    """Which degrees of freedom may move: those that are driven, then all of them unless the machine stands.
+
+    Closed chains move what nothing drives.
+    """
     mechanism = dynamics.mechanism
     driven = np.any(mechanism.actuators.moment * mechanism.actuators.gain[:, None] != 0.0, axis=0)
     driven[driven_dofs(dynamics)] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     masks = [driven] if mechanism.contacts or driven.all() else [driven, everything]
+    masks = [everything] if mechanism.loops or mechanism.cams else masks
     for mask in masks:
         mask[list(joints)] = False
     return masks

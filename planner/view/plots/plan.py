@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.dynamics import RigidBodyDynamics, constraint_forces, constraint_names
 from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of, small_multiples
@@ -71,12 +72,15 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     replays = _replays(shown)
     panels = _panels(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
-    figure, cells = figure_of(len(panels) + bool(touched) + 1)
+    chains = _chains(plan)
+    figure, cells = figure_of(len(panels) + bool(touched) + len(chains) + 1)
     timed: list[Axes] = []
     for panel, cell in zip(panels, cells, strict=False):
         timed += _draw_panel(figure, cell, panel, plan, replays)
     if touched:
         timed.append(_draw_force(figure, cells[len(panels)], replays, plan))
+    for cell, (unit, curves) in zip(cells[len(panels) + bool(touched) :], chains.items(), strict=False):
+        timed.append(_draw_chains(figure, cell, unit, curves, plan))
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
         if touched:
@@ -233,6 +237,34 @@ def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: 
         light = len(replays) > 1 and not replay.feedback
         color, width = ("#f2a3a8", 3.0) if light else (RED, 1.3)
         axes.plot(replay.t, drawable(replay.contact_force), color=color, lw=width, zorder=3)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("time (s)")
+    return axes
+
+
+def _chains(plan: Plan) -> dict[str, dict[str, np.ndarray]]:
+    """By unit and name the size (N,) of what holds each closed chain together, at the beginning of each stage."""
+    dynamics = None if plan.problem is None else plan.problem.dynamics
+    found: dict[str, dict[str, np.ndarray]] = {}
+    if not isinstance(dynamics, RigidBodyDynamics) or not (dynamics.mechanism.loops or dynamics.mechanism.cams):
+        return found
+    forces, row = constraint_forces(dynamics, plan.xs[:-1], plan.us), 0
+    names = constraint_names(dynamics.mechanism)
+    for loop in dynamics.mechanism.loops:
+        for unit, first in (("N", row), ("N m", row + 3))[: loop.rows // 3]:
+            found.setdefault(unit, {})[loop.name] = np.linalg.norm(forces[:, first : first + 3], axis=1)
+        row += loop.rows
+    for (name, unit), values in zip(names[row:], forces.T[row:], strict=True):
+        found.setdefault(unit, {})[name] = np.abs(values)
+    return found
+
+
+def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str, np.ndarray], plan: Plan) -> Axes:
+    axes = figure.add_subplot(cell)
+    dress(axes, "What holds closed chains together, in the plan", f"{'force' if unit == 'N' else 'moment'}, {unit}")
+    for values, hue in zip(curves.values(), cycle(HUES), strict=False):
+        axes.plot(plan.t, drawable(_to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
+    _name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (s)")
     return axes
