@@ -72,7 +72,6 @@ from planner.cases.problem_file.tasks import (
     guess_of,
     is_task,
     made,
-    trail_of,
     weights_of,
     with_files,
     with_tasks,
@@ -95,6 +94,7 @@ from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
+from planner.problem.tasks.marks import with_marks
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -268,12 +268,12 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     else:
         cost, wanted = cost_of(way, dynamics, weights)
     appearance = default_appearance(mechanism, prescribed)
-    if way is not None:
-        appearance = replace(appearance, trail=trail_of(way))
+    constraints = constraints_of(table.get("constraint", []))
+    appearance = with_marks(appearance, None if way is None else way.task, constraints)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits, constraints=constraints_of(table.get("constraint", [])), wanted=wanted,
+        limits=limits, constraints=constraints, wanted=wanted,
         tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip
