@@ -27,10 +27,10 @@ _PATH_LINE = 0.5  # thickness of a path that is to be followed, of a trail's
 _PASSED = 0.28  # opacity of a goal that was passed
 
 # In parts of the machine's size.
-_BALL = 0.012
+_BALL = 0.015
 _ARROW = 0.12
 _GOAL_AXES = (0.08, 0.0055)  # length, radius
-_FRAME_AXES = (0.105, 0.003)
+_FRAME_AXES = (0.105, 0.0035)
 _ALIKE = 0.03  # goals that are nearer to each other than that share a label
 
 
@@ -108,8 +108,11 @@ class Marks:
         ]
 
     def _of_trails(self, frames: list[tuple[str, int]], ghost: Paint | None) -> list[_Trail]:
-        """Of each frame in the simulation and in the ghost. A piece takes a third of a millisecond to draw in software:
-        several trails, and paths beside them, share the pieces that one would have."""
+        """Of each frame in the simulation and in the ghost.
+
+        A piece takes a third of a millisecond to draw in software: several trails, and paths beside them, share the
+        pieces that one would have.
+        """
         if not frames:
             return []
         film, offset = self._film, np.asarray(self._appearance.ghost_offset)

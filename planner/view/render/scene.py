@@ -28,7 +28,7 @@ _ASIDE = 0.34  # opacity of a ghost beside the machine
 _IN_PLACE = 0.16  # of one that stands in the machine, which must be seen through it
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
-_BEHIND = 2e-3  # of the camera's distance: a ghost in the machine is so much behind it, or the two would flicker
+_BEHIND = 2e-3  # of its distance from the camera: a ghost in the machine is so much behind it, or they would flicker
 
 _FLOOR = 2.0  # camera distances: a shape as large as that is a floor
 _SHADOWS = 1024  # pixels of the shadow map of a picture beside another
@@ -175,12 +175,11 @@ class Scene:
             self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
         )
         self._sticks.add(self._ghost_data, scene)
-        shift = np.asarray(self._appearance.ghost_offset)
-        if not np.any(shift):
-            azimuth, elevation = self._camera.azimuth, self._camera.elevation
-            shift = _BEHIND * self._camera.distance * directions(azimuth, elevation)[0]
+        offset = np.asarray(self._appearance.ghost_offset)
+        ahead = directions(self._camera.azimuth, self._camera.elevation)[0]
+        eye, behind = self._camera.lookat - self._camera.distance * ahead, 0.0 if np.any(offset) else _BEHIND
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += shift
+            geom.pos[:] += offset + behind * (geom.pos - eye)
             geom.matid = -1
             geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25
