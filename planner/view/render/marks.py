@@ -16,7 +16,7 @@ from planner.base.gl import load_mujoco
 from planner.problem.appearance import GoalMark
 from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
-from planner.view.render.shapes import Paint, Shapes
+from planner.view.render.shapes import Paint, Rod, Shapes
 
 TRAIL = (0.80, 0.25, 0.10, 1.0)
 GOAL = (0.84, 0.06, 0.50, 1.0)
@@ -29,8 +29,8 @@ _PASSED = 0.28  # opacity of a goal that was passed
 # In parts of the machine's size.
 _BALL = 0.015
 _ARROW = 0.12
-_GOAL_AXES = (0.08, 0.0055)  # length, radius
-_FRAME_AXES = (0.105, 0.0035)
+_GOAL_AXES = Rod(0.08, 0.0055)
+_FRAME_AXES = Rod(0.105, 0.0035)
 _ALIKE = 0.03  # goals that are nearer to each other than that share a label
 
 
@@ -80,11 +80,11 @@ class Marks:
             now = [[np.interp(t, trail.t, column) for column in trail.path.T]]
             shapes.trail(np.concatenate([trail.path[trail.t < t], now]), trail.paint, trail.part)
         for frame in self._frames:
-            shapes.axes(*_pose(data, frame), *(self._size * part for part in _FRAME_AXES))
+            shapes.axes(*_pose(data, frame), _FRAME_AXES.of(self._size))
         for mark, position in self._goals:
             opacity = _PASSED if self.passed(mark, t) else 1.0
             if mark.orientation is not None:
-                shapes.axes(position, mark.orientation, *(self._size * part for part in _GOAL_AXES), opacity)
+                shapes.axes(position, mark.orientation, _GOAL_AXES.of(self._size), opacity)
             shapes.ball(position, _BALL * self._size, (*GOAL[:3], opacity))
             if mark.direction is not None:
                 shapes.arrow(position, _ARROW * self._size * np.asarray(mark.direction), (*GOAL[:3], opacity))

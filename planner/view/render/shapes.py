@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,17 @@ _SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a t
 _LEAST_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
 _AXES = ((0.83, 0.16, 0.15), (0.16, 0.58, 0.22), (0.13, 0.36, 0.82))  # x, y and z
+
+
+class Rod(NamedTuple):
+    """Sizes of an axis of a frame."""
+
+    length: float
+    radius: float
+
+    def of(self, size: float) -> Rod:
+        """In parts of a size."""
+        return Rod(size * self.length, size * self.radius)
 
 
 class Shapes:
@@ -44,11 +55,11 @@ class Shapes:
         """A ball at a point (3,)."""
         self._connect(self._mujoco.mjtGeom.mjGEOM_SPHERE, radius, centre, centre, paint)
 
-    def axes(self, origin: np.ndarray, R: np.ndarray, length: float, radius: float, opacity: float = 1.0) -> None:
+    def axes(self, origin: np.ndarray, R: np.ndarray, rod: Rod, opacity: float = 1.0) -> None:
         """The axes of a frame at a point (3,), the columns of R (3, 3): red, green and blue."""
         for axis, paint in zip(R.T, _AXES, strict=True):
-            end = origin + length * axis
-            self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, radius, origin, end, (*paint, opacity))
+            end = origin + rod.length * axis
+            self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, rod.radius, origin, end, (*paint, opacity))
 
     def arrow(self, foot: np.ndarray, vector: np.ndarray, paint: Paint) -> None:
         """An arrow from a point (3,) along a vector (3,); none where one of them is unknown or the arrow too short."""

@@ -127,7 +127,8 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
         seen = appearance_of(plan.problem)
         ghost = "plan" if seen.ghost is None else seen.ghost.label
         goals = "; goals as balls, axes and arrows" if seen.goals else ""
-        caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains{goals}"
+        sides = "at the left open loop, at the right with the plan's gains"
+        caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
 
