@@ -39,11 +39,12 @@ class Mark(NamedTuple):
     words: str
     anchor: str = "lm"  # Pillow's
     ink: tuple[int, int, int] = _INK
+    large: bool = False
 
 
 def beside(label: Label) -> Mark:
     """The number of a goal, to the right of it and above."""
-    return Mark(label.at, f" {label.words}", "ls", _mixed(_INK, 0.5) if label.faint else _INK)
+    return Mark(label.at, f" {label.words}", "ls", _mixed(_INK, 0.4) if label.faint else _INK, large=True)
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,12 @@ class Overlay:
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
-        for (x, y), words, anchor, ink in marks:
-            inmost = self._width - self._margin - self._small.getlength(words)
-            if anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
+        for mark in marks:
+            (x, y), font = mark.at, self._text if mark.large else self._small
+            inmost = self._width - self._margin - font.getlength(mark.words)
+            if mark.anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
                 x, y = inmost, y - 0.6 * self._line
-            _write_mark(draw, Mark((x, y), words, anchor, ink), self._small, self._unit)
+            _write_mark(draw, mark._replace(at=(x, y)), font, self._unit)
         for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
         if not self._numbers:
@@ -239,9 +241,10 @@ def write_below(
 
 
 def _write_mark(draw: ImageDraw.ImageDraw, mark: Mark, font: ImageFont.FreeTypeFont, unit: float) -> None:
-    at, words, anchor, ink = mark
-    stroke = max(1, round(2 * unit))
-    draw.text(at, words, ink, font, anchor=anchor, stroke_width=stroke, stroke_fill=(240, 243, 247))
+    draw.text(
+        mark.at, mark.words, mark.ink, font, anchor=mark.anchor, stroke_width=max(1, round(2 * unit)),
+        stroke_fill=(240, 243, 247),
+    )  # fmt: skip
 
 
 def _mixed(ink: tuple[int, int, int], part: float) -> tuple[int, int, int]:
