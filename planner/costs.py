@@ -6,7 +6,7 @@ from planner.problem.costs.energy import EnergyCost
 from planner.problem.costs.frame import FrameCost
 from planner.problem.costs.jerk import JerkCost, driven_by_jerk
 from planner.problem.costs.penalty import PenaltyCost
-from planner.problem.costs.penalty_terms import Distance, Gap, Height, Point, Segment, Velocity
+from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Point, Segment, Velocity
 from planner.problem.costs.terms import Cost, Quadratic, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.criteria import with_objective
@@ -15,6 +15,7 @@ from planner.problem.objective import Objective
 
 __all__ = [
     "CenterOfMassCost",
+    "Clearance",
     "Cost",
     "Distance",
     "DriveCost",

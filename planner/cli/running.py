@@ -27,6 +27,7 @@ from planner.proof.compare.model_parity import parity
 from planner.proof.cures import cures
 from planner.proof.hold import hold_gain
 from planner.proof.refinement import Refinement, refine
+from planner.proof.wider import kept_wider
 
 INTERRUPTED = 130
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
@@ -95,6 +96,15 @@ def _run(
         if better is not None:
             plan, proof = better
             path = ()
+            folder.begin("plan.npz", plan.save, seconds=seconds)
+            digest = plan_digest(folder.path / "plan.npz")
+            results.show_plan(plan, None, console)
+    if proof is not None and not (resumed or proof.passed or arguments.no_refine or plan.status is Status.INTERRUPTED):
+        judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
+        wider = kept_wider(plan, proof, prove=judge, max_iterations=arguments.max_iterations)
+        if wider.notes:
+            plan, proof, path = wider.plan, wider.proof, ()
+            console.say("\n".join(f"planned again: {note}" for note in wider.notes))
             folder.begin("plan.npz", plan.save, seconds=seconds)
             digest = plan_digest(folder.path / "plan.npz")
             results.show_plan(plan, None, console)

@@ -105,13 +105,14 @@ class ResidualDynamics(CompiledDynamics, Protocol):
 
     Attributes:
         mechanism: That the terms must be of.
-        residual_kernels: Those that it calls then, in place of `kernels`.
     """
 
     @property
     def mechanism(self) -> Any: ...  # noqa: D102
-    @property
-    def residual_kernels(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
+        """Kernels that it calls then in place of `kernels`; `solids` as the table of residuals has it."""
+        ...
 
     def residuals(self, measures: Any) -> Any:
         """The kernels' table of planner.problem.costs.residuals.arrays.ResidualArrays, for Workspace.use_residuals."""

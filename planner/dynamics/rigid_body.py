@@ -77,7 +77,6 @@ class RigidBodyDynamics:
         self.has_slopes = False
         used = ("tree search", "tree structured" if self.structured else "tree dense")
         self.kernels = tuple(variant(name, self._model) for name in used)
-        self.residual_kernels = (variant("tree search", self._model, True), *self.kernels[1:], "residuals")
         self.second_order_kernels = ("tree second order", "costates")
 
     def _make_tables(self) -> None:
@@ -280,7 +279,16 @@ class RigidBodyDynamics:
         w.given[0], w.given[1], w.given[2] = cost, slope, self.dt
         residuals = None if w.residuals is None else w.residuals.table
         model, external = self._model.table, self._model.external
-        return tree_search.search_step(w.table, model, memory.table, w.search, rule, feedback, external, residuals)
+        solids = None if w.residuals is None else w.residuals.solids
+        return tree_search.search_step(
+            w.table, model, memory.table, w.search, rule, feedback, external, residuals, solids
+        )  # fmt: skip
+
+    def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
+        """Kernels in place of `kernels` with residuals; whether some of these are of two solids."""
+        search, residuals = variant("tree search", self._model, True), "residuals"
+        names = (f"{search} solids", f"{residuals} solids") if solids else (search, residuals)
+        return names[0], *self.kernels[1:], names[1]
 
     def take(self, w: Workspace, memory: TreeMemory, lane: int) -> None:
         """Make candidate `lane` of a search that took none the nominal trajectory."""
@@ -300,7 +308,7 @@ class RigidBodyDynamics:
 
     def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Add the residuals' gradients along w.xs to w.l, and leave their Hessians for the sweep."""
-        quadratize_residuals(w.table, self._model.table, memory.table, w.residuals.table)
+        quadratize_residuals(w.table, self._model.table, memory.table, w.residuals.table, w.residuals.solids)
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""

@@ -46,7 +46,8 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
         tree_second.second_order,
         (_TABLE, _TABLE, _TABLE, "float64", _ROWS, _ROWS, _ROWS, _BLOCKS),
     ),
-    "residuals": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE)),
+    "residuals": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE, "none")),
+    "residuals solids": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE, "boolean")),
     "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
     "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
     "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
@@ -70,22 +71,24 @@ _EXTERNAL_VARIANTS: dict[str, tuple[Any, tuple[str, ...]]] = {
 for _name, (_kernel, _types) in _EXTERNAL_VARIANTS.items():
     KERNELS[_name] = (_kernel, (*_types, "none"))
     KERNELS[f"{_name} external"] = (_kernel, (*_types, "boolean"))
-for _name in ("tree search", "tree search external"):  # the last argument is the table of residuals
+for _name in ("tree search", "tree search external"):  # the last arguments are the table of residuals, and solids
     _kernel, _types = KERNELS[_name]
-    KERNELS[_name] = (_kernel, (*_types, "none"))
-    KERNELS[f"{_name} residuals"] = (_kernel, (*_types, _TABLE))
+    KERNELS[_name] = (_kernel, (*_types, "none", "none"))
+    KERNELS[f"{_name} residuals"] = (_kernel, (*_types, _TABLE, "none"))
+    KERNELS[f"{_name} residuals solids"] = (_kernel, (*_types, _TABLE, "boolean"))
 
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
     ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
     (
         "tree search", "tree search external", "tree search residuals", "tree search external residuals",
+        "tree search residuals solids", "tree search external residuals solids",
         "tree steps", "tree steps external", "tree rates", "tree rates external", "tree forward", "tree inverse",
     ),
     ("tree structured", "tree structured external", "tree dense", "tree dense external", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
-    ("residuals",),
+    ("residuals", "residuals solids"),
     ("hopper second order",),
 )  # fmt: skip
 

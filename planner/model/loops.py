@@ -50,3 +50,8 @@ class Cam:
     leader: int
     offsets: tuple[float, float]  # of the follower and of the leader, rad or m
     coefficients: tuple[float, ...]  # (5,) of powers 0 to 4
+
+
+def pull() -> float:
+    """The rate, 1/s, by which kernels pull states back onto the constraints; a number of their tables."""
+    return RATE

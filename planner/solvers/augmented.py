@@ -5,8 +5,11 @@
              raise the weights of components that came not much nearer
     until    no state is further outside than the tolerance, and no bound pulls that the motion has left
 
+Where shapes are kept apart, bounds of stages rise on which they come too near between the knots, and it goes on.
+
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
-found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does.
+found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
+has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
 """
 
 from __future__ import annotations
@@ -17,12 +20,14 @@ from dataclasses import replace
 import numpy as np
 
 from planner.problem.constraints.kept import Kept
-from planner.problem.plan import Plan, Status
+from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.state_ranges import Hinges
 
 MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
+DEAREST = 1e6  # a first guess by whose cost hinges are weighed
+MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
 
 # One solve from first controls (N, nu) with hinges: an iteration limit and the number of the first line.
@@ -41,22 +46,61 @@ def within_ranges(
         first_guess: (N, nu).
         max_iterations: Limit of all rounds together.
     """
-    plan = minimise(first_guess, None, max_iterations, 0)
-    history, hinges, before = list(plan.history), kept.free(), np.full(kept.size, np.inf)
+    plan, history, first = _begin(kept, minimise, first_guess, max_iterations, 0)
+    hinges, before = first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
+    raised = 0
     for round_ in range(MOST_ROUNDS):
         error = _error(kept, hinges, plan)
-        if error.max(initial=0.0) <= tolerance or plan.status is Status.INTERRUPTED:
-            return replace(plan, history=tuple(history), hinges=hinges if round_ else None)
+        if plan.status is Status.INTERRUPTED:
+            return replace(plan, history=tuple(history), hinges=hinges if round_ else first)
+        if error.max(initial=0.0) <= tolerance:
+            more, through = _short(kept, plan)
+            if raised == MOST_RAISED or not more.any():
+                status = Status.OUTSIDE_LIMITS if more.any() else plan.status
+                return replace(plan, history=tuple(history), status=status, hinges=hinges if round_ else first)
+            kept, raised = kept.raised(more), raised + 1
+            if through:
+                left = max_iterations + 1 - len(history)
+                plan, more_lines, again = _begin(kept, minimise, first_guess, left, len(history))
+                hinges, history = again or kept.free(), history + more_lines
+            else:
+                hinges = hinges._replace(lower=hinges.lower + more)
+            error, before = _error(kept, hinges, plan), np.full(kept.size, np.inf)
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
-        hinges = _begun(kept, plan) if round_ == 0 else _updated(kept, hinges, plan, error, before)
+        hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
         before = error.max(axis=0)
         plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history))
         history += plan.history
     status = plan.status if _error(kept, hinges, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, hinges=hinges)
+
+
+def _begin(
+    kept: Kept, minimise: Minimise, first_guess: np.ndarray, max_iterations: int, first_line: int
+) -> tuple[Plan, list[Iteration], Hinges | None]:
+    """The first solve, its iterations, and the hinges that it had; None for none.
+
+    Where a motion starts with hinges they weigh as much more as its first guess costs above 1: or it would pay to leave
+    the way around for one that goes through.
+    """
+    first = kept.first()
+    if first is None:
+        plan = minimise(first_guess, None, max_iterations, first_line)
+        return plan, list(plan.history), None
+    cost = minimise(first_guess, None, 0, first_line).cost
+    if 1.0 < cost < DEAREST:
+        first = first._replace(weight=cost * first.weight)
+    plan = minimise(first_guess, first, max_iterations, first_line)
+    return plan, list(plan.history), first
+
+
+def _short(kept: Kept, plan: Plan) -> tuple[np.ndarray, bool]:
+    """See Kept.short_between."""
+    assert plan.problem is not None  # the solver's own
+    return kept.short_between(plan.problem.dynamics, plan.xs, plan.us)
 
 
 def _multipliers(kept: Kept, hinges: Hinges) -> tuple[np.ndarray, np.ndarray]:
@@ -74,12 +118,17 @@ def _error(kept: Kept, hinges: Hinges, plan: Plan) -> np.ndarray:
     return np.where(exact, np.abs(e - np.where(exact, kept.upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
 
 
-def _begun(kept: Kept, plan: Plan) -> Hinges:
-    """Weights from what a solve without hinges cost and how far it was outside."""
-    outside = float(np.sum(kept.beyond(plan.xs, plan.us) ** 2))
-    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside
+def _begun(kept: Kept, plan: Plan, first: Hinges) -> Hinges:
+    """Weights from what a solve without hinges cost and how far it was outside; multipliers of what had hinges."""
+    had, beyond = first.weight > 0.0, kept.beyond(plan.xs, plan.us)
+    outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
+    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
-    return Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
+    begun = Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
+    if not had.any():
+        return begun
+    updated = _updated(kept, first, plan, beyond, np.full(kept.size, np.inf))
+    return Hinges(*(np.where(had, new, other) for new, other in zip(updated, begun, strict=True)))
 
 
 def _updated(kept: Kept, hinges: Hinges, plan: Plan, error: np.ndarray, before: np.ndarray) -> Hinges:

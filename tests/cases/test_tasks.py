@@ -326,6 +326,14 @@ def test_a_weight_that_is_too_small_is_raised_by_its_cure(tmp_path):
     assert goals_of(again.problem)[0].miss(again.t, again.xs) < 0.005
 
 
+def test_rest_at_the_end_has_a_cure_of_its_own(tmp_path):
+    text = f'[[goal]]\nframe = "hand"\nposition = {list(END)}\n[weights]\nfinal_velocity = 1e-4\n'
+    plan = planner.solve(load(write(tmp_path, text)).problem)
+    keys = [one.key for one in cures(plan, planner.prove(plan, rollouts=0))]
+    assert "weights.final_velocity" in keys
+    assert "weights.goal" not in keys
+
+
 def test_perturbed_rollouts_succeed_by_every_goal_at_its_time(solved):
     plan, _ = solved
     rule, stages = rule_of(plan), np.union1d(np.arange(0, 51, 2), 35)

@@ -1,5 +1,6 @@
 """Torques that are exponentials of coordinates: kernels, NumPy and MuJoCo agree, and what cannot have them says so."""
 
+import copy
 import json
 import math
 from dataclasses import replace
@@ -186,7 +187,7 @@ def test_forces_on_a_prescribed_joint_do_nothing():
 
 def test_the_callback_acts_on_its_own_models_and_goes():
     twin = Twin.of(mechanism().with_curves(ENDS[:1]))
-    mine, other = (compile_model(twin.mjcf) for _ in range(2))
+    mine, other = (copy.copy(compile_model(twin.mjcf)) for _ in range(2))
     data = [mujoco.MjData(model) for model in (mine, other)]
 
     def run():
@@ -208,7 +209,7 @@ def test_the_compiled_callback_is_the_one_in_python():
     arm = """<mujoco><worldbody><body><joint name="a"/><geom size="0.1" pos="0 0 -1"/>
         <body pos="0 0 -1"><joint name="b"/><geom size="0.1" pos="0 0 -1"/></body></body></worldbody></mujoco>"""
     twin = replace(Twin.of(mechanism()), mjcf=arm, curves=coupled)
-    models = [compile_model(twin.mjcf) for _ in range(4)]
+    models = [copy.copy(compile_model(twin.mjcf)) for _ in range(4)]
     factors = np.random.default_rng(0).uniform(0.5, 2.0, (3, len(coupled)))
     data = [mujoco.MjData(models[0]) for _ in range(2)]
 

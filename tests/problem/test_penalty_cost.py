@@ -322,7 +322,7 @@ UP = {"least": 0.1, "tolerance": 0.01}
         (lambda m: [Velocity(Point(), (0, 0, 0), **UP)], "direction is (0, 0, 0), expected a direction."),
         (lambda m: [Velocity(Point(), (0, 0, 1), "hand", **UP)], "relative is 'hand', expected a Point."),
         (lambda m: [Gap("toe", **UP)], "terms[0]'s contact is 'toe', but the mechanism has no contacts."),
-        (lambda m: [3], "terms[0] is 3, expected a Height, Distance, Gap or Velocity."),
+        (lambda m: [3], "terms[0] is 3, expected a Height, Distance, Gap, Velocity or Clearance."),
         (lambda m: Height(Point(), **UP), "terms is Height("),
     ],
 )  # fmt: skip

@@ -31,6 +31,11 @@ In place of one goal of the joints there may be goals of frames, at times, and p
 
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
 
+    [avoid]                             # optional: what is kept apart, see planner.problem.avoid
+    self = true                         # the machine from itself
+    world = true                        # and from what is at rest
+    clearance = 0.02                    # m
+
 In place of a machine of one's own the file may name a case of the package, with its parameters:
 
     case = "human-step"
@@ -86,6 +91,7 @@ from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
+from planner.problem.avoid import Avoid
 from planner.problem.costs.tracking import states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
@@ -98,7 +104,7 @@ from planner.problem.tasks.marks import with_marks
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = ("contacts", "settle", "stops", "dt", "substeps")  # of what was chosen by itself, what is said before a solve
+TOLD = ("contacts", "settle", "stops", "avoid", "dt", "substeps")  # of what was chosen by itself, what is said at once
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
 SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
@@ -209,6 +215,8 @@ def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
     elif isinstance(contacts, dict):
         contacts = _contact_law(contacts, opened(contacts="off"))
     mechanism = opened(contacts=contacts)
+    if "avoid" in table and contacts == "auto" and mechanism.contacts_mode == "model":
+        mechanism = opened(contacts="avoid")  # the shapes are not to touch
     if mechanism.nu == 0 and not table.get("prescribed"):
         name = "the model" if assets is not None else f"the model {model}"
         joints = json.dumps([joint for joint in mechanism.joint_names if joint], ensure_ascii=False)
@@ -253,12 +261,18 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
+    if tasked:
+        notes = tuple(note for note in notes if not note.startswith("goal "))  # it has none of the whole machine
     if notes:
         reasons["settle"] = " ".join(notes)
     if stops:
         reasons["stops"] = " ".join(stops)
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     way = made(table, dynamics, x0, N, limits) if tasked else None
+    apart = None
+    if "avoid" in table:  # the pose of a task's end is not yet known
+        apart = Avoid(**table["avoid"]).constraint(mechanism, x0, None if tasked else goal)
+        reasons["avoid"] = " ".join(apart.notes)
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits)
     weights = table[RESOLVED]["weights"]
     wanted = None
@@ -267,13 +281,13 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         cost = weighed(dynamics, x0, goal, N, weights, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
+    kept = (*constraints_of(table.get("constraint", [])), *(() if apart is None else (apart.constraint,)))
     appearance = default_appearance(mechanism, prescribed)
-    constraints = constraints_of(table.get("constraint", []))
-    appearance = with_marks(appearance, None if way is None else way.task, constraints)
+    appearance = with_marks(appearance, None if way is None else way.task, kept)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits, constraints=constraints, wanted=wanted,
+        limits=limits, constraints=kept, wanted=wanted,
         tolerance=None if tasked else table["tolerance"], decrease_tolerance=DECREASE,
         gain_tolerance=GAIN if mechanism.contacts else 0.0,
     )  # fmt: skip

@@ -2,10 +2,12 @@
 
 line   the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines whose
        actuators reach every joint
+around a way in joint space on which nothing that the problem avoids comes too near, kept to by gains
 led    gains of a regulator that is led along that line, for any other machine
 hold   what holds the start against gravity, as far as the actuators can
 zero   nothing
-auto   line where there is one, else led where that ends nearer to the goal than hold does, else hold
+auto   around where something is avoided and there is such a way, line where there is one, else led where that ends
+       nearer to the goal than hold does, else hold
 """
 
 from __future__ import annotations
@@ -18,12 +20,14 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import space_of
+from planner.problem.avoid import motion_around
+from planner.problem.constraints.apart import apart_of
 from planner.problem.guess import holding_controls, rolled, straight_line
 from planner.problem.problem import Problem
 from planner.solvers.steadied import led, led_along
 
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
-GUESSES = ("auto", "line", "led", "hold", "zero")
+GUESSES = ("auto", "line", "around", "led", "hold", "zero")
 
 
 class Way(NamedTuple):
@@ -31,6 +35,7 @@ class Way(NamedTuple):
 
     line: np.ndarray | None  # (N, nu) controls along it by inverse dynamics; None where there are none
     rows: np.ndarray  # (N+1, nx) its states
+    direct: bool  # whether its end alone is asked for
 
 
 def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None = None) -> np.ndarray | None:
@@ -42,6 +47,19 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     if kind == "zero":
         return None
     dynamics: Any = problem.dynamics  # of a mechanism
+    apart = apart_of(problem.constraints)
+    direct = way is None or way.direct
+    if apart is not None and direct and kind in ("around", "auto") and not dynamics.prescribed:
+        end = goal if way is None else way.rows[-1]
+        motion = motion_around(apart, dynamics.mechanism, problem.x0, end, problem.duration, problem.N)
+        found = None if motion is None else led_along(problem, *motion)
+        if found is not None:
+            return found
+    if kind == "around":
+        raise PlannerError(
+            "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
+            "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
+        )
     if kind in ("line", "auto") and not dynamics.prescribed:
         if way is None:
             line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)

@@ -22,9 +22,9 @@ KEYS = {
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
     "integrator": f"one of {', '.join(TREE_INTEGRATORS)}, or auto: rk4, or rosenbrock where damping is too fast",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
-    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), led (gains along that "
-    "line), hold (the start against gravity), zero; auto is line where every joint has an actuator, else the better of "
-    "led and hold",
+    "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), around (a way on which "
+    "nothing that is avoided comes too near), led (gains along that line), hold (the start against gravity), zero; "
+    "auto is around where something is avoided, line where all joints have actuators, else the better of led and hold",
     "contacts": "model (the file's own law), ground (a law for the mass of what stands), avoid, off, or a table of "
     "their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "
@@ -41,6 +41,13 @@ KEYS = {
     "durations": "[shortest, longest] s, between which an objective with time chooses",
     "constraint": "tables [[constraint]], below: what the plan keeps of a frame or an actuator",
     "limits": 'table, below; by default the model\'s own, "off" for none',
+    "avoid": "table, below: what is kept apart; nothing by default",
+}
+AVOID = {
+    "self": "whether shapes of the machine are kept from each other; true by default",
+    "world": "whether they are kept from what is at rest; true by default",
+    "clearance": "m between them; by default 0.01",
+    "more": "table of m beyond the clearance by the names of a pair, which `planner run` writes where shapes touched",
 }
 GOAL = {
     "frame": "a site or body, or",

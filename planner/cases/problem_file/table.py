@@ -12,7 +12,7 @@ from planner.base.arguments import choice, count, did_you_mean, number, shown
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text
 from planner.cases.problem_file.guess import GUESSES
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
+from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RESOLVED, WEIGHTS
 from planner.dynamics.rigid_body import MOST_SUBSTEPS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
@@ -52,7 +52,9 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
     """
     check_keys(table, (*KEYS, RESOLVED) if stored else KEYS, where)
-    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS), (RESOLVED, ("weights", "reasons"))):
+    for name, keys in (
+        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons")),
+    ):  # fmt: skip
         part = table.get(name, {})
         if not isinstance(part, dict):
             raise PlannerError(f"{name} is {shown(part)}, expected a table [{name}] with some of: {', '.join(keys)}.")

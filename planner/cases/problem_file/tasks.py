@@ -126,7 +126,8 @@ def cost_of(way: Made, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> 
 
 def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
     """What the first controls may be made of."""
-    return Way(controls(way.task, way.poses, dynamics, x0), way.rows)
+    direct = not way.task.follows and all(one.last for one in way.task.goals)
+    return Way(controls(way.task, way.poses, dynamics, x0), way.rows, direct)
 
 
 def check_task_departure(x0: np.ndarray, wanted: tuple[Wanted, ...], task: Task) -> None:

@@ -22,7 +22,7 @@ from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_a
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.contact.laws import slide_direction
 from planner.model.damping import implicit_damping
-from planner.model.loops import RATE
+from planner.model.loops import pull
 from planner.model.tendons import acting_tendons
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
@@ -368,7 +368,7 @@ def _loops(loops: Any, cams: Any, tree: dict[str, np.ndarray]) -> dict[str, np.n
     return {
         "joined_link": link, "joined_value": value,
         "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
-        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([RATE]),
+        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([pull()]),
         "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
         "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
     }  # fmt: skip

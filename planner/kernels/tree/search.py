@@ -147,7 +147,7 @@ def _controls(w, n, alpha, feedback, dx, U):
 
 
 @part
-def rollout(w, m, r, search, dt, feedback, external, p):
+def rollout(w, m, r, search, dt, feedback, external, p, solids):
     """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
 
     p is the table of residuals or, where there are none, None: then nothing of them is compiled.
@@ -173,11 +173,11 @@ def rollout(w, m, r, search, dt, feedback, external, p):
         control = _control_cost(w, U, n, lengths)
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
         if p is not None:  # but for RK4 the stage has left the links where X has them
-            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RK4)
+            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RK4, solids)
         J += control
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
-        J += residual_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N], False)
+        J += residual_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N], False, solids)
     store(search, COSTS, J)
 
 
@@ -189,18 +189,18 @@ def _take(w, m, r, lane):
 
 
 @jit
-def search_step(w, m, r, search, rule, feedback, external, p):
+def search_step(w, m, r, search, rule, feedback, external, p, solids):
     """Search along the direction and take a step, or with rule START only roll the controls out; (step, cost after).
 
-    The step is 0 when there is none. p is the table of residuals or None, external as in Model: what is None is not
-    compiled.
+    The step is 0 when there is none. p is the table of residuals or None, solids whether some are of two solids (True
+    or None), external as in Model: what is None is not compiled.
     """
     w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     cost, slope, dt = search[GIVEN, 0], search[GIVEN, 1], search[GIVEN, 2]
     ladder(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, pointer(search), dt, feedback, external, p)
+        rollout(w, m, r, pointer(search), dt, feedback, external, p, solids)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)

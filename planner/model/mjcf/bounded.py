@@ -20,7 +20,8 @@ import sys
 import threading
 import time
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Pipe
 from typing import Any, NoReturn
 
@@ -99,8 +100,9 @@ class _Child:
     def __init__(self, assets: dict[str, bytes]) -> None:
         self._files = {id(content): content for content in assets.values()}  # kept, so that no other gets its number
         self._parent, self._status, self._asked = os.getpid(), 0, time.monotonic()
-        self._connection, theirs = Pipe()
-        self._model = os.memfd_create("model")
+        with _streams_taken():
+            self._connection, theirs = Pipe()
+            self._model = os.memfd_create("model")
         with _forking, warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the threads that the child does not have
             self._pid = os.fork()
@@ -128,9 +130,12 @@ class _Child:
             raise EOFError from error
         if refused:
             raise ModelError(refused)
-        model = load_mujoco().MjModel.from_binary_path(_PLACE.format(self._model))
-        os.ftruncate(self._model, 0)  # its memory
-        return model
+        try:
+            return load_mujoco().MjModel.from_binary_path(_PLACE.format(self._model))
+        except ValueError:  # a limit of the sizes of files cut it off; it compiles within the others
+            return _compile(text, assets, name)
+        finally:
+            os.ftruncate(self._model, 0)  # its memory
 
     def close(self) -> int:
         """End it, if it has not ended by itself; returns the signal that did."""
@@ -145,6 +150,19 @@ class _Child:
                 status = os.waitpid(self._pid, 0)[1]
             self._status = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
         return self._status
+
+
+@contextmanager
+def _streams_taken() -> Iterator[None]:
+    """A context in which what is opened takes no place of a standard stream that is closed: the child prints there."""
+    taken = [os.open(os.devnull, os.O_RDWR)]
+    while taken[-1] <= 2:
+        taken.append(os.open(os.devnull, os.O_RDWR))
+    try:
+        yield
+    finally:
+        for descriptor in taken:
+            os.close(descriptor)
 
 
 def _serve(requests: Any, model: int, files: dict[int, bytes]) -> NoReturn:

@@ -11,8 +11,12 @@ rows of constraints; where these are the only ones this file adds nothing to the
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
+from planner.dynamics import Dynamics
+from planner.problem.constraints.apart import ApartMeasure
 from planner.problem.constraints.rows import Rows
 from planner.problem.costs.terms import Quadratic
 from planner.problem.state_ranges import Hinges, StateRanges
@@ -46,6 +50,47 @@ class Kept:
     def free(self) -> Hinges:
         """Hinges that weigh nothing."""
         return Hinges(self.lower.copy(), self.upper.copy(), np.zeros_like(self.lower))
+
+    def first(self) -> Hinges | None:
+        """Hinges of the first solve, of what has weights before multipliers are known; None for none."""
+        hinges = self.free()
+        for measure, columns, scale in self._apart():
+            weight = measure.first_weight / scale**2
+            hinges.weight[:, columns] = np.where(np.isfinite(self.lower[:, columns]), weight, 0.0)
+        return hinges if hinges.weight.any() else None
+
+    def _apart(self) -> list[tuple[ApartMeasure, slice, np.ndarray]]:
+        """What keeps shapes apart: its measure, its columns and what these are multiplied by."""
+        if self.rows is None:
+            return []
+        return [
+            (part.measure, slice(self._split + part.columns.start, self._split + part.columns.stop),
+             self.rows.scale[part.columns])
+            for part in self.rows.parts if isinstance(part.measure, ApartMeasure)
+        ]  # fmt: skip
+
+    def short_between(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, bool]:
+        """By how much (N+1, H) lower bounds must rise, so that what is kept at knots is kept between them too.
+
+        Those of both ends of a stage. Where a pair may have touched between two knots, those of all stages: the motion
+        may have gone through, and from there it leads no way around. Returned beside it is whether any did.
+        """
+        more, through = np.zeros_like(self.lower), False
+        for measure, columns, scale in self._apart():
+            short = measure.short(dynamics, xs, us)
+            touched = (short > measure.least).any(axis=0)
+            short = np.where(touched, short.max(axis=0), short) * scale
+            short = np.where(short > self.tolerance, short, 0.0)
+            more[1:, columns] = short
+            more[:-1, columns] = np.maximum(more[:-1, columns], short)
+            through |= bool(touched.any())
+        return more, through
+
+    def raised(self, more: np.ndarray) -> Kept:
+        """The same with lower bounds (N+1, H) raised."""
+        raised = copy(self)
+        raised.lower = self.lower + more
+        return raised
 
     def of_ranges(self, hinges: Hinges) -> Hinges:
         """The columns of ranges."""

@@ -21,6 +21,7 @@ import numpy as np
 
 from planner.base.arguments import array, number, numbers, set_fields, shown
 from planner.base.errors import PlannerError
+from planner.model.contact.solids import Solid
 from planner.model.mechanism import Frame
 
 WANTED = ("least", "most", "target")
@@ -200,6 +201,32 @@ class Gap(Penalty):
 
     def __str__(self) -> str:
         return f"gap of {self.contact}"
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance(Penalty):
+    """How far apart two solids are, negative by the shortest way out where they overlap. It has a least alone.
+
+    Attributes:
+        a: The first Solid; planner.constraints.Avoid makes them of a model's shapes.
+        b: The second, in the order of model.contact.solids.in_order.
+        lift: m, added to the distance: what a fit overstates at the start.
+    """
+
+    a: Solid
+    b: Solid
+    lift: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("a", "b"):
+            if not isinstance(getattr(self, name), Solid):
+                raise PlannerError(f"{name} is {shown(getattr(self, name))}, expected a Solid.")
+        if self.wanted != "least":
+            raise PlannerError(f"{self.wanted} is given for a Clearance, expected least: the distance to be kept.")
+
+    def __str__(self) -> str:
+        return f"clearance of {self.a.name} and {self.b.name}"
 
 
 def _point(name: str, value: Any) -> Point:

@@ -29,31 +29,30 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cu
     cost = tracking_of(problem.cost)
     missed = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
-    if problem.wanted is not None:
-        return _of_task(plan, problem, proof) if missed else []
     if cost is None or not missed or not (followed or any(one.name.startswith("planned") for one in missed)):
         return []
     times: dict[str, dict[int, tuple[float, str]]] = {key: {} for key in _WEIGHTS}
     coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]
     for goal in goals_of(problem, plan.xs):
-        if (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
+        if goal.alone or (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
             continue
         ends = (plan.xs[-1:], proof.replay.xs[-1:]) if followed else (plan.xs[-1:],)
         miss = max(float(goal.missed(x)[0]) for x in ends)
         if miss > goal.tolerance:
             key = _WEIGHTS[goal.unit.endswith("/s")]
             times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
-    return [_of_weight(problem, cost, key, found) for key, found in times.items() if found]
+    own = [_of_weight(problem, cost, key, found) for key, found in times.items() if found]
+    return [*_of_task(plan, problem), *own]
 
 
-def _of_task(plan: Plan, problem: Problem, proof: Proof) -> list[Cure]:
+def _of_task(plan: Plan, problem: Problem) -> list[Cure]:
     """A larger weight of all goals of a task, where the plan misses some: a miss falls as the weight rises."""
     goals = [one for one in goals_of(problem, plan.xs) if one.alone and np.isfinite(one.tolerance)]
     over = {one.name: one.miss(plan.t, plan.xs) / one.tolerance for one in goals}
     worst = max(goals, key=lambda one: over[one.name], default=None)
     if worst is None or not over[worst.name] > 1.0 or problem.case != FILE:
         return []
-    own = problem.parameters["weights"].get("goal", WEIGHT)
+    own = float(problem.parameters["weights"].get("goal", WEIGHT))
     miss = over[worst.name] * worst.tolerance
     why = f"the plan is {miss:.3g} {worst.unit} from {worst.name}, and {worst.tolerance:.3g} pass"
     return [cure(problem, "weights.goal", rounded_up(own * float(np.clip(over[worst.name] / AIM, LEAST, MOST))), why)]

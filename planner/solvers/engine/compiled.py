@@ -75,7 +75,9 @@ class CompiledEngine(Engine):
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
         more = self._dynamics.second_order_kernels if exact else ()
-        kernels = self._dynamics.kernels if self._with_residuals is None else self._with_residuals.residual_kernels
+        kernels = self._dynamics.kernels
+        if self._with_residuals is not None:
+            kernels = self._with_residuals.residual_kernels(self._w.residuals.solids)
         compile_together((sweep, "gradients", *kernels, *more))
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)

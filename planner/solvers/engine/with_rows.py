@@ -43,14 +43,14 @@ class RowsEngine(CompiledEngine):
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
-            assert isinstance(part.measure, ResidualMeasure)
-            lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], part.measure.rows
+            measure: Any = part.measure  # a ResidualMeasure
+            lower, upper, R = rows.lower[:, part.columns], rows.upper[:, part.columns], measure.rows
             asked = np.isfinite(lower) | np.isfinite(upper)
             exact = bool(np.all((lower == upper)[asked]))
             for side, used in ((0.0, exact), (-1.0, not exact and np.isfinite(lower).any()),
                                (1.0, not exact and np.isfinite(upper).any())):  # fmt: skip
                 if used:
-                    terms.append(hinge_terms(part.measure.arrays, np.full(R, side), rows.N))
+                    terms.append(hinge_terms(measure.arrays, np.full(R, side), rows.N))
                     self._bounds_of.append(_Bounds(slice(first, first + R), part.columns, side < 0.0))
                     first += R
         super().__init__(problem, dynamics, cost, joined(terms) if terms else None)

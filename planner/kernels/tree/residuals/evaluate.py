@@ -32,9 +32,11 @@ from planner.kernels.tree.residuals.frames import frame_value, place_rows, speed
 from planner.kernels.tree.residuals.mass_centre import mass_centre_rows, mass_centre_value
 from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.residuals.scalars import scalar_row, scalar_value, velocity_row
+from planner.kernels.tree.residuals.solids import solid_row, solid_value
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
     LAW_SIZE,
+    LINE_BOX,
     MASS_CENTRE,
     MOST_ROWS,
     POINTING,
@@ -48,9 +50,13 @@ from planner.kernels.tree.step import gather
 
 
 @part
-def _measure(m, p, q, ws, t, n, knots):
+def _measure(m, p, q, ws, t, n, knots, solids):
     """The rows of term t's value, in RESIDUALS.value."""
     kind = load(integers(p, RESIDUALS.kind), t)
+    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
+        if kind >= LINE_BOX:
+            solid_value(p, ws, t, kind, n, knots)
+            return
     if kind <= VELOCITY:
         scalar_value(p, t, kind)
     elif kind <= ANGULAR:
@@ -64,9 +70,13 @@ def _measure(m, p, q, ws, t, n, knots):
 
 
 @part
-def _differentiate(m, p, ws, t):
+def _differentiate(m, p, ws, t, solids):
     """The derivative of term t's value, in RESIDUALS.row, which was zero; after _measure."""
     kind = load(integers(p, RESIDUALS.kind), t)
+    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
+        if kind >= LINE_BOX:
+            solid_row(m, p, ws, t)
+            return
     if kind < VELOCITY:
         scalar_row(m, p, ws, t, kind)
     elif kind == VELOCITY:
@@ -95,8 +105,11 @@ def _ramped(p, row, value, bound):
 
 
 @part
-def residual_cost(m, p, x, ws, n, placed):
-    """Cost of the terms for four candidates x (nx lanes) at stage n; with `placed` ws has the links where they are."""
+def residual_cost(m, p, x, ws, n, placed, solids):
+    """Cost of the terms for four candidates x (nx lanes) at stage n; with `placed` ws has the links where they are.
+
+    solids is True or, where no term is of two solids, None: then nothing of them is compiled.
+    """
     J = spread(0.0)
     if load(floats(p, RESIDUALS.active), n) > 0.0:
         if not placed:
@@ -106,7 +119,7 @@ def residual_cost(m, p, x, ws, n, placed):
         first, value, on = integers(p, RESIDUALS.first_row), lanes(p, RESIDUALS.value), floats(p, RESIDUALS.on)
         for t in range(p[RESIDUALS.terms]):
             if load(on, t * stride + n) > 0.0:
-                _measure(m, p, x, ws, t, n, False)
+                _measure(m, p, x, ws, t, n, False, solids)
                 start = load(first, t)
                 for row in range(start, load(first, t + 1)):
                     weight = load(weights, row * stride + n)
@@ -164,8 +177,11 @@ def _scatter(w, p, first, present):
 
 
 @jit
-def quadratize_residuals(w, m, r, p):
-    """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.residual_hessian."""
+def quadratize_residuals(w, m, r, p, solids):
+    """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.residual_hessian.
+
+    solids is as in residual_cost.
+    """
     w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
     stages, nx, x, ws = w[W.N] + 1, w[W.nx], lanes(r, MEMORY.x), lanes(r, MEMORY.links)
     weights, bounds, stride = floats(p, RESIDUALS.weight), floats(p, RESIDUALS.bound), p[RESIDUALS.stride]
@@ -183,7 +199,7 @@ def quadratize_residuals(w, m, r, p):
                 store(lanes(p, RESIDUALS.hessian), i * ld + j, 0.0)
         for t in range(p[RESIDUALS.terms]):
             if any_less(0.0, load4(on, t * stride + first)):
-                _measure(m, p, x, ws, t, first, True)
+                _measure(m, p, x, ws, t, first, True, solids)
                 start, end, moved = load(first_row, t), load(first_row, t + 1), False
                 for row in range(start, end):
                     k, o = row - start, row * stride + first
@@ -193,6 +209,6 @@ def quadratize_residuals(w, m, r, p):
                     store(lanes(p, RESIDUALS.curvature), k, weight * slope * slope)
                     moved = moved or any_less(0.0, weight * slope * slope)
                 if moved:
-                    _differentiate(m, p, ws, t)
+                    _differentiate(m, p, ws, t, solids)
                     _add_term(p, t, end - start)
         _scatter(w, p, first, min(WIDTH, stages - first))

@@ -19,11 +19,16 @@ from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.model import chain_of
 
-# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; and of frames, tilt.
+# Kinds of terms, those of one file next to each other: scalars, frames, turns, mass_centre; tilt (of frames); solids.
 HEIGHT, DISTANCE, VELOCITY, POSITION, POINTING, LINEAR, ANGULAR, ORIENTATION, POSE, MASS_CENTRE, TILT = range(11)
-ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1)  # of each kind
-REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0)  # numbers per stage of each kind
+LINE_BOX, BOXES, OVER_PLANE = range(11, 14)
+ROWS = (1, 1, 1, 3, 3, 3, 3, 3, 6, 3, 1, 1, 1, 1)  # of each kind
+REFERENCES = (0, 0, 0, 0, 0, 0, 0, 9, 12, 0, 0, 0, 0, 0)  # numbers per stage of each kind
 FAST = (VELOCITY, LINEAR, ANGULAR)  # kinds that depend on velocities
+SOLIDS = (LINE_BOX, BOXES, OVER_PLANE)  # kinds of two solids
+FIRST_AXES, FIRST_HALF, SECOND_AXES, SECOND_HALF, TAKEN_OFF, REACH = 0, 9, 12, 21, 24, 25
+"""Offsets in the constants of two solids: axes in their links and half lengths, what is taken off the distance of their
+cores, and the radius of the balls around both cores together (of a plane only the other's)."""
 MOST_ROWS = max(ROWS)
 PARALLEL = 1e-12
 """Share of the squared lengths that keeps the nearest points of parallel lines in their middles."""
@@ -50,6 +55,7 @@ class ResidualTable:
         weight: (M, N+1), likewise.
         columns: Of a row's derivative: nv, or 2 nv where velocities count.
         hessian: (N+1, columns, ld) upper triangles, as the last quadratisation left them.
+        solids: True where some terms are of two solids, else None: the kernels then do without their code.
     """
 
     def __init__(self, model: Any, measures: Any) -> None:
@@ -86,6 +92,7 @@ class ResidualTable:
         # contiguous, and kept alive: the kernels have their addresses
         self._arrays = {name: np.ascontiguousarray(arrays[name]) for name in RESIDUALS.arrays}
         self.columns, self._first_row = columns, np.array(m.first_row)
+        self.solids = True if np.isin(m.kind, SOLIDS).any() else None
         self.bound, self.weight = (self._arrays[name][:, :stages] for name in ("bound", "weight"))
         self.active = self._arrays["active"]
         self.hessian = lane_array(stages, columns, ld)
@@ -124,7 +131,7 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
     """Constants of the terms, with rotations and axes of frames in the kernels' frames."""
     constant, frames = np.array(m.constant), _inverse_frames(model, link)[:, :3, :3]
     for t, (kind, ends) in enumerate(zip(m.kind, m.ends, strict=True)):
-        turn = frames[ends[0]] if ends[0] < len(frames) else np.eye(3)  # a term without points has none
+        turn = frames[ends[0]] if 0 <= ends[0] < len(frames) else np.eye(3)  # one without points has none
         if kind in (ORIENTATION, POSE):
             constant[t, :9] = (turn @ constant[t, :9].reshape(3, 3)).ravel()
         elif kind in (POINTING, TILT):
@@ -134,6 +141,10 @@ def _own_constants(model: Any, m: Any, link: np.ndarray) -> np.ndarray:
             mass = model.arrays["subtree_mass"]
             total = mass[np.flatnonzero(model.arrays["parent"][: model.nv] < 0)].sum()
             constant[t, :3], constant[t, 3] = mass[roots] @ model.origin[roots] / total, 1.0 / total
+        elif kind in SOLIDS:
+            for end, first in zip(ends[:2], (FIRST_AXES, SECOND_AXES), strict=True):
+                axes = constant[t, first : first + 9].reshape(3, 3)
+                constant[t, first : first + 9] = (frames[end] @ axes).ravel()
     return constant
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.kernels.tree.residuals.table import REFERENCES, ROWS
 
-CONSTANTS = 9  # numbers of a term that do not vary
+CONSTANTS = 26  # numbers of a term that do not vary, at most: those of two solids
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,8 @@ class ResidualArrays:
     world: np.ndarray  # (P, N+1, 3) m, added
     kind: np.ndarray  # (T,)
     ends: np.ndarray  # (T, 4) points, as each kind has them; the first is a frame's origin. -1 for none
-    constant: np.ndarray  # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's
+    # (T, CONSTANTS): direction and level of a scalar, rotation or axis of a frame in its link's, shapes of two solids
+    constant: np.ndarray
     first_row: np.ndarray  # (T+1,) where the rows of a term begin
     first_reference: np.ndarray  # (T+1,) where its references begin
     reference: np.ndarray  # (S, N+1) a rotation that an orientation is compared with, a pose

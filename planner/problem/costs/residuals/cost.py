@@ -18,11 +18,14 @@ import numpy as np
 from planner.dynamics.contacts import ramp
 from planner.kernels.tree.residuals.table import (
     ANGULAR,
+    BOXES,
     DISTANCE,
     HEIGHT,
+    LINE_BOX,
     LINEAR,
     MASS_CENTRE,
     ORIENTATION,
+    OVER_PLANE,
     POINTING,
     POSE,
     POSITION,
@@ -36,6 +39,7 @@ from planner.problem.costs.residuals.frames import framed
 from planner.problem.costs.residuals.mass_centre import mass_centre
 from planner.problem.costs.residuals.scalars import scalar
 from planner.problem.costs.residuals.seen import Seen
+from planner.problem.costs.residuals.solids import apart
 from planner.problem.costs.residuals.turns import turned
 from planner.problem.costs.terms import Quadratic, Term
 from planner.problem.costs.wanted import Wanted
@@ -43,6 +47,7 @@ from planner.problem.costs.wanted import Wanted
 _MEASURES: dict[int, Callable[[Seen, int, bool], tuple[np.ndarray, np.ndarray]]] = {
     HEIGHT: scalar, DISTANCE: scalar, VELOCITY: scalar, POSITION: framed, POINTING: framed, LINEAR: framed,
     ANGULAR: framed, ORIENTATION: turned, POSE: turned, MASS_CENTRE: mass_centre,
+    LINE_BOX: apart, BOXES: apart, OVER_PLANE: apart,
     TILT: framed,
 }  # fmt: skip
 

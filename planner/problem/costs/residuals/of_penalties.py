@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import choice, shown
 from planner.base.errors import PlannerError
-from planner.kernels.tree.residuals.table import DISTANCE, HEIGHT, VELOCITY
+from planner.kernels.tree.residuals.table import BOXES, DISTANCE, HEIGHT, LINE_BOX, OVER_PLANE, VELOCITY
 from planner.model.contact.laws import Contact
+from planner.model.contact.solids import BOX, LINE, PLANE
 from planner.model.mechanism import Frame, Mechanism
-from planner.problem.costs.penalty_terms import Distance, Gap, Height, Penalty, Point, Segment, Velocity
+from planner.problem.costs.penalty_terms import Clearance, Distance, Gap, Height, Penalty, Point, Segment, Velocity
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 
 _SIDES = {"least": -1.0, "most": 1.0, "target": 0.0}
@@ -51,7 +52,22 @@ def _measured(
         lines = [Segment(part, part) if isinstance(part, Point) else part for part in (term.a, term.b)]
         points = [number(end) for line in lines for end in (line.start, line.end)]
         return DISTANCE, points, (0.0, 0.0, 0.0, sum(line.radius for line in lines))
-    raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance, Gap or Velocity.")
+    if isinstance(term, Clearance):
+        return _of_solids(term, number)
+    raise PlannerError(f"{name} is {shown(term)}, expected a Height, Distance, Gap, Velocity or Clearance.")
+
+
+def _of_solids(term: Clearance, number: Callable[[Point], int]) -> tuple[int, list[int], tuple[float, ...]]:
+    """Kind, points and constants of the distance of two solids; of two lines those of a Distance."""
+    a, b = term.a, term.b
+    level = a.radius + b.radius - term.lift
+    if b.kind == LINE:
+        ends = [(solid, solid.T[:3, 3] + side * solid.half[2] * solid.T[:3, 2]) for solid in (a, b) for side in (-1, 1)]
+        return DISTANCE, [number(Point(Frame(solid.link, np.eye(4)), at)) for solid, at in ends], (0.0, 0.0, 0.0, level)
+    kind = OVER_PLANE if b.kind == PLANE else BOXES if a.kind == BOX else LINE_BOX
+    sizes = [np.linalg.norm(a.half), 0.0 if b.plane else np.linalg.norm(b.half)]
+    parts = (a.T[:3, :3].ravel(), a.half, b.T[:3, :3].ravel(), b.half, [level, sum(sizes)])
+    return kind, [number(Point(Frame(solid.link, solid.T))) for solid in (a, b)], tuple(np.concatenate(parts))
 
 
 def _point(measures: ResidualList, mechanism: Mechanism, point: Point, name: str) -> int:

@@ -51,7 +51,7 @@ class Seen:
 
     def frame_of(self, t: int) -> Frame:
         """The frame that term t is about, with the rotation in its constants."""
-        return self.frame(int(self.arrays.ends[t, 0]), self.arrays.constant[t].reshape(3, 3))
+        return self.frame(int(self.arrays.ends[t, 0]), self.arrays.constant[t, :9].reshape(3, 3))
 
     def pose(self, frame: Frame) -> np.ndarray:
         """(K, 4, 4) of a frame."""

@@ -1,0 +1,166 @@
+"""Avoid: which shapes of a model a plan keeps apart, and how far.
+
+The shapes are those of the user's file, as MuJoCo collides them: spheres, capsules, boxes and planes are exact, others
+are fitted (planner.model.contact.fitted). MuJoCo's own collision judges the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from planner.base.arguments import number, set_fields, shown
+from planner.base.errors import PlannerError
+from planner.dynamics.clearances import Clearances
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mjcf.left_out import names_of, pairs_by_name
+from planner.model.mjcf.near_pairs import Near, near_pairs
+from planner.model.mjcf.survey import Survey, compile_model
+from planner.problem.constraints.apart import Apart
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.guess import follow
+from planner.problem.way_around import along, way_around
+
+EXACT = 0.02  # of the clearance: how far below it passes
+SOFT = 0.1  # of the clearance, see Apart.soft
+ROOM = 0.5  # of the clearance beyond which a first guess keeps apart, where it can
+CUT = 0.1  # of the clearance that it keeps where its corners are rounded
+
+_surveys: WeakKeyDictionary[Mechanism, Survey] = WeakKeyDictionary()
+_ways: WeakKeyDictionary[Mechanism, dict[Any, np.ndarray | None]] = WeakKeyDictionary()
+"""Ways that were found: a problem is built again for every finer step."""
+
+
+class KeptApart(NamedTuple):
+    """The constraint that keeps shapes apart, and sentences about them."""
+
+    constraint: Constraint
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Avoid:
+    """What a plan keeps apart.
+
+    Attributes:
+        self: Whether shapes of the machine are kept from each other.
+        world: Whether they are kept from what is at rest.
+        clearance: m between their surfaces.
+        more: m beyond that, by the names of a pair ("geom 'hand' and geom 'post'").
+    """
+
+    self: bool = True
+    world: bool = True
+    clearance: float = 0.01
+    more: Any = None
+
+    def __post_init__(a) -> None:  # pyright: ignore[reportSelfClsParameterName] - a field is called self
+        for name in ("self", "world"):
+            if not isinstance(getattr(a, name), bool):
+                raise PlannerError(f"{name} of avoid is {shown(getattr(a, name))}, expected true or false.")
+        if not (a.self or a.world):
+            raise PlannerError("self and world of avoid are false, expected one of them true.")
+        more = {} if a.more is None else a.more
+        if not isinstance(more, Mapping):
+            raise PlannerError(f"more of avoid is {shown(more)}, expected a table of m by the names of pairs.")
+        set_fields(
+            a, clearance=number("clearance of avoid", a.clearance, above=0.0),
+            more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
+        )  # fmt: skip
+
+    def constraint(  # pyright: ignore[reportSelfClsParameterName]
+        a, mechanism: Mechanism, start: Any, goal: Any = None
+    ) -> KeptApart:
+        """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
+
+        Raises:
+            PlannerError: The mechanism has no model, nothing can touch, or a pose is in collision or too near.
+        """
+        if not mechanism.mjcf:
+            raise PlannerError("avoid needs the shapes of a model, expected a mechanism that was read from a file.")
+        survey = survey_of(mechanism)
+        poses = {"start": start} | ({} if goal is None else {"goal": goal})
+        poses = {name: np.asarray(x)[: mechanism.nq] for name, x in poses.items()}
+        near = near_pairs(survey, poses, a.clearance, own=a.self, world=a.world, known=_known(mechanism, survey))
+        if not near.pairs:
+            raise PlannerError("avoid has nothing to keep apart: no shapes of the model can touch; leave it out.")
+        return KeptApart(_constraint(near, a.clearance, a.more), near.notes)
+
+
+def survey_of(mechanism: Mechanism) -> Survey:
+    """The user's file of a mechanism, compiled once."""
+    if mechanism not in _surveys:
+        _surveys[mechanism] = Survey(compile_model(mechanism.original or mechanism.mjcf, mechanism.assets))
+    return _surveys[mechanism]
+
+
+def _known(mechanism: Mechanism, survey: Survey) -> Collection[frozenset[int]]:
+    """The pairs whose contact the plan's own model has."""
+    if not (mechanism.contacts or mechanism.body_contacts):
+        return ()
+    own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
+    return {frozenset(pair) for pair in pairs_by_name(survey.model).values() if names_of(survey.model, pair) in own}
+
+
+def _constraint(near: Near, clearance: float, more: Mapping[str, float]) -> Constraint:
+    added = np.array([min(more.get(pair.names, 0.0), pair.room) for pair in near.pairs])
+    apart = Apart(near.pairs, added, SOFT * clearance)
+    return Constraint(apart, least=apart.least, tolerance=EXACT * clearance, name="clearance")
+
+
+def motion_around(
+    apart: Apart, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """States (N+1, nx) along a way on which nothing is too near, and controls (N, nu) by inverse dynamics.
+
+    None where none is found, or the machine is not fully actuated, of hinges and slides, and from rest to rest.
+    """
+    nq, nv = mechanism.nq, mechanism.nv
+    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
+    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
+        return None
+    way = free_way(apart, mechanism, x0[:nq], goal[:nq], seed)
+    if way is None:
+        return None
+    xs = np.tile(x0, (N + 1, 1))
+    xs[:, :nq], xs[:, nq : nq + nv], _ = along(way, duration, np.arange(N + 1) / N)
+    try:
+        return xs, follow(mechanism, *along(way, duration, (np.arange(N) + 0.5) / N))
+    except PlannerError:  # the actuators do not reach every joint
+        return None
+
+
+def free_way(
+    apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int = 0
+) -> np.ndarray | None:
+    """Poses (K, nq) from start to goal on which nothing is nearer than it may be, some room more if that can be."""
+    ways, key = _ways.setdefault(mechanism, {}), (start.tobytes(), goal.tobytes(), apart.least.tobytes(), seed)
+    if key not in ways:
+        ways[key] = _way(apart, mechanism, start, goal, seed)
+    return ways[key]
+
+
+def _way(apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
+    clearances = Clearances(mechanism, [pair[:2] for pair in apart.pairs])
+    lift = np.array([pair.lift for pair in apart.pairs])
+    ends = (clearances.values(np.stack([start, goal])) + lift).min(axis=0)
+    low, high = mechanism.joint_range.T
+    low = np.where(np.isfinite(low), low, np.minimum(start, goal) - np.pi)
+    high = np.where(np.isfinite(high), high, np.maximum(start, goal) + np.pi)
+    for room in (ROOM, 0.0):
+        least = np.minimum(apart.least * (1.0 + room), ends - 1e-9)
+
+        def free(q: np.ndarray, least: np.ndarray = least) -> np.ndarray:
+            return np.all(clearances.values(q, least - lift) + lift >= least, axis=1)
+
+        way = way_around(free, start, goal, np.minimum(low, np.minimum(start, goal)),
+                         np.maximum(high, np.maximum(start, goal)), seed,
+                         partial(free, least=np.minimum(CUT * apart.least, least)))  # fmt: skip
+        if way is not None:
+            return way
+    return None

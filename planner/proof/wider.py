@@ -1,0 +1,107 @@
+"""Plan again with more room where shapes touched in MuJoCo that the plan keeps apart.
+
+What stands for a mesh or a cylinder is fitted around it, but where fits overlap at the start of a motion and the shapes
+do not, that is let pass (planner.model.mjcf.near_pairs), and then a plan may come too near. MuJoCo's collision tells;
+the pair is kept apart by as much more as it went in, and half of the clearance.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.problem.constraints.apart import Apart, apart_of
+from planner.problem.goals import goals_of
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof import Proof
+from planner.proof import prove as full_proof
+from planner.proof.your_file import your_file
+from planner.solvers.slq import solve
+from planner.solvers.warm_start import warm_start
+
+MOST = 3  # times
+ROOM = 0.5  # of what a pair is kept apart by, beside the depth
+
+
+class Wider(NamedTuple):
+    """The last plan that was proved, and a sentence for each time that it was planned with more room."""
+
+    plan: Plan
+    proof: Proof
+    notes: tuple[str, ...]
+
+
+def kept_wider(
+    plan: Plan, proof: Proof, *, limit: int = MOST, seconds: float = 60.0, prove: Callable[[Plan], Proof] | None = None,
+    **options: Any,
+) -> Wider:  # fmt: skip
+    """Solve and prove again with a larger clearance of the pairs that touched, while that is why a proof fails.
+
+    Args:
+        plan: A plan whose problem keeps shapes apart (planner.constraints.Avoid).
+        proof: Of the plan.
+        limit: Most times.
+        seconds: After which no other solve begins.
+        prove: Judges the plans; by default without perturbed rollouts.
+        options: Of solve().
+    """
+    prove, end, notes = prove or partial(full_proof, rollouts=0), time.monotonic() + seconds, list[str]()
+    while len(notes) < limit and time.monotonic() < end:
+        more = _touched(plan, proof)
+        if plan.problem is None or not more:
+            break
+        problem = with_more_room(plan.problem, more)
+        better = solve(replace(problem, us=warm_start(plan, problem)), **options)
+        if better.status is Status.NOT_FINITE:
+            break
+        notes.append(
+            "; ".join(f"{names} touch and are kept {100.0 * m:.2g} cm further apart" for names, m in more.items())
+        )
+        plan, proof = better, prove(better)
+        if plan.status is Status.INTERRUPTED:
+            break
+    return Wider(plan, proof, tuple(notes))
+
+
+def _touched(plan: Plan, proof: Proof) -> dict[str, float]:
+    """By how much more (m) pairs are to be kept apart that touch in the user's file, by their names."""
+    problem = plan.problem
+    apart = None if problem is None else apart_of(problem.constraints)
+    if apart is None or problem is None or proof.passed:
+        return {}
+    if not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
+        return {}
+    _, run = your_file(plan, problem, goals_of(problem), mjcf=None)
+    if run is None:
+        return {}
+    depths = {frozenset(touch.geoms): touch.deepest for touch in run.touches}
+    found = {}
+    for pair in apart.pairs:
+        depth = depths.get(frozenset((pair.a.geom, pair.b.geom)), 0.0)
+        if depth > 0.0:
+            found[pair.names] = max(found.get(pair.names, 0.0), depth + ROOM * pair.least)
+    return found
+
+
+def with_more_room(problem: Problem, more: dict[str, float]) -> Problem:
+    """The problem with pairs kept further apart (m), by their names; that of a file keeps its recipe."""
+    if problem.recipe is not None and "avoid" in problem.recipe.parameters:
+        table = problem.recipe.parameters["avoid"]
+        had = table.get("more") or {}
+        both = had | {name: had.get(name, 0.0) + m for name, m in more.items()}
+        return problem.recipe.rebuilt(avoid=table | {"more": both})
+    changed = []
+    for one in problem.constraints:
+        if isinstance(one.of, Apart):
+            pairs = one.of.pairs
+            added = one.of.more + np.array([more.get(pair.names, 0.0) for pair in pairs])
+            apart = replace(one.of, more=np.minimum(added, [pair.room for pair in pairs]))
+            one = replace(one, of=apart, least=apart.least)
+        changed.append(one)
+    return replace(problem, constraints=changed)
