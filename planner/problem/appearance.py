@@ -46,6 +46,18 @@ class Ghost:
     opacity: float | None = None  # 0..1; None leaves it to the picture: less for a ghost that stands in the machine
 
 
+@dataclass(frozen=True, eq=False)
+class GoalMark:
+    """Where a frame is asked to be: a ball, with axes where it has an orientation, or an arrow to a direction."""
+
+    frame: str  # A site or body of the model
+    time: float  # s, when it is asked for; fainter from then on
+    position: Point | None = None  # In the world; None is where the frame is planned to be then
+    orientation: np.ndarray | None = None  # (3, 3) the frame's axes in the world, as columns
+    direction: Point | None = None  # Of length 1: to where an axis of the frame is to point
+    number: str = ""  # Written beside it: one of several waypoints
+
+
 @dataclass(frozen=True)
 class Appearance:
     """How a film shows a plan and its machine. Lengths are the model's."""
@@ -82,7 +94,11 @@ class Appearance:
     plots: tuple[Panel, ...] = field(default=())  # Panels of the report
     # (Plan, the judged planner.Replay or None) -> more pictures of the case, at most one of a kind.
     pictures: Callable[[Any, Any], Sequence[CasePicture]] | None = None
-    trail: str = ""  # A site of the model, whose path is drawn behind it: the tip of an arm. "" draws none
+    # A site or body of the model, or several, whose paths are drawn behind them: the tip of an arm. "" draws none.
+    trail: str | tuple[str, ...] = ""
+    frames: tuple[str, ...] = ()  # Sites and bodies whose axes are drawn
+    goals: tuple[GoalMark, ...] = ()  # What frames are asked for
+    paths: tuple[np.ndarray, ...] = ()  # (K, 3) each: lines that frames are to follow
 
     def seen_from(self, view: View) -> Appearance:
         """The same with this camera alone."""

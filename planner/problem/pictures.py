@@ -103,4 +103,18 @@ class Paths:
     title: str = ""  # Above it all
 
 
+@dataclass(frozen=True, eq=False)
+class Bounded:
+    """Quantities of a motion over time beside their bounds: one panel of plots.png, see view.plots.bounded."""
+
+    title: str  # Above it
+    ylabel: str  # With the unit
+    t: np.ndarray  # (K,) s
+    names: tuple[str, ...]  # (R,) of the quantities
+    motions: tuple[np.ndarray, ...]  # (K, R) each: of the plan, then of its replays; gaps where they are not finite
+    least: np.ndarray  # (K, R), not finite where there is none
+    most: np.ndarray  # (K, R), the same
+    decades: bool = False  # Whether small values count: a log scale where they span decades
+
+
 CasePicture = StickFigures | Charts | Paths

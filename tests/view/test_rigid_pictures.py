@@ -77,7 +77,7 @@ def test_a_trail_follows_the_site():
     drawn = [changed(a, b) for a, b in zip(plain, trailed, strict=True)]
     assert drawn[0] < 10
     assert 40 < drawn[1] < drawn[2]
-    with pytest.raises(planner.PlannerError, match=r"trail is 'toe', expected a site of the model: tip\."):
+    with pytest.raises(planner.PlannerError, match=r"trail is 'toe', expected a site or body of the model: tip\."):
         pictures(replace(stage, trail="toe"))
 
 

@@ -77,7 +77,6 @@ from planner.cases.problem_file.tasks import (
     guess_of,
     is_task,
     made,
-    trail_of,
     weights_of,
     with_files,
     with_tasks,
@@ -103,6 +102,7 @@ from planner.problem.joint_limits import off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
+from planner.problem.tasks.marks import with_marks
 
 NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -289,8 +289,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         cost, wanted = cost_of(way, dynamics, weights)
     kept = (*constraints_of(table.get("constraint", [])), *(() if apart is None else (apart.constraint,)))
     appearance = default_appearance(mechanism, prescribed)
-    if way is not None:
-        appearance = replace(appearance, trail=trail_of(way))
+    appearance = with_marks(appearance, None if way is None else way.task, kept)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, partial(again, mechanism)),
         appearance=replace(appearance, title=table["title"] or appearance.title),

@@ -130,13 +130,6 @@ def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
     return Way(controls(way.task, way.poses, dynamics, x0), way.rows, direct)
 
 
-def trail_of(way: Made) -> str:
-    """The site whose path pictures draw: the last one that goals or paths are about; "" for none."""
-    task = way.task
-    frames = [path.frame for path in task.follows] + [one.goal.frame for one in reversed(task.goals)]
-    return next((frame for frame in frames if frame in task.mechanism.sites), "")
-
-
 def check_task_departure(x0: np.ndarray, wanted: tuple[Wanted, ...], task: Task) -> None:
     """Refuse a task that doing nothing solves, unless its goals are at the start exactly: then to stay is the task."""
     asked = [one for one in wanted if one.tolerance is not None]

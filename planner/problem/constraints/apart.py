@@ -50,6 +50,11 @@ class Apart:
         """(P,) m, how far each pair is kept apart."""
         return np.array([pair.least for pair in self.pairs]) + self.more
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(P,) of the pairs, short, for pictures."""
+        return tuple(pair.names.replace("geom ", "").replace("'", "").replace(" and ", ", ") for pair in self.pairs)
+
     def measure(self, dynamics: Dynamics, N: int) -> ApartMeasure:
         """Of a machine."""
         return ApartMeasure(self, dynamics, N)
@@ -74,6 +79,10 @@ class ApartMeasure(ResidualMeasure):
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, P); of pairs that are further than they need be, no more than their distance."""
         return self._clearances.values(self._q(xs), self._known) + self._lift
+
+    def shown(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, P) the distances of all pairs, however far, for pictures."""
+        return self._clearances.values(self._q(xs)) + self._lift
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, P, ndx) and zeros (K, P, nu)."""

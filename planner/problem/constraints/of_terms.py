@@ -93,6 +93,7 @@ class Place:
 
     frame: str | Frame
     unit = "m"
+    names = ("x", "y", "z")
 
     def __str__(self) -> str:
         return f"position of {_name(self.frame)}"
@@ -138,6 +139,7 @@ class Turn:
     frame: str | Frame
     orientation: Any
     unit = "rad"
+    names = ("x", "y", "z")
 
     def __post_init__(self) -> None:
         set_fields(self, orientation=_of_length_one("orientation", self.orientation, 4))
@@ -183,6 +185,7 @@ class MassCentre:
     """Where the centre of mass is in the world, x, y, z in m."""
 
     unit = "m"
+    names = ("x", "y", "z")
 
     def __str__(self) -> str:
         return "centre of mass"

@@ -11,10 +11,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.inverse_kinematics import Target, residuals
+from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.kernels.tree.model import chain_of
 from planner.model.coordinates import coordinates_of_mechanism
@@ -177,9 +178,19 @@ def _of_finite(mechanism: Mechanism, xs: np.ndarray, measure: Any) -> np.ndarray
 
 
 def _off_frame(mechanism: Mechanism, target: Target, xs: np.ndarray) -> np.ndarray:
-    def measure(known: np.ndarray) -> list[float]:
-        missed = [float(np.linalg.norm(residuals(mechanism, xs[k, : mechanism.nq], target)[0])) for k in known]
-        return missed if target.pointing is None else [2.0 * float(np.arcsin(min(0.5 * r, 1.0))) for r in missed]
+    """(K,) how far a frame is from the one part of a target, m or rad: as inverse_kinematics.residuals has it."""
+
+    def measure(known: np.ndarray) -> np.ndarray:
+        T = frame_pose(mechanism, xs[known, : mechanism.nq], target.frame)
+        if target.position is not None:
+            return np.linalg.norm(T[:, :3, 3] - target.position, axis=1)
+        if target.orientation is not None:
+            reference = Rotation.from_quat(target.orientation[[1, 2, 3, 0]]).as_matrix()
+            return Rotation.from_matrix(reference.T @ T[:, :3, :3]).magnitude()
+        assert target.pointing is not None
+        axis, wanted = target.pointing
+        away = np.linalg.norm(T[:, :3, :3] @ axis - wanted, axis=1)
+        return 2.0 * np.arcsin(np.minimum(0.5 * away, 1.0))
 
     return _of_finite(mechanism, xs, measure)
 

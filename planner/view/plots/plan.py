@@ -1,4 +1,4 @@
-"""A plan beside its replays over time: states, controls, contact force, and the convergence of the solver.
+"""A plan beside its replays over time: goals, constraints, states, controls, contact force, and convergence.
 
 The plan is dashed and dark, a replay solid and wider beneath it, the one without gains widest: where they agree, all
 can still be seen. A replay that runs away ends at the edge. Time with contact is shaded in every panel.
@@ -10,7 +10,7 @@ import math
 import re
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +18,14 @@ from planner.dynamics import RigidBodyDynamics, constraint_forces, constraint_na
 from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
 from planner.problem.default_appearance import appearance_of, small_multiples
+from planner.problem.over_time import task_panels
+from planner.problem.pictures import Bounded
 from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
+from planner.view.plots.bounded import draw_bounded
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
+from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
@@ -47,10 +52,7 @@ if TYPE_CHECKING:
 
 STANCE = "#ece7dc"
 
-_BESIDE = 3  # curves, above which their names stand beside the panel and not in it
-_PAST_AXIS = 1.17  # where they stand beside a right-hand axis, in widths of the panel
-_LONGEST = 22  # characters of a name there
-_ASTRAY = 1.5  # how far a replay that runs away may widen an axis, in parts of the range of the other curves
+_PAST_AXIS = 1.17  # where names stand beside a right-hand axis, in widths of the panel
 
 
 @dataclass(frozen=True)
@@ -67,19 +69,24 @@ class _Curve:
 def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     """The figure of a plan and its replays: both of a proof, one replay, or none.
 
-    The appearance of the plan's problem lists the panels; without any, all states and controls are drawn.
+    Goals and constraints come first. The appearance of the plan's problem lists the panels of states and controls;
+    without any, all of them are drawn.
     """
     replays = _replays(shown)
-    panels = _panels(plan)
+    tasks, panels = _tasks(plan, replays), _panels(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
     chains = _chains(plan)
-    figure, cells = figure_of(len(panels) + bool(touched) + len(chains) + 1)
+    figure, cells = figure_of(len(tasks) + len(panels) + bool(touched) + len(chains) + 1)
     timed: list[Axes] = []
-    for panel, cell in zip(panels, cells, strict=False):
+    for task, cell in zip(tasks, cells, strict=False):
+        timed.append(figure.add_subplot(cell))
+        draw_bounded(timed[-1], task, replays)
+    for panel, cell in zip(panels, cells[len(tasks) :], strict=False):
         timed += _draw_panel(figure, cell, panel, plan, replays)
     if touched:
-        timed.append(_draw_force(figure, cells[len(panels)], replays, plan))
-    for cell, (unit, curves) in zip(cells[len(panels) + bool(touched) :], chains.items(), strict=False):
+        timed.append(_draw_force(figure, cells[len(tasks) + len(panels)], replays, plan))
+    after = len(tasks) + len(panels) + bool(touched)
+    for cell, (unit, curves) in zip(cells[after:], chains.items(), strict=False):
         timed.append(_draw_chains(figure, cell, unit, curves, plan))
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
@@ -99,6 +106,17 @@ def _replays(shown: Proof | Replay | None) -> list[Replay]:
     if shown is None:
         return []
     return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
+
+
+def _tasks(plan: Plan, replays: list[Replay]) -> list[Bounded]:
+    """Goals and constraints over time, at the knots; none for a problem without."""
+    if not isinstance(plan.problem, Problem):
+        return []
+    motions = [(plan.xs, plan.us)]
+    for replay in replays:
+        us = replay.stage_controls if replay.ctrl.shape[1] == plan.us.shape[1] else plan.us
+        motions.append((replay.xs[:: replay.substeps], us))
+    return task_panels(plan.problem, plan.t, motions)
 
 
 def _panels(plan: Plan) -> tuple[Panel, ...]:
@@ -146,7 +164,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     if panel.states and panel.controls:
         right = right_axis(axes, ", ".join(label for _, label in panel.controls))
 
-    room = 0.18 if 1 < len(curves) <= _BESIDE else 0.05  # for the names
+    room = 0.18 if 1 < len(curves) <= BESIDE else 0.05  # for the names
     _keep_in_view(axes, [curve for curve in curves if right is None or not curve.held], room)
     if right is not None:
         _keep_in_view(right, [curve for curve in curves if curve.held], room)
@@ -154,15 +172,15 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
         steps = "steps-post" if curve.held else "default"
         on = right if curve.held and right is not None else axes
         for replay, (t, values) in zip(replays, curve.replays, strict=True):
-            shown = _until_astray(values, on.get_ylim())
-            on.plot(t, shown, **_line(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
+            shown = until_astray(values, on.get_ylim())
+            on.plot(t, shown, **line_of(replay, hue), drawstyle=steps, solid_capstyle="round", scaley=False)
         on.plot(
             curve.plan[0], drawable(curve.plan[1]), color=hue[0], lw=1.2, ls=DASHED, drawstyle=steps,
             label=curve.label, zorder=3, scaley=False,
         )  # fmt: skip
         (draw_control_bounds if curve.held else draw_state_range)(on, plan, curve.index, hue[0])
     if len(curves) > 1:
-        _name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
+        name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
         axes.set_xlabel("time (s)")
         return [axes]
@@ -171,39 +189,18 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     return [axes, beneath]
 
 
-def _line(replay: Replay, hue: tuple[str, str, str]) -> dict[str, Any]:
-    """Style of a replay's line."""
-    return {"color": hue[1], "lw": 2.2, "zorder": 2} if replay.feedback else {"color": hue[2], "lw": 4.0, "zorder": 1.9}
-
-
 def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
-    """Set limits of the axis; a replay that runs away widens them by _ASTRAY at most."""
+    """Set limits of the axis; a replay that runs away widens them by ASTRAY at most."""
     planned = [curve.plan[1] for curve in curves]
-    low, high = _range(planned)
+    low, high = range_of(planned)
     if low == high:  # a constant plan has no range; take that of the replay with gains, the last one
-        low, high = _range(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
-    lowest, highest = _range(planned + [values for curve in curves for _, values in curve.replays])
-    reach = _ASTRAY * (high - low)
+        low, high = range_of(planned + [curve.replays[-1][1] for curve in curves if curve.replays])
+    lowest, highest = range_of(planned + [values for curve in curves for _, values in curve.replays])
+    reach = ASTRAY * (high - low)
     bottom, top = max(lowest, low - reach), min(highest, high + reach)
     if not top > bottom:
         bottom, top = bottom - 1.0, bottom + 1.0
     axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
-
-
-def _until_astray(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """The values until they first leave the view: later ones of a replay that ran away would hide the others."""
-    shown = drawable(values)
-    outside = np.flatnonzero((shown < limits[0]) | (shown > limits[1]))
-    if len(outside):
-        shown[outside[0] + 1 :] = np.nan
-    return shown
-
-
-def _range(values: list[np.ndarray]) -> tuple[float, float]:
-    """Least and largest value that can be drawn; (0, 0) if there is none."""
-    shown = np.concatenate([drawable(part) for part in values] or [np.empty(0)])
-    shown = shown[np.isfinite(shown)]
-    return (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
 
 
 def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: str) -> None:
@@ -213,7 +210,7 @@ def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: s
     power = _power_of_thousand(np.concatenate(differences))
     dress(axes, "", "")
     for replay, difference in zip(replays, differences, strict=True):
-        style = _line(replay, HUES[5])
+        style = line_of(replay, HUES[5])
         color = RED if replay.feedback or len(replays) == 1 else style["color"]
         axes.plot(t, difference / 1000.0**power, color=color, lw=0.5 * style["lw"], zorder=3)
     axes.axhline(0.0, color=INK, lw=0.6, zorder=1)
@@ -279,26 +276,12 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool) -> N
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=DASHED, label="plan")]
     for replay in replays:
         words = MODE_WORDS["feedback" if replay.feedback else "open-loop"]
-        handles.append(Line2D([], [], **_line(replay, GREYS), label=f"replay in MuJoCo, {words}"))
+        handles.append(Line2D([], [], **line_of(replay, GREYS), label=f"replay in MuJoCo, {words}"))
     if touched:
         handles.append(Patch(facecolor=STANCE, edgecolor="#cfc8b8", lw=0.5, label="stance (contact force > 0)"))
     if limited(plan):
         handles.append(Patch(facecolor=INK, alpha=SHADE, label=LABEL))
     legend_below(figure, handles)
-
-
-def _name_curves(axes: Axes, labels: list[str], beside: float) -> None:
-    """Draw a legend by colour: each curve's plan and replay share a hue."""
-    from matplotlib.lines import Line2D
-
-    handles = [Line2D([], [], color=dark, lw=2.0) for (dark, _, _), _ in zip(cycle(HUES), labels, strict=False)]
-    style: dict[str, Any] = {"framealpha": 0.85, "edgecolor": "none", "borderpad": 0.3, "handlelength": 1.4}
-    if len(labels) > _BESIDE:
-        names = [label if len(label) <= _LONGEST else f"{label[:9]}…{label[-12:]}" for label in labels]
-        legend = axes.legend(handles, names, fontsize=7, loc="center left", bbox_to_anchor=(beside, 0.5), **style)
-    else:
-        legend = axes.legend(handles, labels, fontsize=8, loc="upper left", ncols=len(labels), **style)
-    legend.set_zorder(5)
 
 
 def _power_of_thousand(values: np.ndarray) -> int:

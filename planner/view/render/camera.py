@@ -38,7 +38,7 @@ class Box(NamedTuple):
 def whole_motion(
     films: Sequence[Film], model: Any, appearance: Appearance, aspect: float, ghost: bool, room: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Point (3,) and distance (m) at which a camera sees all of some films of one plan.
+    """Point (3,) and distance (m) at which a camera sees all of some films of one plan, and its goals.
 
     `aspect` is width over height; `room` is the part of the height that words leave free. A replay that runs away is
     followed only near the plan.
@@ -50,6 +50,10 @@ def whole_motion(
         box = box.joined(plan.joined(swept, _ASTRAY * float(np.max(plan.high - plan.low))), np.inf)
     if ghost:
         box = box.beside(np.asarray(appearance.ghost_offset))
+    goals = [one.position for one in appearance.goals if one.position is not None]
+    for places in (np.reshape(goals, (-1, 3)), *appearance.paths):
+        if len(places):
+            box = box.joined(Box(places.min(axis=0), places.max(axis=0)), np.inf)
     distance = standing_back(box, appearance.azimuth, appearance.elevation, model.vis.global_.fovy, aspect, room)
     return 0.5 * (box.low + box.high), distance
 

@@ -147,7 +147,9 @@ class _Tile(NamedTuple):
         drawn, film = self.scene.draw(frame), self.film
         ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
         seen = [end for end in ends if end is not None]
-        marks = [(max(seen), f" {film.appearance.goal_label}", "lm")] if seen else []  # at the right end of the line
+        marks = [overlay.beside(label) for label in self.scene.labels(frame)]
+        if seen:  # at the right end of the line
+            marks.append(overlay.Mark(max(seen), f" {film.appearance.goal_label}"))
         return self.words.write(drawn, film.t[frame], film.readings[frame], marks)
 
 
@@ -177,7 +179,8 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
         for frame, t in enumerate(film.t):
             row, column = (frame // columns) * (high + gap), left + (frame % columns) * (tile + gap)
             words = film.words[frame] if film.words else overlay.time_words(t, unstable=t >= film.unstable)
-            picture = overlay.write_below(scene.draw(frame), words, band, unit, bad=t >= film.unstable)
+            picture, marks = scene.draw(frame), [overlay.beside(label) for label in scene.labels(frame)]
+            picture = overlay.write_below(picture, words, band, unit, marks, bad=t >= film.unstable)
             strip[row : row + high, column : column + tile] = picture
     return strip
 

@@ -9,15 +9,16 @@ from fractions import Fraction
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Caption
-from planner.view.render.scene import FORCE, ghost_paint
+from planner.view.render.marks import GOAL, PATH
+from planner.view.render.scene import FORCE, Label, ghost_paint
 
-Mark = tuple[tuple[float, float], str, str]  # (column, row), words, Pillow's anchor
 _Part = tuple[str, ImageFont.FreeTypeFont, tuple[int, ...]]
 _Placed = tuple[Image.Image, tuple[int, int]]  # a panel, and its upper left corner
 
@@ -29,6 +30,21 @@ _SOLID = (24, 84, 176)
 _GOOD, _BAD = (20, 113, 58), (179, 38, 30)
 _MINUS = "\N{MINUS SIGN}"
 _LONG = 1e7
+
+
+class Mark(NamedTuple):
+    """Words beside a point."""
+
+    at: tuple[float, float]  # column and row
+    words: str
+    anchor: str = "lm"  # Pillow's
+    ink: tuple[int, int, int] = _INK
+    large: bool = False
+
+
+def beside(label: Label) -> Mark:
+    """The number of a goal, to the right of it and above."""
+    return Mark(label.at, f" {label.words}", "ls", _mixed(_INK, 0.4) if label.faint else _INK, large=True)
 
 
 @dataclass(frozen=True)
@@ -81,14 +97,12 @@ class Overlay:
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
-        for (x, y), words, anchor in marks:
-            inmost = self._width - self._margin - self._small.getlength(words)
-            if anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
+        for mark in marks:
+            (x, y), font = mark.at, self._text if mark.large else self._small
+            inmost = self._width - self._margin - font.getlength(mark.words)
+            if mark.anchor[0] == "l" and x > inmost:  # a label at the edge moves in, above what it names
                 x, y = inmost, y - 0.6 * self._line
-            draw.text(
-                (x, y), words, _INK, self._small, anchor=anchor,
-                stroke_width=max(1, round(2 * self._unit)), stroke_fill=(240, 243, 247),
-            )  # fmt: skip
+            _write_mark(draw, mark._replace(at=(x, y)), font, self._unit)
         for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
         if not self._numbers:
@@ -155,6 +169,10 @@ class Overlay:
         entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
         if self._appearance.force_scale > 0:
             entries.append(("contact force", _bytes(FORCE)))
+        if self._appearance.goals:
+            entries.append(("goal", _bytes(GOAL)))
+        if self._appearance.paths:
+            entries.append(("path to follow", _bytes(PATH)))
         p, box, height = self._padding, 13 * self._unit, 34 * self._unit
         gaps = [self._small.getlength(entry) + 1.6 * box for entry, _ in entries]
         panel, draw = _panel(2 * p + sum(gaps) + 1.6 * box * (len(entries) - 1), height, 8 * self._unit)
@@ -205,17 +223,34 @@ def time_words(t: float, *, unstable: bool) -> str:
     return f"{t:.2f} s, unstable" if unstable else f"{t:.2f} s"
 
 
-def write_below(picture: np.ndarray, words: str, band: int, unit: float, *, bad: bool = False) -> np.ndarray:
-    """A pose of a strip with words in a band under it: (height + band, width, 3)."""
+def write_below(
+    picture: np.ndarray, words: str, band: int, unit: float, marks: Sequence[Mark] = (), *, bad: bool = False
+) -> np.ndarray:
+    """A pose of a strip with marks in it and words in a band under it: (height + band, width, 3)."""
     height, width, _ = picture.shape
     image = Image.new("RGB", (width, height + band), _PAPER)
     image.paste(Image.fromarray(picture), (0, 0))
+    for mark in marks:
+        _write_mark(ImageDraw.Draw(image), mark, _font("DejaVuSans.ttf", 13 * unit), unit)
     font = _font("DejaVuSans.ttf", 18 * unit)
     if font.getlength(words) > 0.96 * width:
         font = _font("DejaVuSans.ttf", 18 * unit * 0.96 * width / font.getlength(words))
     ink = _BAD if bad else _INK
     ImageDraw.Draw(image).text((width / 2, height + band / 2), words, ink, font, anchor="mm")
     return np.asarray(image)
+
+
+def _write_mark(draw: ImageDraw.ImageDraw, mark: Mark, font: ImageFont.FreeTypeFont, unit: float) -> None:
+    draw.text(
+        mark.at, mark.words, mark.ink, font, anchor=mark.anchor, stroke_width=max(1, round(2 * unit)),
+        stroke_fill=(240, 243, 247),
+    )  # fmt: skip
+
+
+def _mixed(ink: tuple[int, int, int], part: float) -> tuple[int, int, int]:
+    """An ink with a part of the paper's."""
+    r, g, b = (round((1.0 - part) * one + part * other) for one, other in zip(ink, _PAPER, strict=True))
+    return r, g, b
 
 
 def _panel(width: float, height: float, radius: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:

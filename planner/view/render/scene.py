@@ -1,4 +1,4 @@
-"""The three-dimensional part of a picture: the machine, the ghost, trails, force arrows, goal line, camera.
+"""The three-dimensional part of a picture: the machine, the ghost, marks, force arrows, goal line, camera.
 
 Only kinematics is computed here.
 """
@@ -8,16 +8,17 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
 
 from planner.base import gl
-from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.base.errors import RenderingUnavailable
 from planner.problem.appearance import Appearance
-from planner.view.render.camera import scenery_of, whole_motion
+from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.film import Film
+from planner.view.render.marks import Marks
 from planner.view.render.setting import visible_model
 from planner.view.render.shapes import Paint, Shapes, without_shadow
 from planner.view.render.sticks import Sticks
@@ -27,13 +28,19 @@ _ASIDE = 0.34  # opacity of a ghost beside the machine
 _IN_PLACE = 0.16  # of one that stands in the machine, which must be seen through it
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
-TRAIL = (0.80, 0.25, 0.10, 1.0)
-_GHOST_TRAIL = 0.8  # opacity
-_THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
+_BEHIND = 2e-3  # of its distance from the camera: a ghost in the machine is so much behind it, or they would flicker
 
 _FLOOR = 2.0  # camera distances: a shape as large as that is a floor
 _SHADOWS = 1024  # pixels of the shadow map of a picture beside another
 _ROOM = 0.7  # of the height of a picture beside another is free of words
+
+
+class Label(NamedTuple):
+    """Words at a point of a picture."""
+
+    at: tuple[float, float]  # column and row
+    words: str
+    faint: bool
 
 
 class Scene:
@@ -82,7 +89,7 @@ class Scene:
         # A floor has nothing below it to shade, and would speckle itself where the shadow map is coarse.
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
         self._ground = is_plane | (model.geom_rbound > _FLOOR * self._camera.distance)
-        self._trails = self._paths()
+        self._marks = Marks(film, model, ghost_paint(film.appearance) if ghost else None)
         try:
             self._renderer: Any = mujoco.Renderer(model, rows, columns)
         except (mujoco.FatalError, RuntimeError, ImportError) as error:
@@ -112,10 +119,7 @@ class Scene:
         if self._ghost:
             self._add_ghost(self._film.ghost_qpos[frame])
         shapes = Shapes(scene, self._camera.distance)
-        for path, paint, part in self._trails:
-            t = self._film.t[frame]
-            now = [[np.interp(t, self._film.path_t, column) for column in path.T]]
-            shapes.trail(np.concatenate([path[self._film.path_t < t], now]), paint, part)
+        self._marks.add(shapes, self._data, float(self._film.t[frame]))
         for force, point in zip(self._film.forces[frame], self._film.points[frame], strict=True):
             vector = self._appearance.force_scale * force
             shapes.arrow(point + np.asarray(self._appearance.force_offset), vector, FORCE)
@@ -124,6 +128,11 @@ class Scene:
             shapes.dashes(start, end, GOAL)
         large = Image.fromarray(self._renderer.render(out=self._pixels))
         return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
+
+    def labels(self, frame: int) -> list[Label]:
+        """The numbers of goals in the picture just drawn, frame number `frame`."""
+        numbers = self._marks.labels(float(self._film.t[frame]))
+        return [Label(at, words, faint) for place, words, faint in numbers if (at := self.project(place)) is not None]
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """(column, row) of a point of the scene in the last drawn picture, None for one behind the camera."""
@@ -158,30 +167,6 @@ class Scene:
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
 
-    def _paths(self) -> list[tuple[np.ndarray, Paint, float]]:
-        """The path (P, 3) of the trail's site in the simulation and in the ghost, their colours and thickness."""
-        name, mujoco = self._appearance.trail, self._mujoco
-        if not name:
-            return []
-        site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
-        if site < 0:
-            known = ", ".join(self._model.site(i).name for i in range(self._model.nsite)) or "none"
-            raise PlannerError(f"the appearance's trail is {name!r}, expected a site of the model: {known}.")
-
-        def path(poses: np.ndarray, offset: np.ndarray) -> np.ndarray:
-            points = np.empty((len(poses), 3))
-            for point, qpos in zip(points, poses, strict=True):
-                self._data.qpos[:] = qpos
-                mujoco.mj_kinematics(self._model, self._data)
-                point[:] = self._data.site_xpos[site] + offset
-            return points
-
-        trails: list[tuple[np.ndarray, Paint, float]] = [(path(self._film.path_qpos, np.zeros(3)), TRAIL, 1.0)]
-        if self._ghost:
-            points = path(self._film.path_ghost_qpos, np.asarray(self._appearance.ghost_offset))
-            trails.append((points, (*ghost_paint(self._appearance)[:3], _GHOST_TRAIL), _THINNER))
-        return trails
-
     def _add_ghost(self, qpos: np.ndarray) -> None:
         mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._appearance)
         self._pose(self._ghost_model, self._ghost_data, qpos)
@@ -190,8 +175,11 @@ class Scene:
             self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
         )
         self._sticks.add(self._ghost_data, scene)
+        offset = np.asarray(self._appearance.ghost_offset)
+        ahead = directions(self._camera.azimuth, self._camera.elevation)[0]
+        eye, behind = self._camera.lookat - self._camera.distance * ahead, 0.0 if np.any(offset) else _BEHIND
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += self._appearance.ghost_offset
+            geom.pos[:] += offset + behind * (geom.pos - eye)
             geom.matid = -1
             geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25

@@ -1,9 +1,9 @@
-"""Shapes that belong to no model: lines, dashes, arrows. MuJoCo forgets them with each frame."""
+"""Shapes that belong to no model: lines, dashes, balls, axes, arrows. MuJoCo forgets them with each frame."""
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,18 @@ _ARROW = 0.007
 _SLIM = 0.045  # largest radius of an arrow's shaft, in parts of its length: a thicker one would be all head
 _LEAST_ARROW = 0.015  # length of the shortest arrow that can be seen
 _DASHES = 24
+_AXES = ((0.83, 0.16, 0.15), (0.16, 0.58, 0.22), (0.13, 0.36, 0.82))  # x, y and z
+
+
+class Rod(NamedTuple):
+    """Sizes of an axis of a frame."""
+
+    length: float
+    radius: float
+
+    def of(self, size: float) -> Rod:
+        """In parts of a size."""
+        return Rod(size * self.length, size * self.radius)
 
 
 class Shapes:
@@ -39,6 +51,16 @@ class Shapes:
         for a, b in zip(points[::2], points[1::2], strict=True):
             self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, _DASH * self._distance, a, b, paint)
 
+    def ball(self, centre: np.ndarray, radius: float, paint: Paint) -> None:
+        """A ball at a point (3,)."""
+        self._connect(self._mujoco.mjtGeom.mjGEOM_SPHERE, radius, centre, centre, paint)
+
+    def axes(self, origin: np.ndarray, R: np.ndarray, rod: Rod, opacity: float = 1.0) -> None:
+        """The axes of a frame at a point (3,), the columns of R (3, 3): red, green and blue."""
+        for axis, paint in zip(R.T, _AXES, strict=True):
+            end = origin + rod.length * axis
+            self._connect(self._mujoco.mjtGeom.mjGEOM_CAPSULE, rod.radius, origin, end, (*paint, opacity))
+
     def arrow(self, foot: np.ndarray, vector: np.ndarray, paint: Paint) -> None:
         """An arrow from a point (3,) along a vector (3,); none where one of them is unknown or the arrow too short."""
         length = float(np.linalg.norm(vector))
@@ -49,13 +71,15 @@ class Shapes:
         self._connect(self._mujoco.mjtGeom.mjGEOM_ARROW, width, foot, foot + 2.0 * vector, paint)
 
     def _connect(self, kind: Any, width: float, start: np.ndarray, end: np.ndarray, paint: Paint) -> None:
-        """A shape from start to end that casts no shadow."""
+        """A shape from start to end, or a ball at start, that casts no shadow."""
         mujoco, scene = self._mujoco, self._scene
         if scene.ngeom >= scene.maxgeom:
             return
         geom = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array(paint, np.float32))
-        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+        size, rgba = np.full(3, width), np.array(paint, np.float32)
+        mujoco.mjv_initGeom(geom, kind, size, np.asarray(start, float), np.eye(3).ravel(), rgba)
+        if kind != mujoco.mjtGeom.mjGEOM_SPHERE:
+            mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
         geom.emission = 0.4
         without_shadow(geom)
         scene.ngeom += 1

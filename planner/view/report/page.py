@@ -124,9 +124,11 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
             "This browser does not play H.264 video.</video>"
         )
-        imitated = appearance_of(plan.problem).ghost
-        ghost = "plan" if imitated is None else imitated.label
-        caption = f"MuJoCo solid, the {ghost} as a ghost; at the left open loop, at the right with the plan's gains"
+        seen = appearance_of(plan.problem)
+        ghost = "plan" if seen.ghost is None else seen.ghost.label
+        goals = "; goals as balls, axes and arrows" if seen.goals else ""
+        sides = "at the left open loop, at the right with the plan's gains"
+        caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
 

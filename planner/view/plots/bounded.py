@@ -1,0 +1,107 @@
+"""Panels of what is asked of a motion over time: goals and constraints beside their bounds.
+
+A bound that all curves share is a red line, and what is outside of it is shaded; a bound of a curve's own is dotted, in
+its hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.problem.pictures import Bounded
+from planner.proof.replays.replaying import Replay
+from planner.view.plots.motions import ASTRAY, line_of, name_curves, range_of, until_astray
+from planner.view.plots.style import DASHED, HUES, RED, drawable, dress, positive
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_OUTSIDE = 0.07  # opacity of what is outside
+_DECADES = 30.0  # largest over smallest value, from which a log scale is
+_BELOW = 30.0  # the least bound over the smallest value that a log scale shows
+_ROOM = 0.06
+_UP, _DOWN = 6, 7  # matplotlib's triangles whose tips are at the point
+
+
+def draw_bounded(axes: Axes, panel: Bounded, replays: Sequence[Replay]) -> None:
+    """Draw a panel; `replays` are those whose motions follow the plan's in it."""
+    dress(axes, panel.title, panel.ylabel, "time (s)")
+    single = _single(panel)
+    note = "tolerance" if panel.decades and not np.isfinite(panel.least).any() else "bound"
+    if single[0].any() or single[1].any():
+        axes.set_ylabel(f"{panel.ylabel}   ({'ring: to be met' if _met(panel).any() else f'tip: {note}'})")
+    log = _keep_in_view(axes, panel)
+    for column, (name, hue) in enumerate(zip(panel.names, cycle(HUES), strict=False)):
+        for replay, values in zip(replays, panel.motions[1:], strict=True):
+            shown = positive(values[:, column]) if log else drawable(values[:, column])
+            if not log:
+                shown = until_astray(shown, axes.get_ylim())
+            axes.plot(panel.t, shown, **line_of(replay, hue), solid_capstyle="round", scaley=False)
+        planned = panel.motions[0][:, column]
+        axes.plot(panel.t, positive(planned) if log else drawable(planned), color=hue[0], lw=1.2, ls=DASHED, label=name,
+                  zorder=3, scaley=False)  # fmt: skip
+    _draw_bounds(axes, panel, single)
+    if len(panel.names) > 1:
+        name_curves(axes, panel.names, 1.0, most=0)
+
+
+def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarray]) -> None:
+    met = _met(panel)
+    for side, alone, marker, edge in (
+        (panel.least, single[0], _UP, axes.get_ylim()[0]), (panel.most, single[1], _DOWN, axes.get_ylim()[1])
+    ):  # fmt: skip
+        along = np.where(np.isfinite(side) & ~alone, side, np.nan)
+        together = bool(np.all(along[:, :1] == along, where=np.isfinite(along) | np.isfinite(along[:, :1])))
+        if together and np.isfinite(along).any():
+            axes.plot(panel.t, along[:, 0], color=RED, lw=1.0, scaley=False, zorder=2.5)
+            if not met.any():
+                axes.fill_between(panel.t, along[:, 0], edge, color=RED, alpha=_OUTSIDE, lw=0, zorder=0)
+        for column, hue in zip(range(side.shape[1]), cycle(HUES), strict=False):
+            if not together:
+                axes.plot(panel.t, along[:, column], color=hue[0], lw=1.1, ls=":", scaley=False, zorder=2.5)
+            for asked, style in (
+                (alone[:, column] & ~met[:, column], {"marker": marker, "color": hue[0], "mec": "white", "mew": 0.6}),
+                (alone[:, column] & met[:, column], {"marker": "o", "color": "none", "mec": hue[0], "mew": 1.4}),
+            ):
+                if asked.any():
+                    on_top = {"ms": 7.0, "zorder": 5, "clip_on": False, "in_layout": False, "scaley": False}
+                    axes.plot(panel.t[asked], side[asked, column], ls="", **style, **on_top)
+
+
+def _met(panel: Bounded) -> np.ndarray:
+    """(K, R) where a value is to be met."""
+    return np.isfinite(panel.least) & (panel.least == panel.most)
+
+
+def _single(panel: Bounded) -> tuple[np.ndarray, np.ndarray]:
+    """(K, R) where the least, and the most, is asked for at one time alone."""
+    found = []
+    for side in (panel.least, panel.most):
+        finite = np.pad(np.isfinite(side), ((1, 1), (0, 0)))
+        found.append(finite[1:-1] & ~finite[:-2] & ~finite[2:])
+    return found[0], found[1]
+
+
+def _keep_in_view(axes: Axes, panel: Bounded) -> bool:
+    """Set limits of the axis: the plan and all bounds, and what replays add; whether its scale is logarithmic."""
+    bounds = [side[np.isfinite(side)] for side in (panel.least, panel.most)]
+    low, high = range_of([panel.motions[0], *bounds])
+    if panel.decades and high > 0.0:
+        seen = positive(np.concatenate([panel.motions[0].ravel(), *bounds]))
+        smallest, edge = float(np.nanmin(seen)), min(float(one.min()) for one in bounds if len(one))
+        smallest = max(smallest, edge / _BELOW) if edge > 0.0 else smallest
+        if high > _DECADES * smallest:
+            axes.set_yscale("log")
+            axes.set_ylim(smallest / 1.5, 1.5 * high)
+            return True
+    lowest, highest = range_of([*panel.motions, *bounds])
+    reach = ASTRAY * (high - low)
+    low, high = max(lowest, low - reach), min(highest, high + reach)
+    if not high > low:
+        low, high = low - 1.0, high + 1.0
+    axes.set_ylim(low - _ROOM * (high - low), high + _ROOM * (high - low))
+    return False

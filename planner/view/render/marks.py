@@ -1,0 +1,165 @@
+"""What is drawn beside the machine: the trails of frames, their axes, and the goals and paths of a task.
+
+A goal is a ball, with short thick axes where its orientation is asked for, or an arrow where a direction is. The frame
+itself has longer, thinner axes, so that both can be told where they coincide. Sizes are parts of the machine's own.
+Goals that are passed are faint.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.base.gl import load_mujoco
+from planner.problem.appearance import GoalMark
+from planner.view.render.camera import scenery_of, swept_box
+from planner.view.render.film import Film
+from planner.view.render.shapes import Paint, Rod, Shapes
+
+TRAIL = (0.80, 0.25, 0.10, 1.0)
+GOAL = (0.84, 0.06, 0.50, 1.0)
+PATH = (0.16, 0.17, 0.20, 1.0)
+_GHOST_TRAIL = 0.8  # opacity
+_THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
+_PATH_LINE = 0.5  # thickness of a path that is to be followed, of a trail's
+_PASSED = 0.28  # opacity of a goal that was passed
+
+# In parts of the machine's size.
+_BALL = 0.015
+_ARROW = 0.12
+_GOAL_AXES = Rod(0.08, 0.0055)
+_FRAME_AXES = Rod(0.105, 0.0035)
+_ALIKE = 0.03  # goals that are nearer to each other than that share a label
+
+
+class _Place(NamedTuple):
+    """A goal, and where it is."""
+
+    mark: GoalMark
+    position: np.ndarray  # (3,)
+
+
+class _Trail(NamedTuple):
+    """The path of a frame behind it."""
+
+    t: np.ndarray  # (P,) s
+    path: np.ndarray  # (P, 3)
+    paint: Paint
+    part: float  # of a trail's thickness
+
+
+class Marks:
+    """Trails, axes, goals and paths of a film."""
+
+    def __init__(self, film: Film, model: Any, ghost: Paint | None) -> None:
+        """Find them in a model; `ghost` paints the trails of the ghost, None for a picture without it.
+
+        Raises:
+            PlannerError: The appearance names a site or body that the model does not have.
+        """
+        seen, self._appearance = film.appearance, film.appearance
+        trails = (seen.trail,) if isinstance(seen.trail, str) else seen.trail
+        named = {name: _found(model, "trail", name) for name in trails if name}
+        named |= {name: _found(model, "frame", name) for name in (*seen.frames, *(one.frame for one in seen.goals))}
+        self._frames = [named[name] for name in seen.frames]
+        self._model, self._film = model, film
+        self._trails = self._of_trails([named[name] for name in trails if name], ghost)
+        self._goals = [_Place(one, self._place(one, named[one.frame])) for one in seen.goals]
+        self._size = 0.0
+        if self._frames or self._goals:
+            box = swept_box(model, film.path_qpos[:1], scenery_of(model, seen)[0])
+            self._size = float(np.max(box.high - box.low))
+
+    def add(self, shapes: Shapes, data: Any, t: float) -> None:
+        """Draw them at time t, s, where MuJoCo's data puts the machine."""
+        for path in self._appearance.paths:
+            shapes.trail(path, PATH, _PATH_LINE)
+        for trail in self._trails:
+            now = [[np.interp(t, trail.t, column) for column in trail.path.T]]
+            shapes.trail(np.concatenate([trail.path[trail.t < t], now]), trail.paint, trail.part)
+        for frame in self._frames:
+            shapes.axes(*_pose(data, frame), _FRAME_AXES.of(self._size))
+        for mark, position in self._goals:
+            opacity = _PASSED if self.passed(mark, t) else 1.0
+            if mark.orientation is not None:
+                shapes.axes(position, mark.orientation, _GOAL_AXES.of(self._size), opacity)
+            shapes.ball(position, _BALL * self._size, (*GOAL[:3], opacity))
+            if mark.direction is not None:
+                shapes.arrow(position, _ARROW * self._size * np.asarray(mark.direction), (*GOAL[:3], opacity))
+
+    def passed(self, mark: GoalMark, t: float) -> bool:
+        """Whether a goal on the way is behind; one at the end never is."""
+        return mark.time < min(t, float(self._film.path_t[-1]) - 1e-9)
+
+    def labels(self, t: float) -> list[tuple[np.ndarray, str, bool]]:
+        """Places (3,), the numbers of the goals there, and whether all of these are passed."""
+        found: list[tuple[np.ndarray, list[GoalMark]]] = []
+        for mark, position in self._goals:
+            near = [one for one in found if np.linalg.norm(one[0] - position) < _ALIKE * self._size]
+            if near and mark.number:
+                near[0][1].append(mark)
+            elif mark.number:
+                found.append((position, [mark]))
+        return [
+            (position, ", ".join(dict.fromkeys(one.number for one in marks)), all(self.passed(one, t) for one in marks))
+            for position, marks in found
+        ]
+
+    def _of_trails(self, frames: list[tuple[str, int]], ghost: Paint | None) -> list[_Trail]:
+        """Of each frame in the simulation and in the ghost.
+
+        A piece takes a third of a millisecond to draw in software: several trails, and paths beside them, share the
+        pieces that one would have.
+        """
+        if not frames:
+            return []
+        film, offset = self._film, np.asarray(self._appearance.ghost_offset)
+        few = slice(None, None, len(frames) + len(self._appearance.paths))
+        t = np.append(film.path_t[few], film.path_t[-1])
+        kinds = [(film.path_qpos, TRAIL, 1.0, np.zeros(3))]
+        if ghost is not None:
+            kinds.append((film.path_ghost_qpos, (*ghost[:3], _GHOST_TRAIL), _THINNER, offset))
+        trails = []
+        for poses, paint, part, aside in kinds:
+            points = self._points(np.concatenate([poses[few], poses[-1:]]), frames) + aside
+            trails += [_Trail(t, points[:, k], paint, part) for k in range(len(frames))]
+        return trails
+
+    def _place(self, mark: GoalMark, frame: tuple[str, int]) -> np.ndarray:
+        """(3,) where a goal is; one without a position where the frame is planned to be then."""
+        if mark.position is not None:
+            return np.asarray(mark.position)
+        nearest = int(np.argmin(np.abs(self._film.path_t - mark.time)))
+        return self._points(self._film.path_ghost_qpos[[nearest]], [frame])[0, 0]
+
+    def _points(self, poses: np.ndarray, frames: list[tuple[str, int]]) -> np.ndarray:
+        """(P, F, 3) where frames are in poses (P, nq)."""
+        mujoco = load_mujoco()
+        data, points = mujoco.MjData(self._model), np.empty((len(poses), len(frames), 3))
+        for here, qpos in zip(points, poses, strict=True):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(self._model, data)
+            here[:] = [_pose(data, frame)[0] for frame in frames]
+        return points
+
+
+def _found(model: Any, what: str, name: str) -> tuple[str, int]:
+    """The kind and the number of a site or body."""
+    mujoco = load_mujoco()
+    for kind in ("site", "body"):
+        number = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+        if number >= 0:
+            return kind, number
+    known = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
+    listed = ", ".join(filter(None, known)) or "none"
+    raise PlannerError(f"the appearance's {what} is {name!r}, expected a site or body of the model: {listed}.")
+
+
+def _pose(data: Any, frame: tuple[str, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Place (3,) and axes (3, 3), as columns, of a site or body."""
+    kind, number = frame
+    if kind == "site":
+        return data.site_xpos[number], data.site_xmat[number].reshape(3, 3)
+    return data.xpos[number], data.xmat[number].reshape(3, 3)
