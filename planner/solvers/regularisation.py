@@ -80,7 +80,7 @@ class Regularisation:
             self._set(max(LEAST, HELD_FACTOR * self._relative) if step < SHORT else self._relative)
 
     def try_plain(self, accepted: bool, flat: bool) -> bool:
-        """Drop the weight once where the model promises next to nothing (`flat`): Newton steps end before it is lowered.
+        """Drop the weight once where the model promises next to nothing (`flat`): Newton steps outrun it.
 
         `accepted` says whether the last iteration took a step. Only where states are held.
         """

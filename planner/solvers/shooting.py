@@ -8,6 +8,7 @@ LQ problem whose deviations have these gaps (kernels.lq.gaps). Its direction is 
 a rollout with the sweep's gains, which closes all gaps at once and ends this phase, if its cost falls enough below the
 merit; else a part alpha of the direction for states and controls alike, whose gaps are those of the dynamics being
 curved. Where steps are short, changes of the states are held (see regularisation). Hessians are Gauss and Newton's.
+A full step of an LQ problem closes its gaps whatever the weights, so these are held only so far.
 """
 
 from __future__ import annotations
@@ -26,12 +27,15 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.guess import line_of_states
 from planner.problem.plan import Iteration
 from planner.problem.problem import Problem
-from planner.solvers.engine import Engine
+from planner.solvers.engine import Crossing, Engine
 from planner.solvers.regularisation import Regularisation
 
 ABOVE = 2.0  # nu over the largest multiplier, when it is set
 STALE = 8.0  # nu over the largest multiplier, from which on it is set again
 HALVINGS = 12  # of a step, before the states are held more
+HELD = 0.01  # the weight on changes of the states, relative to the cost's, beyond which it only keeps gaps open
+SHARE, SHARES = 0.25, 6  # of the first controls, whenever states and controls are too far apart; then none of them
+MOST = 60  # iterations across gaps; who needs more is better off with the rollout of the controls so far
 
 
 def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndarray | None:
@@ -58,26 +62,44 @@ def close_gaps(
     problem: Problem, engine: Engine, xs: np.ndarray, us: np.ndarray, most: int,
     callback: Callable[[Iteration], object] | None,
 ) -> tuple[float, list[Iteration]]:  # fmt: skip
-    """Take steps across gaps until a rollout closes them; at the latest after `most` of them.
+    """Take steps across gaps until a rollout closes them, or for the first MOST iterations.
+
+    Controls under which the guessed states are out of reach lead the direction astray: steps stay short while the
+    states are held more and more. Then the same states are tried with a share of the controls.
 
     Args:
         problem: Whose cost and dynamics the engine has.
-        engine: After a start; holds the closed trajectory afterwards.
+        engine: After a start; holds a trajectory without gaps afterwards.
         xs: (N+1, nx) the states; the first becomes the problem's.
         us: (N, nu) the controls.
         most: Iterations.
         callback: Called with each line.
 
     Returns:
-        The cost of the closed trajectory, infinite where no rollout ended, and the lines, whose costs are those of states
-        with gaps.
+        The cost afterwards, and the lines, whose costs are those of states with gaps.
     """
+    xs, history = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration]()
+    tried, most = us, min(most, MOST)
+    for share in [SHARE**k for k in range(SHARES)] + [0.0]:
+        tried, cost = _across(problem, engine, xs, share * us, most, history, callback)
+        if cost is not None:
+            return cost, history
+        if len(history) >= most:
+            break
+    return engine.start(problem.x0, tried), history
+
+
+def _across(
+    problem: Problem, engine: Engine, xs: np.ndarray, us: np.ndarray, most: int, history: list[Iteration],
+    callback: Callable[[Iteration], object] | None,
+) -> tuple[np.ndarray, float | None]:  # fmt: skip
+    """The steps from one pair of states and controls: the last controls (N, nu), and the cost where gaps are closed."""
     space, bounds = space_of(problem.dynamics), problem.bounds
-    xs = np.concatenate([problem.x0[None], xs[1:]])
-    regularisation, history = Regularisation(engine, False, holds=True), list[Iteration]()
     us = us if bounds is None else bounds.clip(slice(None), us, xs[:-1])
-    gaps, cost, nu, fresh = engine.place(xs, us), problem.cost.value(xs, us), np.zeros(space.ndx), True
-    while len(history) < most and not regularisation.exhausted and math.isfinite(cost):
+    engine.hold = 0.0
+    regularisation, nu, fresh = Regularisation(engine, False, holds=True), np.zeros(space.ndx), True
+    gaps, cost = engine.place(xs, us), problem.cost.value(xs, us)
+    while len(history) < most and engine.hold <= HELD and math.isfinite(cost):
         way = engine.cross(gaps, fresh)
         if way is None:
             break
@@ -88,28 +110,38 @@ def close_gaps(
         step, after = engine.close(merit, slope)
         closed = step > 0.0
         if not closed:
-            step, fresh = 1.0, False
-            for _ in range(HALVINGS):
-                trial_x, trial_u = space.integrate(xs, step * way.dxs), us + step * way.dus
-                if bounds is not None:
-                    trial_u = bounds.clip(slice(None), trial_u, trial_x[:-1])
-                with np.errstate(all="ignore"):  # a candidate may run away
-                    J = problem.cost.value(trial_x, trial_u)
-                    open_ = space.difference(problem.dynamics.step(trial_x[:-1], trial_u), trial_x[1:])
-                    trial = J + float(nu @ np.abs(open_).sum(axis=0))
-                if trial <= merit + SUFFICIENT * step * slope:
-                    xs, us, after, fresh = trial_x, trial_u, J, True
-                    break
-                step *= 0.5
-        step = step if closed or fresh else 0.0
-        history.append(Iteration(len(history), cost, way.gradient_norm, step, -slope, merit - after, regularisation.shown))
+            step, xs, us, gaps, after = _step(problem, xs, us, way, nu, merit, slope, gaps)
+        line = (way.gradient_norm, step, -slope, merit - after if closed else cost - after, regularisation.shown)
+        history.append(Iteration(len(history), cost, *line))
         if callback is not None:
             callback(history[-1])
         if closed:
-            return after, history
+            return us, after
+        fresh = step > 0.0
         if fresh:
             regularisation.lower(step, False)
-            gaps, cost = engine.place(xs, us), after
+            engine.place(xs, us)
         else:
             regularisation.raise_()
-    return engine.close(math.inf, 0.0)[1], history
+        cost = after
+    return us, None
+
+
+def _step(
+    problem: Problem, xs: np.ndarray, us: np.ndarray, way: Crossing, nu: np.ndarray, merit: float, slope: float,
+    gaps: np.ndarray,
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float]:  # fmt: skip
+    """The longest step along a direction that lowers the merit enough, or 0: states, controls, gaps and cost after."""
+    space, bounds, step = space_of(problem.dynamics), problem.bounds, 1.0
+    for _ in range(HALVINGS):
+        trial_x, trial_u = space.integrate(xs, step * way.dxs), us + step * way.dus
+        if bounds is not None:
+            trial_u = bounds.clip(slice(None), trial_u, trial_x[:-1])
+        with np.errstate(all="ignore"):  # a candidate may run away
+            J = problem.cost.value(trial_x, trial_u)
+            open_ = space.difference(problem.dynamics.step(trial_x[:-1], trial_u), trial_x[1:])
+            trial = J + float(nu @ np.abs(open_).sum(axis=0))
+        if trial <= merit + SUFFICIENT * step * slope:
+            return step, trial_x, trial_u, open_, J
+        step *= 0.5
+    return 0.0, xs, us, gaps, problem.cost.value(xs, us)

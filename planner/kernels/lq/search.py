@@ -33,7 +33,7 @@ def ladder(rule, alpha, bracket):
     for i in range(alpha.shape[0]):
         if rule == START:
             alpha[i] = 0.0
-        elif rule == ARMIJO or rule == CLOSING:
+        elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)

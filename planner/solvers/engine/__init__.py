@@ -15,9 +15,9 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.in_numpy import NumpyEngine
-from planner.solvers.engine.protocol import Engine, Outcome
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome
 
-__all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "borrow", "give_back"]
+__all__ = ["CompiledEngine", "Crossing", "Engine", "NumpyEngine", "Outcome", "borrow", "give_back"]
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
 # problem, or no problem would ever be freed.
