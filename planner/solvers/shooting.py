@@ -6,8 +6,8 @@ LQ problem whose deviations have these gaps (kernels.lq.gaps). Its direction is 
     merit = J(xs, us) + nu' sum |g(n)|,    nu above the multipliers of the gaps (Han, Powell):
 
 a rollout with the sweep's gains, which closes all gaps at once and ends this phase, if its cost falls enough below the
-merit; else a part alpha of the direction for states and controls alike, whose gaps are those of the dynamics being
-curved. Where steps are short, changes of the states are held (see regularisation). Hessians are Gauss and Newton's.
+merit and below that of a rollout of the first controls; else a part alpha of the direction for states and controls
+alike, whose gaps are those of the dynamics being curved. Where steps are short, changes of the states are held (see regularisation). Hessians are Gauss and Newton's.
 A full step of an LQ problem closes its gaps whatever the weights, so these are held only so far.
 """
 
@@ -59,7 +59,7 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
 
 
 def close_gaps(
-    problem: Problem, engine: Engine, xs: np.ndarray, us: np.ndarray, most: int,
+    problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, most: int,
     callback: Callable[[Iteration], object] | None,
 ) -> tuple[float, list[Iteration]]:  # fmt: skip
     """Take steps across gaps until a rollout closes them, or for the first MOST iterations.
@@ -69,7 +69,8 @@ def close_gaps(
 
     Args:
         problem: Whose cost and dynamics the engine has.
-        engine: After a start; holds a trajectory without gaps afterwards.
+        engine: To be started; holds a trajectory without gaps afterwards.
+        exact: Whether its Hessians are exact from then on.
         xs: (N+1, nx) the states; the first becomes the problem's.
         us: (N, nu) the controls.
         most: Iterations.
@@ -79,27 +80,31 @@ def close_gaps(
         The cost afterwards, and the lines, whose costs are those of states with gaps.
     """
     xs, history = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration]()
-    tried, most = us, min(most, MOST)
+    rolled, most = list[tuple[float, float]](), min(most, MOST)
     for share in [SHARE**k for k in range(SHARES)] + [0.0]:
-        tried, cost = _across(problem, engine, xs, share * us, most, history, callback)
-        if cost is not None:
-            return cost, history
-        if len(history) >= most:
-            break
-    return engine.start(problem.x0, tried), history
+        cost = engine.start(problem.x0, share * us, exact)
+        rolled.append((cost if math.isfinite(cost) else math.inf, share))
+        closed = _across(problem, engine, xs, share * us, (most, cost), history, callback)
+        if closed is not None:
+            engine.use_second_order(exact)
+            engine.hold = 0.0
+            return closed, history
+    return engine.start(problem.x0, min(rolled)[1] * us, exact), history
 
 
 def _across(
-    problem: Problem, engine: Engine, xs: np.ndarray, us: np.ndarray, most: int, history: list[Iteration],
-    callback: Callable[[Iteration], object] | None,
-) -> tuple[np.ndarray, float | None]:  # fmt: skip
-    """The steps from one pair of states and controls: the last controls (N, nu), and the cost where gaps are closed."""
+    problem: Problem, engine: Engine, xs: np.ndarray, us: np.ndarray, most: tuple[int, float],
+    history: list[Iteration], callback: Callable[[Iteration], object] | None,
+) -> float | None:  # fmt: skip
+    """The steps from one pair of states and controls: the cost where gaps are closed, else None.
+
+    `most` has the iterations in all, and what a rollout without states costs, which one that closes gaps must not.
+    """
     space, bounds = space_of(problem.dynamics), problem.bounds
     us = us if bounds is None else bounds.clip(slice(None), us, xs[:-1])
-    engine.hold = 0.0
     regularisation, nu, fresh = Regularisation(engine, False, holds=True), np.zeros(space.ndx), True
     gaps, cost = engine.place(xs, us), problem.cost.value(xs, us)
-    while len(history) < most and engine.hold <= HELD and math.isfinite(cost):
+    while len(history) < most[0] and engine.hold <= HELD and math.isfinite(cost):
         way = engine.cross(gaps, fresh)
         if way is None:
             break
@@ -107,7 +112,7 @@ def _across(
         nu = np.where((nu < 1.1 * largest) | (nu > STALE * largest), ABOVE * largest, nu)
         merit = cost + float(nu @ np.abs(gaps).sum(axis=0))
         slope = way.slope - (merit - cost)
-        step, after = engine.close(merit, slope)
+        step, after = engine.close(min(merit, most[1]) if math.isfinite(most[1]) else merit, slope)
         closed = step > 0.0
         if not closed:
             step, xs, us, gaps, after = _step(problem, xs, us, way, nu, merit, slope, gaps)
@@ -116,7 +121,7 @@ def _across(
         if callback is not None:
             callback(history[-1])
         if closed:
-            return us, after
+            return after
         fresh = step > 0.0
         if fresh:
             regularisation.lower(step, False)
@@ -124,7 +129,7 @@ def _across(
         else:
             regularisation.raise_()
         cost = after
-    return us, None
+    return None
 
 
 def _step(

@@ -210,12 +210,11 @@ def _minimise(
     engine = borrow(problem, descent.rule)
     if problem.ranges is not None:
         engine.hinge(hinges)
-    cost = engine.start(problem.x0, first_guess, descent.exact)
     history, holds = list[Iteration](), descent.exact or states is not None
     if states is not None and first_line == 0:
-        cost, history = close_gaps(problem, engine, states, first_guess, max_iterations, callback)
-        engine.use_second_order(descent.exact)
-        engine.hold = 0.0
+        cost, history = close_gaps(problem, engine, descent.exact, states, first_guess, max_iterations, callback)
+    else:
+        cost = engine.start(problem.x0, first_guess, descent.exact)
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
