@@ -61,7 +61,7 @@ def guessed_states(problem: Problem, states: np.ndarray | str | None) -> np.ndar
 def close_gaps(
     problem: Problem, engine: Engine, exact: bool, xs: np.ndarray, us: np.ndarray, most: int,
     callback: Callable[[Iteration], object] | None,
-) -> tuple[float, list[Iteration]]:  # fmt: skip
+) -> tuple[float, list[Iteration], bool]:  # fmt: skip
     """Take steps across gaps until a rollout closes them, or for the first MOST iterations.
 
     Controls under which the guessed states are out of reach lead the direction astray: steps stay short while the
@@ -77,19 +77,23 @@ def close_gaps(
         callback: Called with each line.
 
     Returns:
-        The cost afterwards, and the lines, whose costs are those of states with gaps.
+        The cost afterwards; the lines, whose costs are those of states with gaps; whether this was interrupted.
     """
     xs, history = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration]()
-    rolled, most = list[tuple[float, float]](), min(most, MOST)
+    rolled, most, interrupted = list[tuple[float, float]](), min(most, MOST), False
     for share in [SHARE**k for k in range(SHARES)] + [0.0]:
         cost = engine.start(problem.x0, share * us, exact)
         rolled.append((cost if math.isfinite(cost) else math.inf, share))
-        closed = _across(problem, engine, xs, share * us, (most, cost), history, callback)
+        try:
+            closed = _across(problem, engine, xs, share * us, (most, cost), history, callback)
+        except (KeyboardInterrupt, StopIteration):
+            interrupted = True
+            break
         if closed is not None:
             engine.use_second_order(exact)
             engine.hold = 0.0
-            return closed, history
-    return engine.start(problem.x0, min(rolled)[1] * us, exact), history
+            return closed, history, False
+    return engine.start(problem.x0, min(rolled)[1] * us, exact), history, interrupted
 
 
 def _across(

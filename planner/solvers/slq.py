@@ -210,18 +210,19 @@ def _minimise(
     engine = borrow(problem, descent.rule)
     if problem.ranges is not None:
         engine.hinge(hinges)
-    history, holds = list[Iteration](), descent.exact or states is not None
+    history, holds, interrupted = list[Iteration](), descent.exact or states is not None, False
     if states is not None and first_line == 0:
-        cost, history = close_gaps(problem, engine, descent.exact, states, first_guess, max_iterations, callback)
+        closed = close_gaps(problem, engine, descent.exact, states, first_guess, max_iterations, callback)
+        cost, history, interrupted = closed
     else:
         cost = engine.start(problem.x0, first_guess, descent.exact)
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
     regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None)
-    fresh, at_minimum, status = True, False, Status.MAX_ITERATIONS
+    fresh, at_minimum, status = True, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
-        while len(history) < max_iterations:
+        while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
             promise = descent.decrease_tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0

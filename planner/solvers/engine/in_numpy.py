@@ -14,6 +14,7 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
 from planner.problem.control_bounds import Moves
 from planner.problem.costs.terms import Quadratic
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
@@ -71,7 +72,9 @@ class NumpyEngine(Engine):
             _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
             model = self._cost.quadratize(*self._nominal)
             self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
-            self._state_weights = state_weights(model.Q, self.largest_control_weight)
+            tracking = tracking_of(self._cost)
+            Q = model.Q if tracking is None else tracking.Q  # as the kernels', which no rotation turns
+            self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
 
     def _rollout(
