@@ -1,6 +1,6 @@
 """Convergence from anywhere: how many of many random starts converge, in how many iterations, and to which minima.
 
-    python benchmarks/starts.py [--starts 200] [--only two-link]
+    python benchmarks/starts.py [--starts 200] [--only two-link] [--way "line, exact"]
 
 The starts are multistart's (seed 0, spread 1): the case's own first controls and smooth random changes of their size.
 "line" has the straight line as a first guess of the states beside these controls (planner.solve(states="line")).
@@ -27,7 +27,7 @@ WAYS: dict[str, dict[str, Any]] = {
 
 def main() -> None:
     """One line per case and way, then its minima with how often each was reached."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--only", choices=tuple(LIMITS))
     parser.add_argument("--way", choices=tuple(WAYS))

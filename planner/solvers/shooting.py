@@ -7,7 +7,8 @@ LQ problem whose deviations have these gaps (kernels.lq.gaps). Its direction is 
 
 a rollout with the sweep's gains, which closes all gaps at once and ends this phase, if its cost falls enough below the
 merit and below that of a rollout of the first controls; else a part alpha of the direction for states and controls
-alike, whose gaps are those of the dynamics being curved. Where steps are short, changes of the states are held (see regularisation). Hessians are Gauss and Newton's.
+alike, whose gaps are those of the dynamics being curved. Where steps are short, changes of the states are held (see
+regularisation). Hessians are Gauss and Newton's.
 A full step of an LQ problem closes its gaps whatever the weights, so these are held only so far.
 """
 

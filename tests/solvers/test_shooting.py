@@ -1,4 +1,4 @@
-"""States as a first guess: the sweep across gaps against one linear solve and its twin, and solves from poor guesses."""
+"""States as a first guess: the sweep across gaps against one linear solve and its twin, solves from poor guesses."""
 
 import numpy as np
 import pytest
