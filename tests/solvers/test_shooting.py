@@ -7,13 +7,13 @@ from solves import assert_consistent, assert_stationary, hopper, linear, numpy_t
 from trees import CHAINS, actuated
 
 import planner
-from planner import Limits, PlannerError, Problem, TrackingCost
+from planner import Constraint, Limits, PlannerError, Problem, TrackingCost
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.terms import Quadratic
 from planner.problem.guess import line_of_states
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine
+from planner.solvers.engine import CompiledEngine, NumpyEngine, RowsEngine
 from planner.solvers.shooting import close_gaps
 
 
@@ -49,14 +49,14 @@ def test_the_sweep_across_gaps_solves_the_quadratic_program(seed):
         np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9 * max(1.0, np.abs(theirs).max()))
 
 
-def guessed(name, integrator, limits=None):
+def guessed(name, integrator, limits=None, constraints=()):
     """A chain's problem, and states and controls that do not fit."""
     rng = np.random.default_rng(3)
     m = Mechanism.from_mjcf(actuated(CHAINS[name], rng))
     dynamics = RigidBodyDynamics(m, 0.03, integrator)
     goal = m.space.integrate(m.home, 0.4 * rng.normal(size=m.space.ndx))
     cost = TrackingCost.reach(goal, 12, final=100.0, running=1.0, effort=0.1, dt=0.03, nu=m.nu, space=m.space)
-    problem = Problem(dynamics, cost, m.home, limits=limits)
+    problem = Problem(dynamics, cost, m.home, limits=limits, constraints=constraints)
     xs = line_of_states(m.space, m.home, goal, 0.36, 12)
     xs[1:] = m.space.integrate(xs[1:], 0.1 * rng.normal(size=(12, m.space.ndx)))
     us = rng.normal(size=(12, m.nu))
@@ -83,6 +83,60 @@ def test_both_engines_cross_gaps_alike(name, integrator, limits):
     np.testing.assert_allclose(steps[0], steps[1], rtol=1e-8)
     assert steps[0][0] > 0.0
     assert np.abs(ours.place(*ours.trajectory())).max() < 1e-12  # a rollout has no gaps
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_rows_of_constraints_stand_beside_gaps_and_what_holds_states(exact):
+    """A user's own function goes to the sweep by the same array as second derivatives and weights on the states."""
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    problem, xs, us = guessed("arm", "rk4", constraints=[power])
+    hinges = problem.kept.free()
+    hinges.weight[:] = 50.0 * np.isfinite(problem.kept.upper)
+    engines = RowsEngine(problem, problem.kept, problem.dynamics, problem.cost), NumpyEngine(problem)
+    ways, gains = [], []
+    for engine in engines:
+        engine.hinge(hinges)
+        engine.start(problem.x0, us, exact)
+        gaps = engine.place(xs, us)
+        engine.hold = 0.3
+        ways.append(engine.cross(gaps, True))
+        engine.close(np.inf, 0.0)
+        engine.use_second_order(exact)
+        for hold, second in ((0.3, exact), (0.2, False), (0.0, exact)):
+            engine.hold = hold
+            engine.use_second_order(second)
+            engine.sweep(1.0, hold == 0.3)
+            gains.append(engine.gains())
+    for a, b in [*zip(*ways, strict=True), *zip(gains[:3], gains[3:], strict=True)]:
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-8 * max(1.0, np.abs(b).max()))  # sums in another order
+    assert np.abs(gains[0] - gains[1]).max() > 1e-3
+
+
+def test_states_lead_to_a_minimum_within_constraints():
+    power = Constraint(lambda xs, us: us[:, 0] * xs[:, -1], most=0.01, name="power")
+    problem, xs, _ = guessed("arm", "rk4", constraints=[power])
+    free, plan = planner.solve(problem), planner.solve(problem, states=xs)
+    assert free.success
+    assert plan.success
+    assert problem.kept.beyond(plan.xs, plan.us).max() <= problem.kept.tolerance
+    assert plan.cost == pytest.approx(free.cost, rel=1e-4)  # both within tolerances, not on the bound
+
+
+def test_hinges_of_a_first_solve_count_in_the_merit():
+    """What keeps shapes apart has hinges from the beginning: its engine's costs are those of the lines across gaps."""
+    high = Constraint(lambda xs: xs[:, 0], least=0.5, when="end")
+    problem, xs, us = guessed("arm", "rk4", constraints=[high])
+    hinges = problem.kept.free()
+    hinges.weight[:] = 50.0 * np.isfinite(problem.kept.lower)
+    engine = RowsEngine(problem, problem.kept, problem.dynamics, problem.cost)
+    engine.hinge(hinges)
+    cost, lines, _ = close_gaps(problem, engine, False, xs, us, 100, None, hinges)
+    begun = np.concatenate([problem.x0[None], xs[1:]])
+    pull = problem.kept.value(hinges, begun, us)
+    assert pull > 1e-3
+    assert lines[0].cost == pytest.approx(problem.cost.value(begun, us) + pull, rel=1e-12)
+    xs, us = engine.trajectory()
+    assert cost == pytest.approx(problem.cost.value(xs, us) + problem.kept.value(hinges, xs, us), rel=1e-12)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi-implicit-euler"])
