@@ -84,6 +84,10 @@ class CompiledDynamics(Protocol):
         """Fill w.F along w.xs, w.us."""
         ...
 
+    def ends(self, w: Workspace, memory: Any) -> np.ndarray:
+        """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow, as after a search."""
+        ...
+
     def search(
         self, w: Workspace, memory: Any, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:

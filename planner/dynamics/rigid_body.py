@@ -272,6 +272,14 @@ class RigidBodyDynamics:
         else:
             tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, external)
 
+    def ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
+        """The ends (N, nx) of the stages from w.xs, w.us; linearize_nominal may follow."""
+        announce_named(variant("tree steps", self._model))
+        xs, lengths = w.xs[:-1], np.full(len(w.us), self.dt)
+        ends, m = np.empty_like(xs), self._model
+        tree_step.steps(m.table, memory.table, lengths, xs, w.us, ends, True, m.external)
+        return ends
+
     def search(
         self, w: Workspace, memory: TreeMemory, rule: int, feedback: bool, cost: float, slope: float
     ) -> tuple[float, float]:

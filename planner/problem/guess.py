@@ -1,4 +1,4 @@
-"""First guesses of the controls: hold a pose, or follow a motion by inverse dynamics (Eq. 6)."""
+"""First guesses: controls that hold a pose or follow a motion by inverse dynamics (Eq. 6), states along a line."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import StateSpace
 
 
 def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
@@ -84,6 +85,21 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
         (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
         (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
     )
+
+
+def line_of_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
+    """States (N+1, nx) along the straight line from x0 to goal, both (nx,), at the pace of `quintic`.
+
+    Of a machine's states the velocities are those of that motion where x holds positions and as many velocities; other
+    entries go the same way in the same share.
+    """
+    s = np.linspace(0.0, 1.0, N + 1)[:, None]
+    way = space.difference(goal, x0)
+    share, rate = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5, (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / duration
+    dxs, nv = share * way, space.ndx // 2
+    if space.ndx == 2 * nv:
+        dxs[:, nv:] += rate * way[:nv]
+    return space.integrate(x0, dxs)
 
 
 def rolled(dynamics: Dynamics, x0: np.ndarray, us: np.ndarray) -> np.ndarray:

@@ -8,6 +8,9 @@ Around a trajectory (3.2, 3.3):
 with the gradients q = Q (x - x_ref), r = R (u - u_ref) in place of the paper's offsets. Deviations dx have ndx numbers;
 only differences of states know whether these are plain vectors (see model.space). The paper has no S: it stands beside
 B'PA wherever that does, and the gradient (Eq. 18) never sees it.
+
+Where the states are a guess of their own, stage n ends a gap g(n) from the next state and Eq. 38 gains it:
+dx(n+1) = A(n) dx(n) + B(n) du(n) + g(n). Before its gap the value gradient s(n+1) is s(n+1) + P(n+1) g(n).
 """
 
 from __future__ import annotations
@@ -83,6 +86,7 @@ def riccati(
     mu: float = 0.0,
     bounds: Moves | None = None,
     second: np.ndarray | None = None,
+    gaps: np.ndarray | None = None,
 ) -> Sweep | None:
     """Backward sweep, Eq. 31-34 with a Cholesky factorisation of R + B'PB + mu I instead of Eq. 31's inverse.
 
@@ -96,6 +100,7 @@ def riccati(
         mu: Regularisation, added to R.
         bounds: Of k.
         second: (N, ndx+nu, ndx+nu) second-order terms of the dynamics in z = (x, u), added to each stage's Hessian.
+        gaps: (N, ndx) between the stages; none by default. With them slope and value are no longer those of J.
 
     Returns:
         The solution, or None when R + B'PB + mu I (with the control block of second) is not positive definite.
@@ -109,10 +114,11 @@ def riccati(
         BtP = B[n].T @ P[n + 1]
         T = none if second is None else second[n]
         H, H_ux = quadratic.R[n] + BtP @ B[n] + T[ndx:, ndx:] + mu * np.eye(nu), BtP @ A[n] + T[ndx:, :ndx]
-        h = quadratic.r[n] + B[n].T @ s[n + 1]
+        s_end = s[n + 1] if gaps is None else s[n + 1] + P[n + 1] @ gaps[n]
+        h = quadratic.r[n] + B[n].T @ s_end
         if quadratic.S is not None:
             H_ux = H_ux + quadratic.S[n]
-        s_x, follows, more = quadratic.q[n] + A[n].T @ s[n + 1], None, 0.0
+        s_x, follows, more = quadratic.q[n] + A[n].T @ s_end, None, 0.0
         try:
             if bounds is not None:
                 k[n], clamped = box_minimum(H, h, bounds.lower[n], bounds.upper[n])
@@ -145,13 +151,15 @@ def riccati(
         P[n] = 0.5 * (P[n] + P[n].T)
         s[n] = s_x - Y.T @ y  # Eq. 34
         slope -= float(y @ y)  # Eq. 42
-    if bounds is None:
-        return Sweep(K, k, P, s, slope, 0.5 * slope)
+    if bounds is None or gaps is not None:
+        return Sweep(K, k, P, s, slope, 0.5 * slope if bounds is None else value)
     _, dus = direction(A, B, Sweep(K, k, P, s, slope, value), bounds)
     return Sweep(K, k, P, s, float(np.sum(gradient(A, B, quadratic) * dus)), value)
 
 
-def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Moves | None = None) -> tuple[np.ndarray, np.ndarray]:
+def direction(
+    A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Moves | None = None, gaps: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """The LQ problem's own forward pass: dxs (N+1, ndx), dus (N, nu), Eq. 25, 30.
 
     With bounds, what leads out of one that the control is at follows it: so the clipped controls set out.
@@ -165,5 +173,5 @@ def direction(A: np.ndarray, B: np.ndarray, sweep: Sweep, bounds: Moves | None =
             ceiling = 0.0 if bounds.upper_by_x is None else bounds.upper_by_x[n] @ dxs[n]
             dus[n] = np.where((bounds.lower[n] >= -AT_BOUND) & (dus[n] < floor), floor, dus[n])
             dus[n] = np.where((bounds.upper[n] <= AT_BOUND) & (dus[n] > ceiling), ceiling, dus[n])
-        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n]  # Eq. 30
+        dxs[n + 1] = A[n] @ dxs[n] + B[n] @ dus[n] + (0.0 if gaps is None else gaps[n])  # Eq. 30
     return dxs, dus

@@ -38,6 +38,7 @@ Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan
 def best_of(
     guess: np.ndarray, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
     callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
+    sizing: Descend | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of least rank among the converged of several starts, else among all.
 
@@ -50,8 +51,9 @@ def best_of(
         spread: Their size relative to that of the controls.
         callback: Called with each Start, in order, as soon as it and those before it have ended.
         rank: Of a Plan, the less the better; its cost by default.
+        sizing: The solve whose first iterations give the controls their size; `descend` by default.
     """
-    pilot = descend(guess, min(_PILOT, max_iterations), None)
+    pilot = (sizing or descend)(guess, min(_PILOT, max_iterations), None)
     if pilot.status is Status.INTERRUPTED:
         return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
     scale = spread * _sizes(guess, pilot.us)

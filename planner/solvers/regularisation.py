@@ -1,45 +1,57 @@
-"""Regularisation: what a solve adds to R + B'PB so that sweeps are definite and searches find a step."""
+"""Regularisation: what a solve adds to its LQ problems so that sweeps are definite and searches find a step.
+
+Gauss-Newton from controls adds mu to R + B'PB, and only after a failure. A solve with exact Hessians, or from states,
+weighs changes of the states instead (Engine.hold), and more as soon as steps are short: its gains then keep the rollout
+near the trajectory, which a weight on the controls' steps gives up (Tassa, Erez and Todorov 2012).
+"""
 
 from __future__ import annotations
 
 from planner.kernels.lq.workspace import CONVERGED
 from planner.solvers.engine import Engine, Outcome
 
-# Relative to the largest entry of R: raised and lowered tenfold, zero below its least value.
+# Of mu, relative to the largest entry of R: raised and lowered tenfold, zero below its least value.
 LEAST, MOST, FACTOR = 1e-6, 1e10, 10.0
 # With bounds, what they undo of a direction can be all of its decrease, until mu outweighs B'PB and not only R.
 MOST_BOUNDED = 1e16
-# With exact Hessians an iteration that no regularisation makes definite is Gauss and Newton's; the next begins here.
-AGAIN = 1e8
+# Of the weight that holds the states, and the step below which it is raised. Failures raise it by the factor's square.
+HELD_MOST, HELD_FACTOR = 1e12, 5.0
+SHORT = 0.2
 
 
 class Regularisation:
-    """The weight mu on the controls' steps, and whether sweeps have the second-order terms of the dynamics.
+    """The weight mu on the controls' steps, or the one that holds the states.
 
-    A sweep or search that fails raises mu, a full step lowers it. With exact Hessians, where even the largest mu does
-    not help, one iteration leaves out the second-order terms.
+    A sweep or search that fails raises it, a full step lowers it; what holds states is raised by short steps too. Where
+    exact Hessians make a sweep indefinite, that iteration is Gauss and Newton's, with the same weight.
 
     Args:
         engine: Of the solve, after its start.
         exact: Whether its Hessians are exact.
+        holds: Whether states are held.
         bounded: Whether its controls have bounds.
 
     Attributes:
-        mu: In the units of R; zero for the plain model of Eq. 31.
+        mu: In the units of R; zero for the plain model of Eq. 31, and where states are held.
+        shown: The weight that lines of the solve show: mu, or Engine.hold.
     """
 
-    def __init__(self, engine: Engine, exact: bool, bounded: bool = False) -> None:
-        self._most = MOST_BOUNDED if bounded else MOST
-        self._engine, self._exact, self._second_order = engine, exact, exact
-        self._relative, self._tried_plain = 0.0, False
+    def __init__(self, engine: Engine, exact: bool, holds: bool = False, bounded: bool = False) -> None:
+        self._most = HELD_MOST if holds else MOST_BOUNDED if bounded else MOST
+        self._engine, self._exact, self._holds = engine, exact, holds
+        self._relative, self._tried_plain, self._second_order = 0.0, False, exact
 
     @property
     def mu(self) -> float:  # noqa: D102
-        return self._relative * self._engine.largest_control_weight
+        return 0.0 if self._holds else self._relative * self._engine.largest_control_weight
+
+    @property
+    def shown(self) -> float:  # noqa: D102
+        return self._relative if self._holds else self.mu
 
     @property
     def exhausted(self) -> bool:
-        """Whether mu has been raised beyond what can help."""
+        """Whether the weight has been raised beyond what can help."""
         return self._relative > self._most
 
     @property
@@ -47,41 +59,52 @@ class Regularisation:
         """Whether the model is not regularised."""
         return self._relative == 0.0
 
+    def leave_second_order(self) -> bool:
+        """Leave out the second-order terms until the weight is set again; False where there are none."""
+        left, self._second_order = self._second_order, False
+        self._engine.use_second_order(False)
+        return left
+
     def raise_(self) -> None:
         """After a sweep or search that failed."""
-        self._relative = max(LEAST, FACTOR * self._relative)
-        if self.exhausted and self._second_order:
-            self._use_second_order(False, 0.0)
+        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else FACTOR) * self._relative))
 
     def lower(self, step: float, at_kink: bool) -> None:
         """After a step of this length; at a kink of bounds or hinges full steps may never come."""
-        if self._exact and not self._second_order:
-            self._use_second_order(True, AGAIN)
-        elif step >= 1.0:
-            self._relative = self._relative / FACTOR if self._relative > LEAST else 0.0
+        if step >= 1.0:
+            factor = HELD_FACTOR if self._holds else FACTOR
+            self._set(self._relative / factor if self._relative > LEAST else 0.0)
         elif at_kink:
-            self._relative = 0.0
+            self._set(0.0)
+        elif self._holds:
+            self._set(max(LEAST, HELD_FACTOR * self._relative) if step < SHORT else self._relative)
 
     def try_plain(self, accepted: bool, flat: bool) -> bool:
-        """Drop mu once where the model promises next to nothing (`flat`): Newton steps end before mu is lowered.
+        """Drop the weight once where the model promises next to nothing (`flat`): Newton steps outrun it.
 
-        `accepted` says whether the last iteration took a step. Only with exact Hessians.
+        `accepted` says whether the last iteration took a step. Only where states are held.
         """
         if accepted and not flat:
             self._tried_plain = False
-        if not (self._exact and flat and not self.plain and not self._tried_plain):
+        if not (self._holds and flat and not self.plain and not self._tried_plain):
             return False
-        self._relative, self._tried_plain = 0.0, True
+        self._set(0.0)
+        self._tried_plain = True
         return True
 
-    def _use_second_order(self, use: bool, mu: float) -> None:
-        self._second_order, self._relative = use, mu
-        self._engine.use_second_order(use)
+    def _set(self, relative: float) -> None:
+        self._relative = relative
+        if self._holds:
+            self._engine.hold = relative
+        if self._exact and not self._second_order:
+            self._second_order = True
+            self._engine.use_second_order(True)
 
 
 def plain_sweep(engine: Engine) -> Outcome:
     """Linearise and sweep by Gauss-Newton, without a search, with the least regularisation that makes it definite."""
     engine.use_second_order(False)  # Gauss-Newton's gains are stabilising also away from a minimum
+    engine.hold = 0.0
     regularisation, fresh = Regularisation(engine, False), True
     while True:
         done = engine.sweep(regularisation.mu, fresh)

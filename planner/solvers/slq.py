@@ -39,6 +39,7 @@ from planner.solvers.augmented import within_ranges
 from planner.solvers.engine import Engine, borrow, give_back
 from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
+from planner.solvers.shooting import close_gaps, guessed_states
 from planner.solvers.steadied import runs_away, steadied
 
 UPDATES = ("feedback", "open-loop")
@@ -57,6 +58,7 @@ def solve(
     update: str = "feedback",
     line_search: str = "armijo",
     hessian: str = "gauss-newton",
+    states: np.ndarray | str | None = None,
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float | None = None,
@@ -75,7 +77,10 @@ def solve(
         line_search: "armijo" (default), "exact", "wolfe" or "goldstein".
         hessian: "gauss-newton" (default, the paper's) or "exact": with the second derivatives of the dynamics, which
             makes it differential dynamic programming. Far fewer iterations where the end is hard to reach and the
-            cost is small against the curvature; each takes longer, and many sweeps of it are indefinite.
+            cost is small against the curvature; each takes longer.
+        states: A first guess of the states (N+1, nx) beside that of the controls, which need not fit it: the solve then
+            begins by multiple shooting (see solvers.shooting). "line" for the straight line to the cost's reference
+            at the end. None (default) for the states that the controls lead to.
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's,
@@ -125,7 +130,7 @@ def solve(
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
 
     core = solver_problem(problem)
-    descend = partial(_descend, core, descent)
+    descend = partial(_descend, core, descent, guessed_states(core, states))
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
@@ -133,6 +138,8 @@ def solve(
     }  # fmt: skip
     if starts > 1:
         options |= {"seed": seed, "spread": spread}
+    if states is not None:
+        options["states"] = "line" if isinstance(states, str) else "given"
     if rank is not None:
         options["rank"] = getattr(rank, "__name__", type(rank).__name__)
     ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
@@ -140,7 +147,8 @@ def solve(
     def solved(guess: np.ndarray) -> Plan:
         if starts == 1:
             return descend(guess, max_iterations, callback)
-        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking)
+        sizing = partial(_descend, core, descent, None)
+        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing)
 
     best = solved(core.first_guess)
     if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout
@@ -160,7 +168,7 @@ def as_user_plan(problem: Problem, plan: Plan) -> Plan:
     """A plan of its solver_problem as one of the problem itself: its states, its cost, its gains."""
     if plan.problem is problem:
         return plan
-    own = _minimise(problem, _Descent(), None, plan.us, plan.hinges, 0, 0)
+    own = _minimise(problem, _Descent(), None, None, plan.us, plan.hinges, 0, 0)
     more = own.cost - plan.cost  # of terms that no control changes
     history = tuple(line._replace(cost=line.cost + more) for line in plan.history)
     return replace(own, status=plan.status, history=history, starts=plan.starts, hinges=plan.hinges)
@@ -184,38 +192,47 @@ class _Descent(NamedTuple):
 
 
 def _descend(
-    problem: Problem, descent: _Descent, first_guess: np.ndarray, max_iterations: int,
+    problem: Problem, descent: _Descent, states: np.ndarray | None, first_guess: np.ndarray, max_iterations: int,
     callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
-    """One solve from one first guess (N, nu)."""
-    minimise = partial(_minimise, problem, descent, callback)
+    """One solve from one first guess (N, nu), and of states (N+1, nx) or None."""
+    minimise = partial(_minimise, problem, descent, callback, states)
     if problem.kept is None:
         return minimise(first_guess, None, max_iterations, 0)
     return within_ranges(problem.kept, problem.kept.tolerance, minimise, first_guess, max_iterations)
 
 
 def _minimise(
-    problem: Problem, descent: _Descent, callback: Callable[[Iteration], object] | None, first_guess: np.ndarray,
-    hinges: Hinges | None, max_iterations: int, first_line: int,
+    problem: Problem, descent: _Descent, callback: Callable[[Iteration], object] | None, states: np.ndarray | None,
+    first_guess: np.ndarray, hinges: Hinges | None, max_iterations: int, first_line: int,
 ) -> Plan:  # fmt: skip
-    """A minimum of the cost, and of hinges where there are any."""
+    """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states."""
     engine = borrow(problem, descent.rule)
     if problem.kept is not None:
         engine.hinge(hinges)
-    cost = engine.start(problem.x0, first_guess, descent.exact)
+    history, holds, interrupted = list[Iteration](), descent.exact or states is not None, False
+    if states is not None and first_line == 0:
+        closed = close_gaps(problem, engine, descent.exact, states, first_guess, max_iterations, callback, hinges)
+        cost, history, interrupted = closed
+    else:
+        cost = engine.start(problem.x0, first_guess, descent.exact)
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    regularisation, history = Regularisation(engine, descent.exact, problem.bounds is not None), list[Iteration]()
+    regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None)
     kinked = problem.limits is not None or problem.kept is not None
-    fresh, at_minimum, status = True, False, Status.MAX_ITERATIONS
+    fresh, at_minimum, status = True, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
-        for i in range(first_line, first_line + max_iterations):
+        while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
             promise = descent.decrease_tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
             done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, descent.gradient_tolerance, promise)
-            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, cost - done.cost, mu)
+            if done.kind == INDEFINITE and regularisation.leave_second_order():
+                fresh = False
+                continue
+            i, decrease, shown = first_line + len(history), cost - done.cost, regularisation.shown
+            line = Iteration(i, cost, done.gradient_norm, done.step, done.expected, decrease, shown)
             history.append(line)
             cost, fresh = done.cost, done.kind == ACCEPTED
             if callback is not None:
@@ -244,7 +261,7 @@ def _minimise(
         cost = problem.cost.value(xs, us)
         last = plain_sweep(engine)
         history.append(Iteration(first_line + len(history), cost, last.gradient_norm, 0.0, last.expected, 0.0, 0.0))
-    elif descent.exact or not regularisation.plain:  # the gains of a plan are those of the plain model of Eq. 31
+    elif holds or not regularisation.plain:  # the gains of a plan are those of the plain model of Eq. 31
         plain_sweep(engine)
     if hinges is not None:  # the cost of a plan is that of its problem
         cost = problem.cost.value(xs, us)

@@ -16,6 +16,7 @@ import math
 
 from planner.kernels.lq.along_bounds import along_bounds, at_lower, at_upper, follow, gains_along, push_along
 from planner.kernels.lq.box import box_minimum
+from planner.kernels.lq.gaps import across_gap
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
 from planner.kernels.lq.second_order import add_second
@@ -102,6 +103,8 @@ def riccati_dense_bounded(w, mu, dt):
     begin(w)
     total, value = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
+        if w[W.gapped]:
+            across_gap(w, n)
         dense_stage(w, n, dt)
         norm2, part, definite = _finish_bounded(w, mu, n)
         total += norm2
@@ -118,6 +121,8 @@ def riccati_structured_bounded(w, mu, dt):
     begin(w)
     total, value = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
+        if w[W.gapped]:
+            across_gap(w, n)
         structured_stage(w, n, dt)
         norm2, part, definite = _finish_bounded(w, mu, n)
         total += norm2

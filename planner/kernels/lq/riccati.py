@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from planner.kernels.algebra.tiles import four_rows, mirror, weighted_rows
+from planner.kernels.lq.gaps import across_gap, step_across
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
@@ -218,6 +219,8 @@ def riccati_dense(w, mu, dt):
     begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
+        if w[W.gapped]:
+            across_gap(w, n)
         dense_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
         total += norm2
@@ -234,6 +237,8 @@ def riccati_structured(w, mu, dt):
     begin(w)
     total, slope = 0.0, 0.0
     for n in range(w[W.N] - 1, -1, -1):
+        if w[W.gapped]:
+            across_gap(w, n)
         structured_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
         total += norm2
@@ -275,7 +280,7 @@ def advance(w, n, dt, du, dx, dx_next):
 
 @jit
 def direction(w, dt):
-    """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du, dx(0) = 0."""
+    """The LQ problem's own forward pass: dus (N, nu) = k + K dx with dx+ = A dx + B du + gap, dx(0) = 0."""
     w = pointer(w)
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
     K, k = floats(w, W.K), floats(w, W.k)
@@ -289,5 +294,7 @@ def direction(w, dt):
                 total += load(K, (n * nu + a) * width + first + i) * load(dx, i)
             store(dus, n * nu + a, total)  # Eq. 25
         advance(w, n, dt, at(dus, n * nu), dx, at(dx, ndx))
+        if w[W.gapped]:
+            step_across(w, n, at(dx, ndx))
         for i in range(ndx):
             store(dx, i, load(dx, ndx + i))

@@ -18,6 +18,7 @@ from planner.kernels.numba.jit import jit, part
 
 ARMIJO, EXACT, WOLFE, GOLDSTEIN = 0, 1, 2, 3
 TRY = -2  # no search either: candidates of the lengths that are there, none of which is taken
+CLOSING = 4  # Armijo's rule with one batch: where gaps are open, a short step closes them with no gain
 START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
@@ -35,7 +36,7 @@ def ladder(rule, alpha, bracket):
             alpha[i] = 0.0
         elif rule == TRY:
             continue
-        elif rule == ARMIJO:
+        elif rule in (ARMIJO, CLOSING):
             alpha[i] = 0.5**i
         elif i % 2 == 1:  # the bracketing rules may also lengthen the step: 1, 1/2, 2, 1/4, 4, ...
             alpha[i] = 0.5 ** ((i + 1) // 2)
@@ -46,7 +47,7 @@ def ladder(rule, alpha, bracket):
 @jit
 def batches(rule):
     """How many batches of candidates a rule may ask for."""
-    if rule == TRY:
+    if rule in (TRY, CLOSING):
         return 1
     return ARMIJO_BATCHES if rule == ARMIJO else BRACKET_BATCHES
 

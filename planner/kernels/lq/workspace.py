@@ -20,12 +20,12 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_hinges hinges exact residual_columns servos",
+    "control_terms bounded stage_hinges hinges exact residual_columns servos gapped",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box hinge_dx hinge_lower hinge_upper "
     "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
-    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share",
+    "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs",
 )
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
 ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)
@@ -64,6 +64,10 @@ class Workspace:
         T: (N+1, width, width) the second-order terms of the dynamics, upper triangles, zero at the end, and what
             rows of constraints add (solvers.engine.with_rows); empty until they are asked for.
         costates: (N+1, width) with Eq. 16 in the columns of x, from `first` on; empty until then.
+        held: (N+1, width, width) what the sweep adds in place of T where it holds states (see use_second_order).
+        gaps: (N, ndx) from the start of each stage's successor to its end (see gaps); empty until they are asked for.
+        values: (N, ndx, ndx+1) the value function (P | s) of the end of each stage, kept by a sweep across gaps.
+        dxs: (N+1, ndx) the deviations of the direction across gaps.
         residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
         upper: (N, nu).
@@ -130,6 +134,9 @@ class Workspace:
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
         self._arrays |= {"T": self.T, "costates": self.costates, "residual_hessian": np.zeros(0)}
         self._arrays |= {"residual_active": np.zeros(0)}
+        self.held = self.T
+        self.gaps, self.values, self.dxs = np.zeros((0, ndx)), np.zeros((0, ndx, ndx + 1)), np.zeros((0, ndx))
+        self._arrays |= {"gaps": self.gaps, "values": self.values, "dxs": self.dxs}
         self.residuals: Any = None
         sizes = {
             "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
@@ -137,7 +144,7 @@ class Workspace:
             "stage_plain": stage[3], "final_terms": len(final[0]), "final_plain": final[3],
             "control_terms": len(control[0]), "bounded": bounds is not None, "stage_hinges": len(hinge_dx) - at_end,
             "hinges": len(hinge_dx), "exact": False, "residual_columns": 0,
-            "servos": 0 if servos is None else len(servos.control),
+            "servos": 0 if servos is None else len(servos.control), "gapped": False,
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
@@ -151,15 +158,27 @@ class Workspace:
         """Make candidate `lane` the nominal trajectory."""
         self.xs[:], self.us[:] = self.trial(lane)
 
-    def use_second_order(self, exact: bool) -> None:
-        """Whether the sweep adds T, whose memory is taken when it is first asked for."""
-        self.table[W.exact] = exact
+    def use_second_order(self, exact: bool, held: bool = False) -> None:
+        """Whether the sweep adds T or, with `held`, `held` in its place. Memory is taken when it is first asked for."""
+        N, width = len(self.us), self.T.shape[1]
         if exact and not len(self.T):
-            N, width = len(self.us), self.T.shape[1]
             rows = lane_array((N + 1) * width + WIDTH)  # read four at a time, past their ends
             self.T, self.costates = lane_array(N + 1, width, width), rows[:-WIDTH].reshape(N + 1, width)
             self._arrays |= {"T": self.T, "costates": self.costates}
-            self.table[[W.T, W.costates]] = self.T.ctypes.data, self.costates.ctypes.data
+            self.table[W.costates] = self.costates.ctypes.data
+        if held and not len(self.held):
+            self._arrays["held"] = self.held = lane_array(N + 1, width, width)
+        self.table[W.exact] = exact or held
+        self.table[W.T] = (self.held if held else self.T).ctypes.data
+
+    def use_gaps(self, gapped: bool) -> None:
+        """Whether the sweep and its direction have gaps; their memory is taken when it is first asked for."""
+        self.table[W.gapped] = gapped
+        if gapped and not len(self.gaps):
+            N, ndx = len(self.us), self.ndx
+            self.gaps, self.values, self.dxs = np.zeros((N, ndx)), np.zeros((N, ndx, ndx + 1)), np.zeros((N + 1, ndx))
+            self._arrays |= {"gaps": self.gaps, "values": self.values, "dxs": self.dxs}
+            self.table[[W.gaps, W.values, W.dxs]] = [array.ctypes.data for array in (self.gaps, self.values, self.dxs)]
 
     def use_residuals(self, residuals: Any) -> None:
         """Have the terms of a ResidualTable in every sweep and rollout."""

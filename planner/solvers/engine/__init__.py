@@ -17,10 +17,10 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine, NoTracking
 from planner.solvers.engine.in_numpy import NumpyEngine
-from planner.solvers.engine.protocol import Engine, Outcome
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome
 from planner.solvers.engine.with_rows import RowsEngine
 
-__all__ = ["CompiledEngine", "Engine", "NumpyEngine", "Outcome", "RowsEngine", "borrow", "give_back"]
+__all__ = ["CompiledEngine", "Crossing", "Engine", "NumpyEngine", "Outcome", "RowsEngine", "borrow", "give_back"]
 
 # Engines that no solve is using, so that a warm solve allocates nothing but its result. They must not refer to their
 # problem, or no problem would ever be freed.

@@ -13,14 +13,14 @@ from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded,
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.lq.second_order import costates
-from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, Workspace
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, W, Workspace
 from planner.kernels.precompile import compile_together
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.protocol import Engine, Outcome, promised
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
 
 
 class NoTracking:
@@ -49,15 +49,23 @@ class CompiledEngine(Engine):
         hinges = None if ranges is None else (ranges.component, ranges.at_end)
         numbers = None if problem.bounds is None else (problem.bounds.lower, problem.bounds.upper)
         servos = None if problem.bounds is None else problem.bounds.servos
-        self._w = Workspace(cost, space_of(dynamics), dynamics.structured, numbers, hinges, servos)
+        self._space = space_of(dynamics)
+        self._w = Workspace(cost, self._space, dynamics.structured, numbers, hinges, servos)
+        free = (riccati_dense, riccati_structured)
+        boxed = (riccati_dense_bounded, riccati_structured_bounded)
+        self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
             self._w.use_residuals(self._with_residuals.residuals(residuals))
         self.residuals = self._w.residuals
         self.largest_control_weight = float(np.abs(cost.R).max()) or 1.0
+        self._state_weights = state_weights(cost.Q, self.largest_control_weight)
+        columns = self._w.first + np.arange(self._w.ndx)
+        self._diagonals = slice(1, -1), columns, columns  # of the states in T, the start's and the end's aside
         self._second: Any = None
-        self._exact = False
+        self._exact, self._swept, self.hold = False, False, 0.0
+        self._curvature = np.zeros((problem.N - 1, self._w.ndx))  # of T on these diagonals
 
     def hinge(self, hinges: Hinges | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
@@ -68,10 +76,11 @@ class CompiledEngine(Engine):
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._exact = exact
+        self._exact, self._swept, self.hold = exact, exact, 0.0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
+        self._w.use_gaps(False)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
         sweep += "" if self._bounds is None else " bounded"
         more = self._dynamics.second_order_kernels if exact else ()
@@ -86,7 +95,17 @@ class CompiledEngine(Engine):
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
+        self._swept = exact
         self._w.use_second_order(exact)
+
+    def _hold(self) -> None:
+        """Put `hold` onto the diagonals of what the sweep adds to its Hessians; start and end are free of it."""
+        w, weights = self._w, self.hold * self._state_weights
+        w.use_second_order(self._swept, not self._swept and self.hold > 0.0)
+        if self._swept:
+            w.T[self._diagonals] = self._curvature + weights
+        elif self.hold > 0.0:
+            w.held[self._diagonals] = weights
 
     def iterate(
         self, feedback: bool, rule: int, mu: float, fresh: bool, cost: float,
@@ -95,18 +114,12 @@ class CompiledEngine(Engine):
         """Linearise (if `fresh`), sweep, search, accept."""
         w, dynamics = self._w, self._dynamics
         if fresh:
-            dynamics.linearize_nominal(w, self._memory)  # Eq. 35
-            gradients(w.table)
-            if self._with_residuals is not None:
-                self._with_residuals.quadratize_nominal(w, self._memory)
-            self._quadratize_more()
-            if self._exact:
-                costates(w.table, dynamics.dt)
-                self._second_order()
+            self._linearize(self._exact)
+        if self._exact or self.hold > 0.0 or w.table[W.exact]:
+            self._hold()
         if self._bounds is not None:
             return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
-        riccati = riccati_structured if dynamics.structured else riccati_dense
-        norm, slope, definite = riccati(w.table, mu, dynamics.dt)
+        norm, slope, definite = self._riccati(w.table, mu, dynamics.dt)
         if not definite:
             return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
         if norm <= gradient_tolerance or -0.5 * slope <= decrease_tolerance:
@@ -118,15 +131,64 @@ class CompiledEngine(Engine):
             return Outcome(NO_STEP, norm, slope, 0.0, -0.5 * slope, cost)
         return Outcome(ACCEPTED, norm, slope, step, -slope * step * (1.0 - 0.5 * step), after)
 
+    def _linearize(self, second: bool) -> None:
+        """What the sweep needs along the trajectory, with second-order terms or without."""
+        w, dynamics = self._w, self._dynamics
+        dynamics.linearize_nominal(w, self._memory)  # Eq. 35
+        gradients(w.table)
+        if self._with_residuals is not None:
+            self._with_residuals.quadratize_nominal(w, self._memory)
+        self._quadratize_more()
+        if second:
+            costates(w.table, dynamics.dt)
+            self._second_order()
+        if len(w.T):
+            self._curvature[:] = w.T[self._diagonals]
+
+    def _boxed(self) -> None:
+        """The bounds of servos at the states."""
+        w, bounds = self._w, self._bounds
+        if bounds is not None and bounds.servos is not None:
+            w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
+
+    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        w = self._w
+        w.xs[:], w.us[:] = xs, us
+        return self._space.difference(self._dynamics.ends(w, self._memory), w.xs[1:])
+
+    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+        w, dt = self._w, self._dynamics.dt
+        if fresh:
+            self._linearize(False)
+        self.use_second_order(False)
+        self._hold()
+        self._boxed()
+        w.use_gaps(True)
+        w.gaps[:] = gaps
+        norm, _, definite = self._riccati(w.table, 0.0, dt)
+        if definite:
+            direction(w.table, dt)
+        w.use_gaps(False)
+        if not definite:
+            return None
+        nu, first, ndx = w.us.shape[1], w.first, w.ndx
+        multipliers = np.einsum("nij,nj->ni", w.values[:, :, :ndx], w.dxs[1:]) + w.values[:, :, ndx]
+        slope = float(np.sum(w.l[:-1, :nu] * w.dus) + np.sum(w.l[:, first : first + ndx] * w.dxs))
+        return Crossing(w.dxs.copy(), w.dus.copy(), multipliers, slope, norm)
+
+    def close(self, cost: float, slope: float) -> tuple[float, float]:
+        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
+        return self._search(search.CLOSING, True, cost, slope)
+
     def _iterate_bounded(
         self, feedback: bool, rule: int, mu: float, cost: float, gradient_tolerance: float, decrease_tolerance: float
     ) -> Outcome:
         """The sweep and search of iterate, with bounds."""
-        w, dynamics, bounds = self._w, self._dynamics, self._bounds
-        if bounds is not None and bounds.servos is not None:
-            w.lower[:], w.upper[:], w.lower_share[:], w.upper_share[:] = bounds.shares(w.xs, w.us)
-        riccati = riccati_structured_bounded if dynamics.structured else riccati_dense_bounded
-        norm, value, definite = riccati(w.table, mu, dynamics.dt)
+        w, dynamics = self._w, self._dynamics
+        self._boxed()
+        norm, value, definite = self._riccati(w.table, mu, dynamics.dt)
         if not definite:
             return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
         if norm <= gradient_tolerance or -value <= decrease_tolerance:

@@ -14,10 +14,11 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
 from planner.problem.control_bounds import Moves
 from planner.problem.costs.terms import Quadratic
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
-from planner.solvers.engine.protocol import Engine, Outcome, promised
+from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
 
 
 class NumpyEngine(Engine):
@@ -31,7 +32,7 @@ class NumpyEngine(Engine):
         # Where eight candidates cost as much as eight rollouts, Armijo tries them one by one, the longest first.
         self._together = bool(getattr(problem.dynamics, "batched", True))
         self._bracket = np.empty(3)
-        self.largest_control_weight = 1.0
+        self.largest_control_weight, self.hold = 1.0, 0.0
         self._sweep: lq.Sweep | None = None
         self._exact, self._swept, self._second = False, False, None
         self._space = space_of(problem.dynamics)
@@ -65,12 +66,17 @@ class NumpyEngine(Engine):
                 "second_order(xs, us, costates) (see planner.dynamics.Dynamics)."
             )
         self._exact = self._swept = exact
+        self.hold = 0.0
         first = us[:, None, :].copy()
         xs, J = self._rollout(x0, first, None, us)  # no gains yet
         self._nominal = xs[:, 0].copy(), first[:, 0].copy()
         if np.isfinite(J[0]):
             _check_shapes(self._cost.quadratize(*self._nominal), *self._gains)
-            self.largest_control_weight = float(np.abs(self._cost.quadratize(*self._nominal).R).max()) or 1.0
+            model = self._cost.quadratize(*self._nominal)
+            self.largest_control_weight = float(np.abs(model.R).max()) or 1.0
+            tracking = tracking_of(self._cost)
+            Q = model.Q if tracking is None else tracking.Q  # as the kernels', which no rotation turns
+            self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
 
     def _rollout(
@@ -129,16 +135,10 @@ class NumpyEngine(Engine):
         """Linearise (if `fresh`), sweep, search, accept."""
         xs0, us0 = self._nominal
         if fresh:
-            self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
-            _check_jacobians(self._A, self._B, *self._gains)
-            self._model = self._quadratized(xs0, us0, self._A, self._B)
-            moves = self._moves(xs0, us0)
-            with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
-                self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
-                self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
+            self._linearize()
             self._second = self._second_order(xs0, us0) if self._exact else None
         moves = self._moves(xs0, us0)
-        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._second if self._swept else None)
+        sweep = lq.riccati(self._A, self._B, self._model, mu, moves, self._added())
         if sweep is None:
             return Outcome(INDEFINITE, self._norm, 0.0, 0.0, 0.0, cost)
         self._sweep, slope = sweep, sweep.slope
@@ -166,6 +166,59 @@ class NumpyEngine(Engine):
                 return Outcome(ACCEPTED, self._norm, slope, step, expected, float(J[lane]))
             search.refine(rule, alpha, bracket)
         return Outcome(NO_STEP, self._norm, slope, 0.0, -sweep.value, cost)
+
+    def _linearize(self) -> None:
+        xs0, us0 = self._nominal
+        self._A, self._B = self._dynamics.linearize(xs0, us0)  # Eq. 35
+        _check_jacobians(self._A, self._B, *self._gains)
+        self._model = self._quadratized(xs0, us0, self._A, self._B)
+        moves = self._moves(xs0, us0)
+        with np.errstate(over="ignore", invalid="ignore"):  # costates of stages this unstable: a NaN is no minimum
+            self._gradient = lq.reduced_gradient(self._A, self._B, self._model, moves)
+            self._norm = float(np.linalg.norm(lq.projected(self._gradient, moves)))
+
+    def _added(self) -> np.ndarray | None:
+        """What the sweep adds to the Hessians of the stages, (N, ndx+nu, ndx+nu); the start is free of `hold`."""
+        second = self._second if self._swept else None
+        if self.hold == 0.0:
+            return second
+        N, nu, ndx = self._gains
+        added, i = np.zeros((N, ndx + nu, ndx + nu)) if second is None else second.copy(), np.arange(ndx)
+        added[1:, i, i] += self.hold * self._state_weights
+        return added
+
+    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        self._nominal = xs.copy(), us.copy()
+        return self._space.difference(self._dynamics.step(xs[:-1], us), xs[1:])
+
+    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+        if fresh:
+            self._linearize()
+        self._swept = False
+        A, B, model, moves = self._A, self._B, self._model, self._moves(*self._nominal)
+        sweep = lq.riccati(A, B, model, 0.0, moves, self._added(), gaps)
+        if sweep is None:
+            return None
+        self._sweep = sweep
+        dxs, dus = lq.direction(A, B, sweep, None, gaps)
+        multipliers = np.einsum("nij,nj->ni", sweep.P[1:], dxs[1:]) + sweep.s[1:]
+        return Crossing(dxs, dus, multipliers, float(np.sum(model.q * dxs) + np.sum(model.r * dus)), self._norm)
+
+    def close(self, cost: float, slope: float) -> tuple[float, float]:
+        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps."""
+        assert self._sweep is not None
+        xs0, us0 = self._nominal
+        alpha = np.empty(WIDTH)
+        search.ladder(search.CLOSING, alpha, self._bracket)
+        us = us0[:, None, :] + alpha[:, None] * self._sweep.k[:, None, :]
+        xs, J = self._rollout(xs0[0], us, self._sweep.K, xs0)
+        lane = search.choose(search.CLOSING, alpha, J, np.zeros_like(alpha), cost, slope, self._bracket)
+        if lane < 0:
+            return 0.0, cost
+        self._nominal = xs[:, lane].copy(), us[:, lane].copy()
+        return float(alpha[lane]), float(J[lane])
 
     def gradient(self) -> np.ndarray:
         """A copy of the gradient (N, nu) of Eq. 19, as the last sweep found it."""

@@ -22,14 +22,27 @@ class Outcome(NamedTuple):
     cost: float  # J after the step
 
 
+class Crossing(NamedTuple):
+    """The direction of the LQ problem along states with gaps."""
+
+    dxs: np.ndarray  # (N+1, ndx)
+    dus: np.ndarray  # (N, nu)
+    multipliers: np.ndarray  # (N, ndx) of the gaps
+    slope: float  # of J along the direction, gaps aside
+    gradient_norm: float
+
+
 class Engine(Protocol):
     """One solve's memory. Not shared between threads.
 
     Attributes:
         largest_control_weight: The largest magnitude in R, the measure of what regularises R + B'PB.
+        hold: Weight on changes of the states in the next sweeps, beside their own; relative to the mean of what the
+            cost weighs them with. Zero after a start. It only pulls the direction towards the trajectory.
     """
 
     largest_control_weight: float
+    hold: float
 
     def hinge(self, hinges: Hinges | None) -> None:
         """Have these hinges added to the cost from the next start on; None for none."""
@@ -53,6 +66,22 @@ class Engine(Protocol):
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
+    def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
+        ...
+
+    def cross(self, gaps: np.ndarray, fresh: bool) -> Crossing | None:
+        """Linearise (if `fresh`) and sweep across these gaps; None where the sweep is not definite."""
+        ...
+
+    def close(self, cost: float, slope: float) -> tuple[float, float]:
+        """Close the gaps by a rollout with the gains of `cross`, if Armijo's rule takes one of the first steps.
+
+        Returns:
+            The step, 0 for none, and the cost after.
+        """
+        ...
+
     def sweep(self, mu: float, fresh: bool) -> Outcome:
         """Linearise (if `fresh`) and sweep, without a search: CONVERGED, or INDEFINITE."""
         return self.iterate(True, search.ARMIJO, mu, fresh, 0.0, math.inf, math.inf)
@@ -68,6 +97,15 @@ class Engine(Protocol):
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
         ...
+
+
+def state_weights(Q: np.ndarray, control_weight: float) -> np.ndarray:
+    """What `hold` is relative to (ndx,): the mean over the stages of each diagonal entry of Q (N+1, ndx, ndx).
+
+    Those that the cost does not weigh get the largest of the others.
+    """
+    mean = np.abs(np.diagonal(Q, axis1=1, axis2=2)).sum(axis=0) / (len(Q) - 1)
+    return np.where(mean > 0.0, mean, mean.max() or control_weight)
 
 
 def promised(slope: float, value: float, step: float) -> float:

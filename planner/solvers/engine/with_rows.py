@@ -59,7 +59,6 @@ class RowsEngine(CompiledEngine):
         self._others = Kept(None, others, kept.tolerance) if others.parts else None
         self._hinges: Hinges | None = None  # of the others
         self._of_dynamics: np.ndarray | None = None  # T of the second order alone
-        self._second_used = False
         self._touched = np.empty(0, dtype=int)  # stages whose T has something of rows
 
     def hinge(self, hinges: Hinges | None) -> None:
@@ -83,7 +82,7 @@ class RowsEngine(CompiledEngine):
 
     def start(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Roll out the first guess, within its bounds; its cost."""
-        self._of_dynamics, self._second_used = None, exact
+        self._of_dynamics = None
         cost = super().start(x0, us, exact)
         if self._others is not None:
             self._w.use_second_order(True)
@@ -98,7 +97,8 @@ class RowsEngine(CompiledEngine):
         alpha, costs, slopes, bracket = (w.search[row] for row in (ALPHA, COSTS, SLOPES, BRACKET))
         search.ladder(rule, alpha, bracket)
         # Armijo takes the first that does: it need not know the cost of the others.
-        lanes = [slice(i, i + 1) for i in range(len(alpha))] if rule == search.ARMIJO else [slice(0, len(alpha))]
+        first = rule in (search.ARMIJO, search.CLOSING)
+        lanes = [slice(i, i + 1) for i in range(len(alpha))] if first else [slice(0, len(alpha))]
         for _ in range(search.batches(rule)):
             super()._search(search.TRY, feedback, cost, slope)
             for some in lanes:
@@ -146,7 +146,7 @@ class RowsEngine(CompiledEngine):
         w.T[:] = 0.0
         super()._second_order()
         self._of_dynamics = w.T.copy()
-        w.T[:] = own + self._of_dynamics if self._second_used else own
+        w.T[:] = own + self._of_dynamics if self._swept else own
         self._touched = np.arange(len(w.T))
 
     def use_second_order(self, exact: bool) -> None:
@@ -154,6 +154,17 @@ class RowsEngine(CompiledEngine):
         if self._others is None:
             super().use_second_order(exact)
             return
-        if self._of_dynamics is not None and exact != self._second_used:
-            self._w.T[:] += self._of_dynamics if exact else -self._of_dynamics
-        self._second_used = exact
+        if self._of_dynamics is not None and exact != self._swept:
+            T = self._w.T
+            T[self._diagonals] = self._curvature
+            T[:] += self._of_dynamics if exact else -self._of_dynamics
+            self._curvature[:] = T[self._diagonals]
+        self._swept = exact
+
+    def _hold(self) -> None:
+        if self._others is None:
+            super()._hold()
+            return
+        self._w.T[self._diagonals] = self._curvature + self.hold * self._state_weights
+        if self.hold > 0.0:
+            self._touched = np.arange(len(self._w.T))
