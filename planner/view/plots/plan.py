@@ -261,7 +261,7 @@ def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str,
     dress(axes, "What holds closed chains together, in the plan", f"{'force' if unit == 'N' else 'moment'}, {unit}")
     for values, hue in zip(curves.values(), cycle(HUES), strict=False):
         axes.plot(plan.t, drawable(_to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
-    _name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
+    name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (s)")
     return axes
