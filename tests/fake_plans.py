@@ -37,7 +37,7 @@ def make_plan():
     """Twenty stages of what nobody solved."""
     t = np.linspace(0.0, N * DT, N + 1)
     problem = SimpleNamespace(
-        appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3, coordinates=COORDINATES), bounds=None, ranges=None,
+        appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3, coordinates=COORDINATES), bounds=None, kept=None, ranges=None,
         limits=None,
     )  # fmt: skip
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]

@@ -51,8 +51,8 @@ def forward_dynamics(mechanism: Mechanism, q: Any, qd: Any, tau: Any) -> np.ndar
     Raises:
         PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
-    _check_tree(mechanism)
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    _check_tree(mechanism)
     return b.out(_accelerations(b))
 
 
@@ -273,8 +273,8 @@ def forward_dynamics_derivatives(mechanism: Mechanism, q: Any, qd: Any, tau: Any
     Raises:
         PlannerError: A wrong shape or a number that is not finite; closed chains.
     """
-    _check_tree(mechanism)
     b = Batch(mechanism, q=q, qd=qd, tau=tau)
+    _check_tree(mechanism)
     qdd = _accelerations(b)
     by_q, by_qd, M = _inverse_derivatives(b, b["qd"], qdd)
     if mechanism.reduction is not None:

@@ -116,8 +116,6 @@ def _coupling(row, constant):
     [
         ('<joint joint1="a"/><joint name="x" joint1="a" polycoef=".2"/>', "equality 'x' contradicts .* by 0.2"),
         ("".join(f'<joint joint1="{name}"/>' for name in SLIDES), "lock every joint"),
-        ('<joint name="x" joint1="a" joint2="b" polycoef="0 1 1"/>', r"equality 'x' \(of joints, by a polynomial\)"),
-        ('<connect name="x" body1="a" anchor="0 0 0"/>', r"equality 'x' \(connect\)"),
     ],
 )
 def test_what_cannot_be_kept_is_one_sentence(equality, words):

@@ -14,13 +14,14 @@ mujoco = load_mujoco()
 
 # What is refused: kind, MJCF with a marker's worth of everything else, what the sentence must name.
 TENDON = '<fixed name="t" %s><joint joint="h" coef="1"/></fixed>'
+OTHER = '<fixed name="u"><joint joint="s" coef="1"/></fixed>'
+BENT = '<tendon name="bent" tendon1="t" tendon2="u" polycoef="0 1 1"/>'
 SPATIAL = '<spatial name="t" %s><site site="p"/><site site="q"/></spatial>'
 MUSCLE = '<muscle name="biceps" joint="h" lengthrange="0 1"/>'
 MOCAP = '<body name="hand" mocap="true"><body name="toy"><joint/><geom size="0.1"/></body></body>'
 REFUSED = [
     ("frictionloss", plain(tendon=TENDON % 'frictionloss="1"'), ["frictionloss of tendon 't'"]),
-    ("equality", plain(equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>'), ["equality 'cam'"]),
-    ("equality", plain(equality='<weld body1="one"/>'), ["equality number 0"]),
+    ("equality", plain(tendon=TENDON % "" + OTHER, equality=BENT), ["equality 'bent'"]),
     ("tendon", plain(tendon=TENDON % 'armature="1" damping="1"'), ["armature of tendon 't'"]),
     ("tendon", plain(tendon=SPATIAL % 'damping="1"'), ["damping of tendon 't'"]),
     ("tendon", plain(tendon=SPATIAL % 'range="0 9" limited="true"'), ["limit of tendon 't'"]),
@@ -57,6 +58,8 @@ REFUSED = [
 ]
 # What is modelled and that `ignore` takes out all the same.
 MODELLED = [
+    ("equality", plain(equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>'), ["equality 'cam'"]),
+    ("equality", plain(equality='<weld body1="one"/>'), ["equality number 0"]),
     ("frictionloss", plain(joint='frictionloss="1"'), ["frictionloss of joint 'h'"]),
     ("frictionloss", plain(default='<default><joint frictionloss="1"/></default>'), ["joint 'h'", "joint 's'"]),
     ("tendon", plain(tendon=TENDON % 'stiffness="1"'), ["stiffness of tendon 't'"]),
@@ -145,11 +148,11 @@ def test_taking_actuators_out_keeps_keyframes_and_sensors():
 
 def test_everything_in_one_sentence():
     text = plain(
-        joint='frictionloss="1"', body='gravcomp="1"', tendon=TENDON % 'damping="1"', actuator=MUSCLE,
-        equality='<joint name="cam" joint1="h" joint2="s" polycoef="0 1 1"/>',
+        joint='frictionloss="1"', body='gravcomp="1"', tendon=TENDON % 'damping="1"' + OTHER, actuator=MUSCLE,
+        equality=BENT,
         world='<geom name="floor" type="plane" size="1 1 1"/>',
     )  # fmt: skip
-    parts = ['ignore = ["equality", "actuator"] and contacts = "avoid" loads', "'biceps'", "'cam'", "geom 'floor'"]
+    parts = ['ignore = ["equality", "actuator"] and contacts = "avoid" loads', "'biceps'", "'bent'", "geom 'floor'"]
     with pytest.raises(PlannerError) as error:
         Mechanism.from_mjcf(text, contacts="model")
     for part in parts:

@@ -104,14 +104,16 @@ def test_any_contacts_are_loaded_without_a_key_and_their_mode_is_told(world, mod
 
 
 def test_what_is_refused_is_taken_out_and_what_is_modelled_is_told():
-    tail = """<tendon><fixed name="t" stiffness="1"><joint joint="elbow" coef="1"/></fixed></tendon>
-      <equality><joint joint1="elbow" joint2="shoulder"/><weld body1="fore"/></equality>"""
+    bent = '<tendon tendon1="t" tendon2="u" polycoef="0 1 1"/>'
+    tail = f"""<tendon><fixed name="t" stiffness="1"><joint joint="elbow" coef="1"/></fixed>
+      <fixed name="u"><joint joint="shoulder" coef="1"/></fixed></tendon>
+      <equality><joint joint1="elbow" joint2="shoulder"/>{bent}</equality>"""
     known = describe(arm(more='frictionloss=".1"', tail=tail))
     assert known.loaded.keys == {"ignore": ["equality"]}
     assert known.loaded.refusal.startswith('ignore = ["equality"] loads')
     assert "friction loss of 1 joint" in known.planned
     assert "1 fixed tendon" in known.planned
-    assert describe(arm(tail=tail.replace('<weld body1="fore"/>', ""))).planned.count("1 coupling of joints") == 1
+    assert describe(arm(tail=tail.replace(bent, ""))).planned.count("1 coupling of joints") == 1
 
 
 def test_each_problem_comes_with_what_mends_it():

@@ -128,7 +128,7 @@ def test_all_text_is_escaped(plan, tmp_path):
     proof.reason = evil
     marked = replace(
         plan, recipe=Recipe(evil, {evil: evil, "list": [evil]}), made_with={evil: evil},
-        problem=SimpleNamespace(appearance=Appearance(evil), bounds=None, ranges=None, limits=None),
+        problem=SimpleNamespace(appearance=Appearance(evil), bounds=None, kept=None, ranges=None, limits=None),
         twin=replace(plan.twin, mjcf=evil),
     )  # fmt: skip
     page = page_of(marked, proof, tmp_path, evil)

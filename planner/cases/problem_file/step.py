@@ -60,7 +60,7 @@ def with_step(
         if longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: {found.joint} has a rate of {found.rate:.4g} per s"
     if substeps == AUTO:
-        substeps = {"rosenbrock": MOST_SUBSTEPS}.get(integrator, 1)
+        substeps = MOST_SUBSTEPS if integrator == "rosenbrock" else 1
         if integrator == "rk4":
             substeps = substeps_of(found, number("dt", dt, above=0.0))
             if substeps > 1:

@@ -70,13 +70,16 @@ def unmodelled(model: Any) -> Iterator[Refusal]:
 
 
 def modelled(model: Any) -> Iterator[Refusal]:
-    """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons."""
+    """What is modelled and that `ignore` takes out all the same: friction loss, compensation, fixed tendons, loops."""
     if not disabled(model, "constraint", "frictionloss"):
         for i in _joints_of(model, model.dof_frictionloss):
             yield Refusal("frictionloss", f"frictionloss of {named(model, 'joint', i)}")
     for i in () if no_compensation(model) else np.flatnonzero(_compensated(model)):
         yield Refusal("gravcomp", f"gravcomp of {named(model, 'body', int(i))}")
     yield from _of_tendons(model, modelled=True)
+    for i in acting(model):
+        if closes(model, i):
+            yield Refusal("equality", f"{named(model, 'equality', i)} ({kind_of(model, i)})", i)
 
 
 def _joints(model: Any) -> Iterator[Refusal]:
