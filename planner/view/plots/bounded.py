@@ -1,7 +1,7 @@
 """Panels of what is asked of a motion over time: goals and constraints beside their bounds.
 
-A bound that most curves share is a red line, and what is outside of it is shaded; a bound of a curve's own is dotted, in
-its hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
+A bound that most curves share is a red line, with what is outside shaded; a bound of a curve's own is dotted, in its
+hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarra
         (panel.least, single[0], _UP, axes.get_ylim()[0]), (panel.most, single[1], _DOWN, axes.get_ylim()[1])
     ):  # fmt: skip
         along = np.where(np.isfinite(side) & ~alone, side, np.nan)
-        alike = [np.isclose(along, one[:, None], rtol=1e-6, equal_nan=True).all(axis=0) for one in along.T]
-        shared = max(alike, key=np.sum)  # most curves have this bound
+        close = np.all(np.isclose(along[:, :, None], along[:, None, :], rtol=1e-6, equal_nan=True), axis=0)
+        shared: np.ndarray = close[int(np.argmax(close.sum(axis=1)))]  # the curves that have the bound of most
         together = 2 * int(shared.sum()) > len(shared) or len(shared) == 1
         line = along[:, int(np.argmax(shared))]
         if together and np.isfinite(line).any():
