@@ -1,7 +1,7 @@
 """Panels of what is asked of a motion over time: goals and constraints beside their bounds.
 
-A bound that all curves share is a red line, and what is outside of it is shaded; a bound of a curve's own is dotted, in
-its hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
+A bound that most curves share is a red line, with what is outside shaded; a bound of a curve's own is dotted, in its
+hue. What is asked at one time alone is a triangle whose tip is the bound, or a ring where a value is to be met.
 """
 
 from __future__ import annotations
@@ -55,13 +55,16 @@ def _draw_bounds(axes: Axes, panel: Bounded, single: tuple[np.ndarray, np.ndarra
         (panel.least, single[0], _UP, axes.get_ylim()[0]), (panel.most, single[1], _DOWN, axes.get_ylim()[1])
     ):  # fmt: skip
         along = np.where(np.isfinite(side) & ~alone, side, np.nan)
-        together = bool(np.all(along[:, :1] == along, where=np.isfinite(along) | np.isfinite(along[:, :1])))
-        if together and np.isfinite(along).any():
-            axes.plot(panel.t, along[:, 0], color=RED, lw=1.0, scaley=False, zorder=2.5)
+        close = np.all(np.isclose(along[:, :, None], along[:, None, :], rtol=1e-6, equal_nan=True), axis=0)
+        shared: np.ndarray = close[int(np.argmax(close.sum(axis=1)))]  # the curves that have the bound of most
+        together = 2 * int(shared.sum()) > len(shared) or len(shared) == 1
+        line = along[:, int(np.argmax(shared))]
+        if together and np.isfinite(line).any():
+            axes.plot(panel.t, line, color=RED, lw=1.0, scaley=False, zorder=2.5)
             if not met.any():
-                axes.fill_between(panel.t, along[:, 0], edge, color=RED, alpha=_OUTSIDE, lw=0, zorder=0)
+                axes.fill_between(panel.t, line, edge, color=RED, alpha=_OUTSIDE, lw=0, zorder=0)
         for column, hue in zip(range(side.shape[1]), cycle(HUES), strict=False):
-            if not together:
+            if not (together and shared[column]) and np.isfinite(along[:, column]).any():
                 axes.plot(panel.t, along[:, column], color=hue[0], lw=1.1, ls=":", scaley=False, zorder=2.5)
             for asked, style in (
                 (alone[:, column] & ~met[:, column], {"marker": marker, "color": hue[0], "mec": "white", "mew": 0.6}),
