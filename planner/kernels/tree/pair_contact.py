@@ -20,9 +20,10 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
 from planner.kernels.tree.contact import by_velocity, contact_force, differentiated
-from planner.kernels.tree.model import PAIR_LINKS_SIZE, PAIR_SIZE, TREE
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import BIAS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
+from planner.kernels.tree.touching import PAIR_LINKS_SIZE, PAIR_SIZE
 
 # Offsets in a pair's numbers, as `model` lays them out: of each part, then of both; and in its links
 MIDDLE, AXIS, HALF, PART = 0, 3, 6, 7
