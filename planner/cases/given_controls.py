@@ -24,7 +24,7 @@ import numpy as np
 from planner.base.arguments import LONGEST_HORIZON
 from planner.base.errors import FileError, ModelError, PlannerError
 from planner.base.files import printable, read_text
-from planner.cases.problem_file.build import state_of
+from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.refuse import KINDS

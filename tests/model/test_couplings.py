@@ -5,7 +5,7 @@ import pytest
 
 from planner import Mechanism, ModelError, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 from planner.base.gl import load_mujoco
-from planner.cases.problem_file.build import state_of
+from planner.cases.problem_file.states import state_of
 from planner.model.couplings import Coupling, reduce
 
 mujoco = load_mujoco()

@@ -54,13 +54,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import array, choice, count, did_you_mean, number, shown
+from planner.base.arguments import choice, count, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.arrival import check_arrival, check_departure
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
 from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
 from planner.cases.problem_file.on_ground import on_ground
+from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
     check_keys,
@@ -82,19 +83,14 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.assembly import assembled, carried, check_assembled
 from planner.model.contact.laws import ContactLaw
-from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.coupled_states import check_closed
-from planner.model.couplings import CLOSED
-from planner.model.mechanism import BALL, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
 from planner.model.mjcf.contact_choice import MODES
 from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
 from planner.model.urdf.read import read_model
 from planner.problem.avoid import Avoid
-from planner.problem.costs.tracking import states
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
@@ -108,8 +104,6 @@ NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
 DECREASE = 1e-7  # of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion
-MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
-SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
 
 
 class ProblemFile(NamedTuple):
@@ -243,7 +237,7 @@ def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = "a number of seconds" if key == "duration" else _states_of(mechanism)
+            wanted = "a number of seconds" if key == "duration" else states_of(mechanism)
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
@@ -347,56 +341,3 @@ def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
     if not isinstance(names, list):
         raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
     return tuple(choice("a joint in prescribed", name, known) for name in names)
-
-
-def _states_of(mechanism: Mechanism) -> str:
-    """The forms of a start or a goal, for a message."""
-    nq, nv = mechanism.nq, mechanism.nv
-    keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
-    joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
-    return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
-
-
-def state_of(
-    name: str, value: Any, mechanism: Mechanism, base: np.ndarray, notes: list[str] | None = None
-) -> np.ndarray:
-    """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed.
-
-    Coordinates that follow others are where these put them: a table need not name them, and numbers, or a keyframe
-    that a soft simulator has left, are nearly there. Closed chains are closed by least squares; where that moves a
-    whole pose by more than MOVED a sentence is added to the notes.
-    """
-    nq, nv = mechanism.nq, mechanism.nv
-    x, given, most = base.copy(), set(), CLOSED
-    if isinstance(value, str):
-        if value not in mechanism.keyframes:
-            hint = did_you_mean(value, mechanism.keyframes)
-            raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.{hint}")
-        x, most = mechanism.keyframe(value), SOFT
-    elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
-        if len(value) not in (nq, nq + nv, len(x)):
-            raise PlannerError(f"{name} has {len(value)} numbers, expected {_states_of(mechanism)}.")
-        x[nq:] = 0.0
-        x[: len(value)], most = array(name, value, ("n",)), SOFT
-    elif isinstance(value, dict):
-        for joint, position in value.items():
-            links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
-            place = int(mechanism.q_address[links.start])
-            size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
-            label = f"{name} of {joint}"
-            given.add(links.start)
-            x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
-    else:
-        raise PlannerError(f"{name} is {shown(value)}, expected {_states_of(mechanism)}.")
-    if isinstance(value, dict):
-        x = carried(mechanism, base, x, given, name)
-        check_assembled(name, x, mechanism, most)
-    else:
-        check_closed(name, x, mechanism, most)
-        told, x = x, assembled(mechanism, x, name=name)
-        moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
-        if notes is not None and (mechanism.loops or mechanism.cams) and np.abs(moved).max() > MOVED:
-            most = int(np.argmax(np.abs(moved)))
-            place = coordinates_of_mechanism(mechanism)[most]
-            notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
-    return states(name, x, mechanism.space, ())

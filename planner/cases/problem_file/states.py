@@ -1,0 +1,72 @@
+"""States of a problem file: a keyframe, numbers, or a table of joints, closed where joints depend on each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array, choice, did_you_mean, number, shown
+from planner.base.errors import PlannerError
+from planner.dynamics.assembly import assembled, carried, check_assembled
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.coupled_states import check_closed
+from planner.model.couplings import CLOSED
+from planner.model.mechanism import BALL, Mechanism
+from planner.problem.costs.tracking import states
+
+MOVED = 1e-3  # rad or m: to close chains a start or a goal may move so far without a word
+SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that nearly keep a coupling are put on it
+
+
+def states_of(mechanism: Mechanism) -> str:
+    """The forms of a start or a goal, for a message."""
+    nq, nv = mechanism.nq, mechanism.nv
+    keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
+    joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
+    return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
+
+
+def state_of(
+    name: str, value: Any, mechanism: Mechanism, base: np.ndarray, notes: list[str] | None = None
+) -> np.ndarray:
+    """The state (nx,) of a keyframe, of positions (and velocities), or of `base` with some joints changed.
+
+    Coordinates that follow others are where these put them: a table need not name them, and numbers, or a keyframe
+    that a soft simulator has left, are nearly there. Closed chains are closed by least squares; where that moves a
+    whole pose by more than MOVED a sentence is added to the notes.
+    """
+    nq, nv = mechanism.nq, mechanism.nv
+    x, given, most = base.copy(), set(), CLOSED
+    if isinstance(value, str):
+        if value not in mechanism.keyframes:
+            hint = did_you_mean(value, mechanism.keyframes)
+            raise PlannerError(f"{name} is {shown(value)}, expected {states_of(mechanism)}.{hint}")
+        x, most = mechanism.keyframe(value), SOFT
+    elif isinstance(value, list) and not any(isinstance(part, (list, dict)) for part in value):
+        if len(value) not in (nq, nq + nv, len(x)):
+            raise PlannerError(f"{name} has {len(value)} numbers, expected {states_of(mechanism)}.")
+        x[nq:] = 0.0
+        x[: len(value)], most = array(name, value, ("n",)), SOFT
+    elif isinstance(value, dict):
+        for joint, position in value.items():
+            links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
+            place = int(mechanism.q_address[links.start])
+            size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
+            label = f"{name} of {joint}"
+            given.add(links.start)
+            x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
+    else:
+        raise PlannerError(f"{name} is {shown(value)}, expected {states_of(mechanism)}.")
+    if isinstance(value, dict):
+        x = carried(mechanism, base, x, given, name)
+        check_assembled(name, x, mechanism, most)
+    else:
+        check_closed(name, x, mechanism, most)
+        told, x = x, assembled(mechanism, x, name=name)
+        moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
+        if notes is not None and (mechanism.loops or mechanism.cams) and np.abs(moved).max() > MOVED:
+            most = int(np.argmax(np.abs(moved)))
+            place = coordinates_of_mechanism(mechanism)[most]
+            notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
+    return states(name, x, mechanism.space, ())
