@@ -42,6 +42,7 @@ gallery: setup ## make the committed pictures and videos again
 	@for name in poses measures paths; do \
 	    cp renders/human-step/$$name.png $(GALLERY)/human-step.$$name.png || exit 1; \
 	done
+	@$(PYTHON) examples/montage.py $(GALLERY)
 	$(PLANNER) paper
 	$(PLANNER) paper --proofs --out renders/proofs
 

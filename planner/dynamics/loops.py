@@ -1,7 +1,8 @@
 """Closed chains for the reader and for one state: what is to be zero, its derivative, and the accelerations.
 
-The twin of kernels.tree.loops, on Fig. 2's recursions (planner.dynamics.poe); planner.model.loops has the equations. It
-is analytic as poe is: q, qd and tau may be complex. Rows are those of the loops in their order, then of the cams.
+The twin of kernels.tree.loop_accelerations, on Fig. 2's recursions (planner.dynamics.poe); planner.model.loops has the
+equations. It is analytic as poe is: q, qd and tau may be complex. Rows are those of the loops in their order, then of
+the cams.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from planner.kernels.tree.friction import (  # fmt: skip
 )
 from planner.kernels.tree.gravity_compensation import add_compensation
 from planner.kernels.tree.joint_curves import add_curves
-from planner.kernels.tree.loops import accelerate_closed
+from planner.kernels.tree.loop_accelerations import accelerate_closed
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.pair_contact import add_pair_wrenches
