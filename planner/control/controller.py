@@ -68,6 +68,7 @@ class Controller:
         budget: s, in place of a number of iterations: as many as begin within it, at least one. What comes out then
             depends on the computer.
         patience: Failed solves in a row after which it holds.
+        plan: A plan of the problem to begin with; by default it is solved.
 
     Attributes:
         plan: The plan that it starts with, solved to the end when it was made or reset.
@@ -85,7 +86,7 @@ class Controller:
 
     def __init__(
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
-        budget: float | None = None, patience: int = PATIENCE,
+        budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(problem, Problem):
             raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
@@ -112,7 +113,9 @@ class Controller:
         nx, nu, ndx = problem.dynamics.nx, problem.dynamics.nu, self._space.ndx
         self._xs, self._us, self._K = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
         self._next = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
-        self.plan = self._solved(problem.x0)
+        if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, nu)):
+            raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
+        self.plan = self._solved(problem.x0) if plan is None else plan
         self._window.hinge(self.plan, problem.kept)
         self._goal: Any = None
         self.reset()

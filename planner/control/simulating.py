@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,8 +31,8 @@ from planner.proof.replays.replaying import PARTS, REFINEMENT, SUBSTEP_REFINEMEN
 from planner.proof.replays.sampled_gains import Encoders, sampling_in
 from planner.proof.replays.simulation import MOST_STEPS
 from planner.proof.replays.simulation import simulate as run_model
-from planner.proof.robustness.perturbation import Draw, Nominal
-from planner.proof.robustness.pushes import Push, bodies_of, pushed_step
+from planner.proof.robustness.pushes import Push, pushed_step
+from planner.proof.robustness.stated_errors import Mass, with_stated_errors
 
 Goal = Callable[[float], Any]
 
@@ -61,6 +61,7 @@ class Loop(Replay):
         errors: What simulate() was asked for, as JSON values.
         call_seconds: How long each call that planned took here, s.
         events: What the controller had to say.
+        goal: The function of time that moved the goal, or None.
         late: Latency that acted, s: the largest, in whole steps of the simulator.
     """
 
@@ -68,10 +69,17 @@ class Loop(Replay):
     errors: dict[str, Any] = field(default_factory=dict)
     call_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
     events: tuple[str, ...] = ()
+    goal: Goal | None = None
     late: float = 0.0
 
     def __repr__(self) -> str:
         return f"Loop({self.t[-1]:.4g} s, {len(self.call_seconds)} plans)"
+
+    @property
+    def perturbed(self) -> bool:
+        """Whether the machine was not as planned: pushed, heavier, rubbing, or measured with errors."""
+        asked = ("pushes", "mass", "friction", "contact_friction", "noise", "encoders")
+        return any(bool(self.errors.get(name)) for name in asked)
 
     @property
     def title(self) -> str:
@@ -81,7 +89,7 @@ class Loop(Replay):
 
 def simulate(
     controller: Controller | Plan, *, duration: float | None = None, latency: float | None = None,
-    pushes: Sequence[Push] = (), mass: float | Mapping[str, float] = 0.0, friction: float = 0.0,
+    pushes: Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
     contact_friction: float = 0.0, noise: float = 0.0, encoders: bool = False, goal: Goal | None = None,
     start: Any = None, seed: int = 0, compiled: CompiledTwin | None = None,
 ) -> Loop:  # fmt: skip
@@ -132,7 +140,10 @@ def simulate(
     asked.reset(start)
     damping = damping_of(problem.dynamics)
     integrator = "RK4" if damping is None else "rosenbrock"
-    model = _with_errors(compiled, asked.plan, dt / n, integrator, mass, friction, contact_friction)
+    compiled.check(asked.plan.us.shape[1])
+    model = with_stated_errors(
+        compiled, asked.plan, compiled.stepping(dt / n, integrator), mass, friction, contact_friction
+    )
     base = None if damping is None else implicit_step(model, dt / n, damping, PARTS)
     step, recorder = pushed_step(model, pushes, base), ContactRecorder(model, M)
     x0 = problem.x0 if start is None else asked.plan.xs[0]
@@ -157,7 +168,7 @@ def simulate(
         ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
         contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
         touches=recorder.touches, controller=asked, errors=errors, call_seconds=np.array(asking.seconds),
-        events=events, late=asking.late,
+        events=events, goal=goal, late=asking.late,
     )  # fmt: skip
 
 
@@ -168,38 +179,6 @@ def _substeps(problem: Problem, compiled: CompiledTwin, parts: int) -> int:
     own = 1 if damping_of(problem.dynamics) is not None else int(getattr(problem.dynamics, "substeps", 1))
     n = max(REFINEMENT, SUBSTEP_REFINEMENT * own, math.ceil(min(dt / step, 1e12) - 1e-9))
     return n + -n % parts
-
-
-def _with_errors(
-    compiled: CompiledTwin, plan: Plan, timestep: float, integrator: str, mass: float | Mapping[str, float],
-    friction: float, contact_friction: float,
-) -> Any:  # fmt: skip
-    """MuJoCo's model with the errors that were asked for, by the rules of the Monte Carlo."""
-    compiled.check(plan.us.shape[1])
-    model = compiled.stepping(timestep, integrator)
-    friction = number("friction", friction, least=0.0, most=1e3)
-    change = number("contact_friction", contact_friction, above=-1.0, most=1e3)
-    factors = np.ones(model.nbody)
-    if isinstance(mass, Mapping):
-        known = bodies_of(model)
-        for body, error in mass.items():
-            if body not in known:
-                raise PlannerError(f"mass names {body!r}, expected bodies of the model: {', '.join(known)}.")
-            factors[model.body(body).id] += number(f"the mass error of {body}", error, above=-1.0, most=1e3)
-    else:
-        factors[:] += number("mass", mass, above=-1.0, most=1e3)
-    if np.all(factors == 1.0) and not friction and not change:
-        return model
-    nominal = Nominal.of(model, plan, compiled.twin)
-    one = np.ones(model.nv)
-    draw = Draw(
-        mass=factors, inertia=np.ones(model.nbody), damping=one, drag=0.0 * one, friction=friction * one,
-        contact_friction=1.0 + change, start=np.zeros(plan.space.ndx), noise=np.zeros((0, 0)), delay=0.0,
-        stiffness=np.ones(model.njnt),
-    )  # fmt: skip
-    from planner.base.gl import load_mujoco
-
-    return nominal.with_errors(draw, load_mujoco().MjData(model))
 
 
 class _Asking:

@@ -56,7 +56,7 @@ class Window:
         tracking, residuals = _parts(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
-        past = (self._at == N)[:, None, None]
+        past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
         resting = (tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N]
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
@@ -235,7 +235,7 @@ def _lengthened(parts: list[ResidualArrays], H: int, dt: float) -> ResidualArray
     N = measures.weight.shape[1] - 1
     longer = measures.along(np.minimum(np.arange(N + H + 1), N))
     weight, bound = np.array(longer.weight), np.array(longer.bound)
-    weight[:, N:] = (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
+    weight[:, N + 1 :] = (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
     # A window that ends before the task does asks its end for the goal, whose rows are off there.
     off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
     bound = np.where(off, measures.bound[:, -1:], bound)
