@@ -88,21 +88,8 @@ class Controller:
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
         budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None,
     ) -> None:  # fmt: skip
-        if not isinstance(problem, Problem):
-            raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        H, rate = self.check(problem, horizon, rate)
         dt = problem.dynamics.dt
-        H = problem.N if horizon is None else count("horizon", horizon)
-        rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
-        if rate * dt > 1.0 + 1e-9:
-            raise PlannerError(
-                f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
-                f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
-            )
-        if rate * H * dt < 1.0 - 1e-9:
-            raise PlannerError(
-                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least {1.0 / (H * dt):.4g} "
-                "Hz, or a longer horizon."
-            )
         self.problem, self.horizon, self.rate = problem, H, rate
         self.iterations = count("iterations", iterations)
         self.budget = None if budget is None else number("budget", budget, above=0.0)
@@ -119,6 +106,26 @@ class Controller:
         self._window.hinge(self.plan, problem.kept)
         self._goal: Any = None
         self.reset()
+
+    @staticmethod
+    def check(problem: Problem, horizon: int | None = None, rate: float | None = None, **_: Any) -> tuple[int, float]:
+        """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
+        if not isinstance(problem, Problem):
+            raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        dt = problem.dynamics.dt
+        H = problem.N if horizon is None else count("horizon", horizon)
+        rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
+        if rate * dt > 1.0 + 1e-9:
+            raise PlannerError(
+                f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
+                f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
+            )
+        if rate * H * dt < 1.0 - 1e-9:
+            raise PlannerError(
+                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least {1.0 / (H * dt):.4g} "
+                "Hz, or a longer horizon."
+            )
+        return H, rate
 
     def __repr__(self) -> str:
         return (
@@ -140,7 +147,11 @@ class Controller:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         N, H = self.plan.N, self.horizon
         n = np.minimum(np.arange(H), N - 1)
-        self._xs[:], self._us[:], self._K[:] = self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n], self.plan.K[n]
+        self._xs[:], self._us[:], self._K[:] = (
+            self.plan.xs[np.minimum(np.arange(H + 1), N)],
+            self.plan.us[n],
+            self.plan.K[n],
+        )
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -163,7 +174,9 @@ class Controller:
     def goal(self, goal: Any) -> None:
         if isinstance(goal, Mapping):
             if not self._window.frames:
-                raise PlannerError("goal is a table of frames and no frame has a goal in this problem, expected a state.")
+                raise PlannerError(
+                    "goal is a table of frames and no frame has a goal in this problem, expected a state."
+                )
             for frame, position in goal.items():
                 self._window.point(str(frame), array(f"the goal of {frame}", position, (3,)))
         else:

@@ -36,7 +36,9 @@ class PlanGains:
     def reset(self, x0: Any = None) -> None:
         """Nothing is to be begun again; a plan has one start."""
         if x0 is not None:
-            raise PlannerError("start is given for a plan with its gains alone, expected a Controller, which can plan from there.")
+            raise PlannerError(
+                "start is given for a plan with its gains alone, expected a Controller, which can plan from there."
+            )
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,)."""
@@ -56,4 +58,8 @@ class PlanGains:
         if n >= plan.N:
             return plan.xs[-1] if self._hold is None else self._hold.x_goal
         part = max(stages - n, 0.0)
-        return dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([part * dynamics.dt]))[0] if part > _LITTLE else plan.xs[n]
+        return (
+            dynamics.step(plan.xs[n : n + 1], plan.us[n : n + 1], np.array([part * dynamics.dt]))[0]
+            if part > _LITTLE
+            else plan.xs[n]
+        )
