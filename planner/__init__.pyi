@@ -11,6 +11,8 @@ from planner.base.errors import PlannerError as PlannerError
 from planner.cases.plan_file import load_plan as load_plan
 from planner.cases.problem_file import load_problem as load_problem
 from planner.cases.problem_file.in_python import task as task
+from planner.control.controller import Controller as Controller
+from planner.control.simulating import simulate as simulate
 from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics
 from planner.model.mechanism import Mechanism as Mechanism
@@ -30,6 +32,7 @@ from planner.proof.compare.model_parity import parity as parity
 from planner.proof.refinement import refine as refine
 from planner.proof.replays.replaying import Replay as Replay
 from planner.proof.replays.replaying import replay as replay
+from planner.proof.robustness.pushes import Push as Push
 from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof
 from planner.solvers.free_time import solve_for as solve_for

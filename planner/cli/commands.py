@@ -16,6 +16,7 @@ from planner.cli import (
     checking,
     compiling,
     describing,
+    driving,
     listing,
     paper,
     parser,
@@ -33,7 +34,7 @@ TRACEBACK = "PLANNER_TRACEBACK"
 
 _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
-    "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
+    "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip

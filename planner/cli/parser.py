@@ -220,6 +220,23 @@ def build() -> argparse.ArgumentParser:
     )  # fmt: skip
     with_case("run", "Plan, prove, plot and film a case or a problem file.", no_refine, _PROOF, _NO_VIDEO, folder)
     with_case(
+        "drive", "Plan again and again in the loop with MuJoCo, and judge the loop.",
+        {"--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
+                    "help": "A push, e.g. torso=50N@1.0s, along x, or torso=0,50,0N@1.0s/0.2s; repeat it for others."},
+         "--latency": _takes("TIME", "From asking for a plan until it acts, e.g. 4ms. Default: as measured here."),
+         "--rate": _takes("HZ", "Plans per second. Default: one per stage.", kind=_number),
+         "--iterations": _takes("N", "Iterations of each plan.", 1, _whole),
+         "--stages": _takes("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=_whole),
+         "--seconds": _takes("S", "How long it is driven. Default: the task and one second more.", kind=_number),
+         "--heavier": _takes("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, _number),
+         "--rubbing": _takes("X", "Dry friction in each joint, as a share of its largest force.", 0.0, _number),
+         "--noise": _takes("X", "Standard deviation of what is measured.", 0.0, _number),
+         "--encoders": _switch("Positions come from encoders of 17 bits, speeds are their differences."),
+         "--map": {"metavar": "BODY", "help": "Also find the largest push at this body that is survived at 20 times, "
+                                              "the latency and the mass, beside the plan with its gains alone."}},
+        _NO_VIDEO, {"--out": _takes("DIR", "Folder of the results. Default: renders/CASE-loop.")},
+    )  # fmt: skip
+    with_case(
         "solve",
         "Plan a case or a problem file and save the plan.",
         {"--out": _takes("FILE", "The plan's file.", "plan.npz")},
@@ -278,7 +295,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
     Raises:
         PlannerError: Wrong usage; the sentence suggests the nearest flag.
     """
-    if argv[:1] in (["run"], ["solve"]) and argv[1:]:
+    if argv[:1] in (["run"], ["solve"], ["drive"]) and argv[1:]:
         ending = argv[1].lower()
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]

@@ -93,6 +93,19 @@ class CompiledEngine(Engine):
         self._w.dus[:] = 0.0
         return self._search(search.START, False, math.inf, 0.0)[1]
 
+    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
+        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost."""
+        w = self._w
+        w.xs[:], w.us[:], w.k[:] = xs, us, 0.0
+        w.K[:, :, w.first : w.first + w.ndx] = K
+        w.us[0] += K[0] @ self._space.difference(x0, xs[0])  # the rollout begins at the trajectory's own start
+        w.xs[0] = x0
+        return self._search(search.START, True, math.inf, 0.0)[1]
+
+    def cost_arrays(self) -> dict[str, np.ndarray]:
+        """The weights, references and bounds as kernels read them, which may change between iterations."""
+        return self._w._arrays
+
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
         self._swept = exact
@@ -221,3 +234,8 @@ class CompiledEngine(Engine):
         """A copy of K (N, nu, ndx)."""
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()
+
+    def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
+        """Copy trajectory and gains into arrays of these shapes."""
+        w = self._w
+        xs[:], us[:], K[:] = w.xs, w.us, w.K[:, :, w.first : w.first + w.ndx]

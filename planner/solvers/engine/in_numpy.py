@@ -13,7 +13,7 @@ from planner.kernels.numba.jit import announce
 from planner.kernels.numba.lanes import WIDTH
 from planner.model.space import space_of
 from planner.problem.control_bounds import Moves
-from planner.problem.costs.terms import Quadratic
+from planner.problem.costs.terms import Cost, Quadratic
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -78,6 +78,17 @@ class NumpyEngine(Engine):
             Q = model.Q if tracking is None else tracking.Q  # as the kernels', which no rotation turns
             self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
+
+    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
+        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost."""
+        first = us[:, None, :].copy()
+        states, J = self._rollout(x0, first, K, xs)
+        self._nominal = states[:, 0].copy(), first[:, 0].copy()
+        return float(J[0])
+
+    def weigh(self, cost: Cost) -> None:
+        """Have another cost of the same shapes from the next rollout on."""
+        self._cost = cost
 
     def _rollout(
         self, x0: np.ndarray, us: np.ndarray, K: np.ndarray | None, nominal: np.ndarray
@@ -232,6 +243,10 @@ class NumpyEngine(Engine):
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
+
+    def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
+        """Copy trajectory and gains into arrays of these shapes."""
+        (xs[:], us[:]), K[:] = self._nominal, self.gains()
 
 
 def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:

@@ -66,6 +66,13 @@ class Engine(Protocol):
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
+    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
+        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost.
+
+        After a start, with whose memory and terms it goes on.
+        """
+        ...
+
     def place(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """Take states (N+1, nx) and controls (N, nu) as the trajectory, after a start; its gaps (N, ndx)."""
         ...
@@ -96,6 +103,10 @@ class Engine(Protocol):
 
     def gains(self) -> np.ndarray:
         """A copy of K (N, nu, ndx)."""
+        ...
+
+    def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
+        """Copy trajectory and gains into arrays of these shapes."""
         ...
 
 

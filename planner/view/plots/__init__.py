@@ -5,6 +5,7 @@ The parts know neither plan nor proof: stick figures over a motion, paths in spa
 
 from planner.view.plots.case_pictures import CASE_PICTURES, case_pictures, draw_case_picture
 from planner.view.plots.charts import draw_charts
+from planner.view.plots.loop import draw_loop
 from planner.view.plots.paths import draw_paths
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
@@ -12,6 +13,6 @@ from planner.view.plots.stick_figures import draw_stick_figures
 from planner.view.plots.style import save
 
 __all__ = [
-    "CASE_PICTURES", "case_pictures", "draw_case_picture", "draw_charts", "draw_paths", "draw_plan", "draw_proof",
-    "draw_stick_figures", "save",
+    "CASE_PICTURES", "case_pictures", "draw_case_picture", "draw_charts", "draw_loop", "draw_paths", "draw_plan",
+    "draw_proof", "draw_stick_figures", "save",
 ]  # fmt: skip

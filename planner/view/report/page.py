@@ -118,7 +118,7 @@ def _unchecked(proof: Proof | None) -> str:
 
 
 def _film(plan: Plan, folder: Path, note: str) -> str:
-    video = _embedded(folder / "video.mp4", "video/mp4")
+    video = embedded(folder / "video.mp4", "video/mp4")
     if video:
         player = (
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
@@ -138,7 +138,7 @@ def _pictures(plan: Plan, proof: Proof | None, folder: Path) -> str:
     first, *others = _PICTURES
     shown = []
     for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
-        source = _embedded(folder / name, "image/png")
+        source = embedded(folder / name, "image/png")
         if source:
             shown.append(
                 f'<figure><img src="{source}" alt="{escape(caption)}">'
@@ -207,7 +207,7 @@ def _model(plan: Plan) -> str:
     return f"<details><summary>The model it was replayed in (MJCF)</summary>\n<pre>{text}</pre></details>"
 
 
-def _embedded(file: Path, kind: str) -> str:
+def embedded(file: Path, kind: str) -> str:
     """The file as a data URL; "" when there is none."""
     try:
         data = file.read_bytes()

@@ -99,6 +99,10 @@ class ResidualCost(Term):
         """The terms for N stages."""
         return self.measures if self.N is not None else resampled(self.measures, N, 1.0)
 
+    def goal_rows(self) -> dict[str, np.ndarray]:
+        """The numbers of the rows of each goal, by its name: "position of hand"."""
+        return {goal.name: self._rows_of(goal)[0] for goal in self._goals}
+
     def resampled(self, parts: int, ratio: float) -> ResidualCost:
         """The same over stages divided into parts, with the weights on the way multiplied by ratio."""
         cost = copy(self)

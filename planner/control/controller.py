@@ -1,0 +1,322 @@
+"""Controller: u = controller(t, x), a plan that is made again and again from where the machine is.
+
+    plan     at the rate, from the measured x: the last plan moved on by the time that has passed and rolled out from x
+             with its gains, then a fixed number of SLQ iterations (solvers.slq), or as many as a budget of time allows
+    between  u = us[n] + K[n] (x - xs(t)), within bounds, so that it may be asked more often than it plans
+
+A solve that fails changes nothing: the last plan goes on, and the controller says so. After the last stage of that
+plan, or after `patience` failures in a row, it holds: gravity compensation and damping within the bounds
+(planner.control.holding). It goes on trying, and says when a plan is found.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import array, count, number, shown
+from planner.base.errors import PlannerError
+from planner.control.holding import Holding, keeping
+from planner.control.window import Window
+from planner.kernels.lq.search import ARMIJO
+from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
+from planner.model.space import space_of
+from planner.problem.costs.tracking import states
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.solvers.regularisation import FACTOR, LEAST, MOST
+from planner.solvers.slq import DECREASE, solve
+from planner.solvers.steadied import RUNAWAY
+
+PATIENCE = 10  # failures in a row after which it holds
+_LITTLE = 1e-6  # of a stage: instants that are nearer are the same
+_MOST_EVENTS = 1000
+
+
+class Doing(StrEnum):
+    """What a controller is doing, in a sentence."""
+
+    PLANNING = "It follows the plan that it has just made."
+    LAST_PLAN = "The last solve failed; it goes on with the plan before."
+    HOLDING = "It holds the machine where it is, by gravity compensation and damping, until a solve succeeds."
+
+
+class Event(NamedTuple):
+    """Something that a controller has to say."""
+
+    t: float  # s
+    words: str
+
+    def __str__(self) -> str:
+        return f"t = {self.t:.4g} s: {self.words}"
+
+
+class Controller:
+    """Plans a problem again and again from the measured state; `u = controller(t, x)`.
+
+    Args:
+        problem: The task. Its time begins with the first call after a reset; past its end the goal stays.
+        horizon: Stages that each plan looks ahead; by default as many as the problem has.
+        rate: Plans per second, Hz; at most one per stage, which is the default.
+        iterations: SLQ iterations of each plan.
+        budget: s, in place of a number of iterations: as many as begin within it, at least one. What comes out then
+            depends on the computer.
+        patience: Failed solves in a row after which it holds.
+        plan: A plan of the problem to begin with; by default it is solved.
+
+    Attributes:
+        plan: The plan that it starts with, solved to the end when it was made or reset.
+        status: A Doing, whose value is a sentence.
+        events: What went wrong and what it did, each with its time.
+        failures: Failed solves since the reset.
+        plans: Plans made since the reset.
+        planned: Whether the last call made a plan.
+        seconds: How long the last call took to plan, s; 0 where it did not plan.
+
+    Raises:
+        PlannerError: A rate above the horizon's, a budget or a number that is none, a cost that has no window, a first
+            solve that runs away.
+    """
+
+    def __init__(
+        self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
+        budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None,
+    ) -> None:  # fmt: skip
+        H, rate = self.check(problem, horizon, rate)
+        dt = problem.dynamics.dt
+        self.problem, self.horizon, self.rate = problem, H, rate
+        self.iterations = count("iterations", iterations)
+        self.budget = None if budget is None else number("budget", budget, above=0.0)
+        self.patience = count("patience", patience)
+        self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
+        self._window, self._holding = Window(problem, H), Holding(problem)
+        self._engine = self._window.engine
+        nx, nu, ndx = problem.dynamics.nx, problem.dynamics.nu, self._space.ndx
+        self._xs, self._us, self._K = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
+        self._next = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
+        if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, nu)):
+            raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
+        self.plan = self._solved(problem.x0) if plan is None else plan
+        self._window.hinge(self.plan, problem.kept)
+        self._goal: Any = None
+        self.reset()
+
+    @staticmethod
+    def check(problem: Problem, horizon: int | None = None, rate: float | None = None, **_: Any) -> tuple[int, float]:
+        """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
+        if not isinstance(problem, Problem):
+            raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        dt = problem.dynamics.dt
+        H = problem.N if horizon is None else count("horizon", horizon)
+        rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
+        if rate * dt > 1.0 + 1e-9:
+            raise PlannerError(
+                f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
+                f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
+            )
+        if rate * H * dt < 1.0 - 1e-9:
+            raise PlannerError(
+                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least {1.0 / (H * dt):.4g} "
+                "Hz, or a longer horizon."
+            )
+        return H, rate
+
+    def __repr__(self) -> str:
+        return (
+            f"Controller({self.horizon} stages of {self._dt:g} s, {self.rate:g} Hz, iterations {self.iterations}: "
+            f"{self.status.name.lower().replace('_', ' ')})"
+        )
+
+    def _solved(self, x0: np.ndarray) -> Plan:
+        """The plan of the whole task from a state."""
+        asked = self.problem if np.array_equal(x0, self.problem.x0) else replace(self.problem, x0=x0)
+        plan = solve(asked)
+        if not (np.isfinite(plan.xs).all() and np.isfinite(plan.K).all()):
+            raise PlannerError(f"the controller has no plan to begin with: {plan.message}")
+        return plan
+
+    def reset(self, x0: Any = None) -> None:
+        """Begin the task again with the next call; from another start (nx,) with a plan of its own."""
+        if x0 is not None:
+            self.plan = self._solved(states("x0", x0, self._space, ()))
+        N, H = self.plan.N, self.horizon
+        n = np.minimum(np.arange(H), N - 1)
+        self._xs[:], self._us[:], self._K[:] = (
+            self.plan.xs[np.minimum(np.arange(H + 1), N)],
+            self.plan.us[n],
+            self.plan.K[n],
+        )
+        self._window.slide(0)
+        self._engine.start(self.problem.x0, self._us)
+        self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
+        self._mu, self._in_a_row = 0.0, 0
+        self.status, self.events = Doing.PLANNING, list[Event]()
+        self.failures = self.plans = self.stalls = 0
+        self.planned, self.seconds = False, 0.0
+        if self._goal is None:
+            end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
+            self._rest = keeping(self.problem, end, self.plan.us[-1])
+            self._window.rest(self._rest)
+
+    @property
+    def goal(self) -> Any:
+        """Where the task leads. It may be set at any time: a keyframe, positions (nq,), a state (nx,) or a table of
+        frames with their positions (3,) in the world, e.g. {"hand": [0.4, 0, 0.6]}."""
+        return self._window.x_ref[-1].copy() if self._goal is None else self._goal
+
+    @goal.setter
+    def goal(self, goal: Any) -> None:
+        if isinstance(goal, Mapping):
+            if not self._window.frames:
+                raise PlannerError(
+                    "goal is a table of frames and no frame has a goal in this problem, expected a state."
+                )
+            for frame, position in goal.items():
+                self._window.point(str(frame), array(f"the goal of {frame}", position, (3,)))
+        else:
+            x = self._state(goal)
+            self._rest = keeping(self.problem, x, self._us[-1] if self._rest is None else self._rest)
+            self._window.aim(x, self._rest)
+        self._goal = goal
+
+    def _state(self, goal: Any) -> np.ndarray:
+        """The state (nx,) of a goal."""
+        mechanism = getattr(self.problem.dynamics, "mechanism", None)
+        if isinstance(goal, str):
+            if mechanism is None:
+                raise PlannerError(f"goal is {shown(goal)}, expected a state: the machine has no keyframes.")
+            return mechanism.keyframe(goal)
+        if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (self._space.nx,):
+            goal = np.concatenate([np.asarray(goal, dtype=float), np.zeros(self._space.nx - mechanism.nq)])
+        return states("goal", goal, self._space, ())
+
+    def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) at time t, s, and state x (nx,): it plans where a plan is due.
+
+        Time does not go back between resets. The state is MuJoCo's own, qpos, qvel and act, for a Mechanism.
+        """
+        self.planned, self.seconds = False, 0.0
+        if (t - self._asked) * self.rate >= 1.0 - _LITTLE:
+            began = time.perf_counter()
+            self.make_plan(t, x)
+            self.planned, self.seconds = True, time.perf_counter() - began
+            if self.status is Doing.PLANNING:
+                return self._us[0].copy()
+        return self.control(t, x)
+
+    def make_plan(self, t: float, x: np.ndarray) -> bool:
+        """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
+        if math.isnan(self._begin):
+            self._begin = self._made = t
+        self._asked = t
+        self._window.slide(int((t - self._begin) / self._dt + _LITTLE))
+        trouble = self._solve(t, x)
+        if trouble:
+            self._failed(t, trouble)
+            return False
+        if self._in_a_row:
+            self._say(t, f"a solve succeeded after {self._in_a_row} that failed.")
+        self._made, self._in_a_row, self.status = t, 0, Doing.PLANNING
+        self.plans += 1
+        return True
+
+    def _solve(self, t: float, x: np.ndarray) -> str:
+        """Moves the plan on to (t, x) and improves it; "" or why it could not."""
+        engine, began = self._engine, time.perf_counter()
+        if not np.isfinite(x).all():
+            return "the measured state is not finite"
+        cost = engine.follow(x, *self._moved((t - self._made) / self._dt))
+        if not math.isfinite(cost):
+            return "the plan before, followed from here, runs away"
+        fresh, kind, done = True, CONVERGED, 0
+        while done < self.iterations if self.budget is None else self._within(began, done):
+            mu = self._mu * engine.largest_control_weight
+            promise = -1.0 if self._mu else DECREASE * max(1.0, abs(cost))
+            outcome = engine.iterate(True, ARMIJO, mu, fresh, cost, 0.0, promise)
+            done, kind, fresh, cost = done + 1, outcome.kind, outcome.kind == ACCEPTED, outcome.cost
+            if kind == CONVERGED:
+                break
+            if fresh:
+                self._mu = self._mu / FACTOR if outcome.step >= 1.0 and self._mu > LEAST else 0.0
+            else:
+                self._mu = min(max(LEAST, FACTOR * self._mu), MOST)
+        if kind == INDEFINITE:
+            return "the sweep is not definite"
+        self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
+        xs, us, K = self._next
+        engine.read(xs, us, K)
+        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY and math.isfinite(K.sum())):
+            return "the plan is not finite"
+        self._next, (self._xs, self._us, self._K) = (self._xs, self._us, self._K), (xs, us, K)
+        return ""
+
+    def _within(self, began: float, done: int) -> bool:
+        assert self.budget is not None
+        return done == 0 or time.perf_counter() - began < self.budget
+
+    def _moved(self, stages: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The plan moved on by some stages, which need not be whole; its last stage is repeated."""
+        m = int(stages + _LITTLE)
+        part = stages - m
+        H, (xs, us, K) = self.horizon, self._next
+        m = min(m, H)
+        left = H - m
+        xs[: left + 1], xs[left + 1 :] = self._xs[m:], self._xs[-1]
+        us[:left], us[left:] = self._us[m:], self._us[-1]
+        K[:left], K[left:] = self._K[m:], self._K[-1]
+        if part > _LITTLE and left:
+            away = self._space.difference(xs[1:], xs[:-1])
+            xs[:-1] = self._space.integrate(xs[:-1], part * away)
+        return xs, us, K
+
+    def _failed(self, t: float, trouble: str) -> None:
+        self.failures, self._in_a_row = self.failures + 1, self._in_a_row + 1
+        if self.status is not Doing.HOLDING:
+            self.status = Doing.LAST_PLAN
+        if self._in_a_row == 1:
+            self._say(t, f"a solve failed, {trouble}; it goes on with the plan before.")
+        if self._in_a_row == self.patience:
+            self._hold(t, f"{self.patience} solves failed in a row")
+
+    def _hold(self, t: float, why: str) -> None:
+        if self.status is not Doing.HOLDING:
+            how = "by gravity compensation and damping" if self._holding.known else "by the last control of its plan"
+            self._say(t, f"{why}; it holds the machine {how}.")
+        self.status = Doing.HOLDING
+
+    def _say(self, t: float, words: str) -> None:
+        if len(self.events) < _MOST_EVENTS:
+            self.events.append(Event(t, words))
+
+    def control(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) of the plan that is there, with its gains."""
+        if math.isnan(self._made):
+            raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
+        stages = (t - self._made) / self._dt
+        n = int(stages + _LITTLE)
+        if n >= self.horizon and self.status is not Doing.PLANNING:
+            self._hold(t, "the plan has ended")
+        at = min(int((t - self._begin) / self._dt + _LITTLE), self.problem.N - 1)
+        if self.status is Doing.HOLDING:
+            u = self._holding(x, self._us[-1])
+        else:
+            n = min(n, self.horizon - 1)
+            u = self._us[n] + self._K[n] @ self._space.difference(x, self.expected(t))
+        return u if self._bounds is None else self._bounds.clip(at, u, x)
+
+    def expected(self, t: float) -> np.ndarray:
+        """The state (nx,) of the plan at time t, s: its own integrator over a part of a stage."""
+        stages = (t - self._made) / self._dt
+        n = int(stages + _LITTLE)
+        if n >= self.horizon:
+            return self._xs[-1]
+        part = stages - n
+        if part <= _LITTLE:
+            return self._xs[n]
+        return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]

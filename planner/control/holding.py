@@ -1,0 +1,76 @@
+"""What a controller does when it has no plan: stand still. And the control that keeps a state.
+
+    u = what carries the weight at q, less M(q) qd / TIME,      within the bounds of the problem
+
+so that every speed dies out within TIME where motors reach all joints, and as far as they reach it elsewhere. A machine
+that is no mechanism keeps the last control of its plan.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.algorithms import mass_matrix, rnea
+from planner.model.mechanism import SCREW, Mechanism
+from planner.model.space import space_of
+from planner.problem.problem import Problem
+
+TIME = 0.1  # s, in which a speed falls to a third
+KEEPS = 1e-3  # of the drift without it: what a control may leave that is said to keep a state
+_NEWTON = 3
+
+
+class Holding:
+    """The control that holds a machine where it is."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._inverse = problem, np.zeros((0, 0))
+        dynamics = problem.dynamics
+        self._mechanism = dynamics.mechanism if isinstance(dynamics, RigidBodyDynamics) else None
+        if self._mechanism is not None and not getattr(dynamics, "prescribed", ()):
+            actuators = self._mechanism.actuators
+            self._inverse = np.linalg.pinv((actuators.gain[:, None] * actuators.moment).T)
+
+    @property
+    def known(self) -> bool:
+        """Whether gravity compensation and damping are known of the machine."""
+        return bool(self._inverse.size)
+
+    def __call__(self, x: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+        """The control (nu,) at a state x (nx,), before bounds; `otherwise` for a machine that is no mechanism."""
+        m = self._mechanism
+        if m is None or not self.known:
+            return otherwise
+        q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
+        still = np.zeros(m.nv)
+        tau = rnea(m, q, still, still) - mass_matrix(m, q) @ qd / TIME
+        return self._inverse @ (tau - self._passive(q, qd))
+
+    def _passive(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """(nv,) what the bias of servos gives of itself."""
+        assert self._mechanism is not None
+        actuators, m = self._mechanism.actuators, self._mechanism
+        length = actuators.moment @ _single(m, q)
+        force = actuators.bias[:, 0] + actuators.bias[:, 1] * length + actuators.bias[:, 2] * (actuators.moment @ qd)
+        return actuators.moment.T @ force
+
+
+def _single(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """(nv,) the positions of hinges and slides, 0 for the rotations of balls."""
+    return np.where(mechanism.kind == SCREW, q[mechanism.q_address], 0.0)
+
+
+def keeping(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
+    """The control (nu,) that keeps a state x (nx,), sought from u; None where there is none within the bounds."""
+    dynamics, space = problem.dynamics, space_of(problem.dynamics)
+    first = space.difference(dynamics.step(x[None], np.zeros((1, dynamics.nu)))[0], x)
+    for _ in range(_NEWTON):
+        _, B = dynamics.linearize(np.stack([x, x]), u[None])
+        drift = space.difference(dynamics.step(x[None], u[None])[0], x)
+        u = u - np.linalg.lstsq(B[0], drift, rcond=1e-10)[0]
+    if problem.bounds is not None:
+        u = problem.bounds.clip(-1, u, x)
+    left = space.difference(dynamics.step(x[None], u[None])[0], x)
+    kept = np.isfinite(left).all() and np.abs(left).max() <= KEEPS * np.abs(first).max() + 1e-9
+    return u if kept else None

@@ -1,0 +1,293 @@
+"""The verdict of a loop: does it arrive and stay, and what does it bear beside its plan with the gains alone?
+
+    arrives    every goal within its tolerance in time; paths and waypoints at their times
+    stays      and over the last second
+    survives   the largest push at any of 20 times, the latency and the mass with which it still ends near every goal
+
+A machine that differs from the planned one, or is pushed, passes within five tolerances: the rule of the proof's
+perturbed rollouts.
+
+What is measured and bounded is said in the words of a proof: Sections of Measured values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.measured import Measured, Section
+from planner.control.controller import Controller
+from planner.control.simulating import Loop, simulate
+from planner.dynamics.kinematics import frame_pose
+from planner.model.coordinates import coordinates_of
+from planner.problem.goals import Goal, goals_of
+from planner.problem.plan import Plan
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.campaign import LEVELS
+from planner.proof.robustness.pushes import Push
+from planner.proof.robustness.success_rule import GOAL_TOLERANCES
+from planner.proof.tracking import misses, word_of
+
+PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
+LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s
+TIMES = 20
+LAST = 1.0  # s, over which it must stay
+AFTER = 2.0  # s after the task, in which a push at its end may be got over
+ALONE = "plan with its gains alone"
+
+
+@dataclass(frozen=True, eq=False)
+class LoopVerdict:
+    """What is said of a loop.
+
+    Attributes:
+        sections: By name: arrives, stays, simulator, follows where the goal moves; then survives, where it was asked.
+        loop: That was judged.
+        maps: Of survives: by who ("loop" or "gains"), the largest push survived at each time, N.
+        times: s, of these pushes.
+    """
+
+    sections: dict[str, Section]
+    loop: Loop
+    maps: dict[str, np.ndarray] = field(default_factory=dict)
+    times: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything that has a bound is within it."""
+        return all(section.passed for section in self.sections.values())
+
+    @property
+    def verdict(self) -> str:
+        """The word PASS or FAIL."""
+        return "PASS" if self.passed else "FAIL"
+
+    @property
+    def headline(self) -> str:
+        """The verdict, and what the loop does."""
+        words = []
+        for name, section in self.sections.items():
+            if name in ("arrives", "stays", "follows") and not section.not_applicable:
+                words.append(name if section.passed else f"does not {name.removesuffix('s')}")
+        if self.loop.events:
+            words.append(f"{len(self.loop.events)} events")
+        return f"{self.verdict} (loop); {', '.join(words) or 'nothing was asked of it'}"
+
+    def with_margins(self, section: Section, maps: dict[str, np.ndarray], times: np.ndarray) -> LoopVerdict:
+        """The same with what margins() found, which does not change the verdict."""
+        return replace(self, sections=self.sections | {"survives": section}, maps=maps, times=times)
+
+    def __str__(self) -> str:
+        return f"LoopVerdict({self.headline})"
+
+    __repr__ = __str__
+
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
+        found = []
+        for section in self.sections.values():
+            for one in section.measured:
+                bound = "" if one.bound is None else f"{one.bound:g}"
+                mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
+                found.append(
+                    (section.title, one.name.replace("_", " "), f"{one.value:.5g} {one.unit}".rstrip(), bound, mark)
+                )
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        run = self.loop
+        return {
+            "verdict": self.verdict, "headline": self.headline,
+            **{name: section.to_dict() for name, section in self.sections.items()},
+            "asked": run.errors, "events": list(run.events),
+            "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in self.maps.items()}},
+        }  # fmt: skip
+
+
+def judge(loop: Loop) -> LoopVerdict:
+    """Whether a loop arrived and stayed."""
+    goals = () if loop.goal is not None else _goals(loop)
+    warned = Measured("simulator_warnings", float(len(loop.warnings)), "", 0.0, " ".join(loop.warnings))
+    sections = {"arrives": _arrives(loop, goals), "stays": _stays(loop, goals)}
+    if loop.goal is not None:
+        sections = {"follows": _follows(loop)}
+    sections |= {"simulator": Section("simulator", (warned,)), "calls": _calls(loop)}
+    return LoopVerdict(sections, loop)
+
+
+def _goals(loop: Loop) -> tuple[Goal, ...]:
+    """The goals of the task, with five times their tolerance where the machine is not as planned."""
+    goals = goals_of(loop.controller.problem, loop.controller.plan.xs)
+    wider = GOAL_TOLERANCES if loop.perturbed else 1.0
+    return tuple(replace(one, tolerance=wider * one.tolerance) for one in goals)
+
+
+def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
+    """When every goal of the end is within its tolerance first, and how far those at their times are missed."""
+    if not goals:
+        return Section("arrives", not_applicable="no goal was asked for")
+    end, T = [one for one in goals if one.times is None], loop.controller.problem.duration
+    timed = tuple(one for one in goals if one.times is not None and one.times[-1] <= loop.t[-1] + 1e-9)
+    found = misses("replayed", loop.t, loop.xs, timed)
+    if end:
+        near = _near(loop, end)
+        first = float(loop.t[np.argmax(near)]) if near.any() else np.inf
+        note = (
+            f"when every goal of the end is within its tolerance first; the task ends at {T:.4g} s, and one second more"
+        )
+        found.append(Measured("arrived_at", first, "s", T + LAST, note))
+    return Section("arrives", tuple(found))
+
+
+def _near(loop: Loop, goals: Sequence[Goal]) -> np.ndarray:
+    """(M+1,) whether every goal is within its tolerance."""
+    with np.errstate(invalid="ignore"):
+        return np.all([one.missed(loop.xs) <= one.tolerance for one in goals], axis=0)
+
+
+def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
+    """The largest misses of the end's goals over the last second."""
+    end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
+    if not end:
+        return Section("stays", not_applicable="no goal of the end was asked for")
+    last, found = loop.t >= loop.t[-1] - LAST, []
+    for unit in dict.fromkeys(one.unit for one in end):
+        of_unit = [one for one in end if one.unit == unit]
+        values = [float(np.max(one.missed(loop.xs[last]))) for one in of_unit]
+        shares = [value / one.tolerance for value, one in zip(values, of_unit, strict=True)]
+        worst = int(np.argmax(np.where(np.isfinite(shares), shares, np.inf)))
+        note = f"largest over the last {LAST:g} s, {of_unit[worst].name}"
+        found.append(Measured(f"stayed_{word_of(unit)}_miss", values[worst], unit, of_unit[worst].tolerance, note))
+    return Section("stays", tuple(found))
+
+
+def _follows(loop: Loop) -> Section:
+    """How far the machine is from a goal that moves, over the second half."""
+    assert loop.goal is not None
+    half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
+    problem, found = loop.controller.problem, []
+    first = loop.goal(0.0)
+    if isinstance(first, Mapping):
+        m = problem.dynamics.mechanism
+        q = loop.xs[half, : m.nq]
+        for frame in first:
+            there = np.array([loop.goal(float(t))[frame] for t in loop.t[half]])
+            finite = np.isfinite(q).all()
+            off = np.linalg.norm(frame_pose(m, q, frame)[:, :3, 3] - there, axis=1) if finite else np.array([np.inf])
+            found += [
+                Measured(f"{frame}_from_its_goal", float(off.max()), "m", None, "largest over the second half"),
+                Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
+            ]
+        return Section("follows", tuple(found))
+    there = np.array([loop.controller._state(loop.goal(float(t))) for t in loop.t[half]])
+    off = np.abs(loop.plan.space.difference(loop.xs[half], there))
+    coordinates = coordinates_of(problem.dynamics)
+    for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):
+        columns = [i for i, one in enumerate(coordinates) if one.unit == unit]
+        found.append(
+            Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, None, "largest, second half")
+        )
+    return Section("follows", tuple(found))
+
+
+def _calls(loop: Loop) -> Section:
+    """How long the calls that planned took on this computer, and what failed."""
+    controller, seconds = loop.controller, loop.call_seconds
+    if not len(seconds):
+        return Section("calls", not_applicable="nothing was planned again")
+    latency = loop.errors["latency"]
+    how = "stated" if latency is not None else "measured"
+    late = Measured(
+        "latency", latency if latency is not None else float(np.median(seconds)), "s", None, f"{how}; it acted"
+    )
+    return Section("calls", (
+        Measured("plans", float(len(seconds)), "", None, "solves on the way"),
+        Measured("failed", float(controller.failures), "", None, "the plan before went on"),
+        Measured("median_call", float(np.median(seconds)), "s", None, "from a state to a plan, on this computer"),
+        Measured("call_99_percentile", float(np.percentile(seconds, 99.0)), "s", None, "likewise"),
+        late,
+    ))  # fmt: skip
+
+
+def survives(loop: Loop) -> bool:
+    """Whether a loop ends within five tolerances of every goal, as a perturbed rollout of a proof must."""
+    goals = [one for one in goals_of(loop.controller.problem, loop.controller.plan.xs) if one.times is None]
+    end = loop.xs[-1:]
+    if not np.isfinite(end).all():
+        return False
+    return all(bool(one.missed(end)[0] <= GOAL_TOLERANCES * one.tolerance) for one in goals)
+
+
+def margins(
+    controller: Controller, body: str, *, times: int = TIMES, latency: float = 0.0, direction: Any = (1.0, 0.0, 0.0),
+    duration: float | None = None, push_duration: float = 0.1, progress: Callable[[int, int], object] | None = None,
+) -> tuple[Section, dict[str, np.ndarray], np.ndarray]:  # fmt: skip
+    """How large a push at each time, a latency and a mass error the loop survives, beside the plan with its gains alone.
+
+    Each is the largest of some levels, found by bisection as if less were survived always.
+
+    Args:
+        controller: To be judged; it is reset for each run.
+        body: That is pushed.
+        times: How many times of pushes, spread over the task.
+        latency: s, of the runs that have pushes and masses.
+        direction: (3,) of the pushes.
+        duration: s, of each run; by default the task and two seconds.
+        push_duration: s.
+        progress: Called with (parts done, parts in all).
+
+    Returns:
+        The section, the map by who ("loop", "gains"), and the times.
+    """
+    T = controller.problem.duration
+    compiled = CompiledTwin(controller.problem.twin)  # type: ignore[arg-type]
+    at = np.linspace(0.0, T, times)
+    duration = T + AFTER if duration is None else duration
+    along = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    parties: dict[str, Controller | Plan] = {"loop": controller, "gains": controller.plan}
+    maps = {who: np.zeros(times) for who in parties}
+    measured, done, total = [], 0, len(parties) * (times + 2)
+
+    def told() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    for who, party in parties.items():
+
+        def run(party: Controller | Plan = party, **errors: Any) -> bool:
+            given = {"latency": latency} | errors
+            return survives(simulate(party, duration=duration, compiled=compiled, **given))
+
+        for k, t in enumerate(at.tolist()):
+            maps[who][k] = _largest(
+                PUSHES, lambda F, t=t, run=run: run(pushes=[Push(body, F * along, t, push_duration)])
+            )
+            told()
+        late = _largest(LATENCIES, lambda s, run=run: run(latency=s)) if who == "loop" else np.nan
+        told()
+        mass = _largest(LEVELS, lambda error, run=run: run(mass=error))
+        told()
+        words = "" if who == "loop" else f"; {ALONE}"
+        measured += [
+            Measured(f"{who}_least_push", float(maps[who].min()), "N", None, f"at {body}, survived at any of {times} times{words}"),
+            Measured(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
+            Measured(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
+        ]  # fmt: skip
+        if who == "loop":
+            measured.append(Measured("loop_latency_margin", late, "s", None, "from asking for a plan until it acts"))
+    return Section("survives", tuple(measured)), maps, at
+
+
+def _largest(levels: Sequence[float], survives: Callable[[float], bool]) -> float:
+    """The largest level that is survived, by bisection; 0 where not even the least is."""
+    low, high = -1, len(levels)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if survives(levels[middle]) else (low, middle)
+    return levels[low] if low >= 0 else 0.0

@@ -1,0 +1,245 @@
+"""simulate: a controller, or a plan with its gains alone, and MuJoCo in its own model with errors.
+
+The controller is asked every `tick`, at 500 Hz or the nearest that fits the stages (as the gains of a proof are). A
+call that plans takes time, and its control acts when it is ready: the latency, stated or measured. Until then the last
+control is held, and the controller is not asked. Calls that do not plan cost some microseconds and act at once.
+
+The simulator's step, integrator and errors are those of a proof (planner.proof.replays, planner.proof.robustness).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from planner.base.arguments import count, number, shown
+from planner.base.errors import PlannerError
+from planner.control.controller import Controller
+from planner.control.plan_gains import PlanGains
+from planner.control.reference import over
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.contact_history import ContactRecorder
+from planner.proof.replays.curve_callback import curves_acting
+from planner.proof.replays.implicit_steps import damping_of, implicit_step
+from planner.proof.replays.replaying import PARTS, REFINEMENT, SUBSTEP_REFINEMENT, Replay
+from planner.proof.replays.sampled_gains import Encoders, sampling_in
+from planner.proof.replays.simulation import MOST_STEPS
+from planner.proof.replays.simulation import simulate as run_model
+from planner.proof.robustness.pushes import Push, pushed_step
+from planner.proof.robustness.stated_errors import Mass, with_stated_errors
+
+Goal = Callable[[float], Any]
+
+
+class Asked(Protocol):
+    """What simulate() asks: a Controller, or a plan with its gains."""
+
+    problem: Problem
+    plan: Plan
+    planned: bool
+    seconds: float
+
+    def __call__(self, t: float, x: np.ndarray) -> np.ndarray: ...  # noqa: D102
+    def expected(self, t: float) -> np.ndarray: ...  # noqa: D102
+    def reset(self, x0: Any = None) -> None: ...  # noqa: D102
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(Replay):
+    """A replay of a loop: beside MuJoCo's motion, what its controller did.
+
+    The plan of it is what the controller expected, stage by stage, with the controls that were applied.
+
+    Attributes:
+        controller: What was asked.
+        errors: What simulate() was asked for, as JSON values.
+        call_seconds: How long each call that planned took here, s.
+        events: What the controller had to say.
+        goal: The function of time that moved the goal, or None.
+        late: Latency that acted, s: the largest, in whole steps of the simulator.
+    """
+
+    controller: Any = None
+    errors: dict[str, Any] = field(default_factory=dict)
+    call_seconds: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    events: tuple[str, ...] = ()
+    goal: Goal | None = None
+    late: float = 0.0
+
+    def __repr__(self) -> str:
+        return f"Loop({self.t[-1]:.4g} s, {len(self.call_seconds)} plans)"
+
+    @property
+    def perturbed(self) -> bool:
+        """Whether the machine was not as planned: pushed, heavier, rubbing, or measured with errors."""
+        asked = ("pushes", "mass", "friction", "contact_friction", "noise", "encoders")
+        return any(bool(self.errors.get(name)) for name in asked)
+
+    @property
+    def title(self) -> str:
+        """Title of a section about it."""
+        return "loop"
+
+
+def simulate(
+    controller: Controller | Plan, *, duration: float | None = None, latency: float | None = None,
+    pushes: Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
+    contact_friction: float = 0.0, noise: float = 0.0, encoders: bool = False, goal: Goal | None = None,
+    start: Any = None, seed: int = 0, compiled: CompiledTwin | None = None,
+) -> Loop:  # fmt: skip
+    """Run a controller in MuJoCo, in the model that the problem brings, with errors.
+
+    Args:
+        controller: A Controller, which is reset; or a Plan, whose gains act alone and hold its goal after its end.
+        duration: s; by default that of the problem and one second more. Rounded up to whole stages.
+        latency: s, from asking for a plan until its control acts. None measures each call here: what comes out then
+            depends on the computer. With a number it is the same to the last bit.
+        pushes: Forces at bodies.
+        mass: By how much bodies are heavier than planned, with their inertias: 0.2 for 20 %, of all bodies or by name.
+        friction: Dry friction in each joint, as a share of the largest force that the plan asks of it.
+        contact_friction: By how much coefficients of friction are larger: -0.5 for half of them.
+        noise: Standard deviation of what is measured, in each coordinate's unit.
+        encoders: Whether positions of hinges and slides come from encoders of 17 bits, and speeds are their differences.
+        goal: A function of time, s, whose value is given to the controller's goal before it is asked.
+        start: (nx,) another start, from which the controller plans before the time begins.
+        seed: Of the noise.
+        compiled: The twin compiled already, where many loops are run.
+
+    Returns:
+        A Loop, which is a Replay: it is filmed and drawn like any other.
+
+    Raises:
+        PlannerError: A body that does not exist, a number out of range, a problem without a MuJoCo model.
+    """
+    asked: Asked = PlanGains(controller) if isinstance(controller, Plan) else controller
+    if not isinstance(asked, (Controller, PlanGains)):
+        raise PlannerError(f"controller is {shown(controller)}, expected a planner.Controller or a Plan.")
+    problem = asked.problem
+    if problem.twin is None:
+        raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
+    compiled = compiled or CompiledTwin(problem.twin)
+    dt = problem.dynamics.dt
+    duration = problem.duration + 1.0 if duration is None else number("duration", duration, above=0.0)
+    latency = None if latency is None else number("latency", latency, least=0.0)
+    seed = count("seed", seed, least=0)
+    noise = number("noise", noise, least=0.0)
+    pushes = tuple(pushes)
+    if not all(isinstance(push, Push) for push in pushes):
+        raise PlannerError(f"pushes is {shown(pushes)}, expected a list of planner.Push.")
+    stages, tick = max(math.ceil(duration / dt - 1e-9), 1), sampling_in(dt)
+    n = _substeps(problem, compiled, tick.in_stages(dt).denominator)
+    held, M = max(round(tick.in_stages(dt) * n), 1), stages * n
+    if M > MOST_STEPS:
+        raise PlannerError(f"the loop would take {M} steps of {dt / n:.3g} s, expected at most {MOST_STEPS}.")
+    asked.reset(start)
+    damping = damping_of(problem.dynamics)
+    integrator = "RK4" if damping is None else "rosenbrock"
+    compiled.check(asked.plan.us.shape[1])
+    model = with_stated_errors(
+        compiled, asked.plan, compiled.stepping(dt / n, integrator), mass, friction, contact_friction
+    )
+    base = None if damping is None else implicit_step(model, dt / n, damping, PARTS)
+    step, recorder = pushed_step(model, pushes, base), ContactRecorder(model, M)
+    x0 = problem.x0 if start is None else asked.plan.xs[0]
+    asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
+    ctrl = np.zeros((M, model.nu))
+    with curves_acting(compiled.twin, model), np.errstate(all="ignore"):  # a motion may run away, and then it says so
+        w, warnings = run_model(
+            model, compiled.twin.sim_of(x0), ctrl, control=asking, held=held, recorder=recorder, every=n, step=step
+        )
+    t = dt / n * np.arange(M + 1)
+    qpos, qvel, act = np.split(w, [model.nq, model.nq + model.nv], axis=1)
+    us, expected = ctrl[:, compiled.controls], asking.expected(t)
+    events = tuple(str(one) for one in getattr(asked, "events", ()))
+    errors = {
+        "duration": stages * dt, "latency": latency, "pushes": [push.to_dict() for push in pushes],
+        "mass": dict(mass) if isinstance(mass, Mapping) else mass, "friction": friction,
+        "contact_friction": contact_friction, "noise": noise, "encoders": encoders, "seed": seed,
+    }  # fmt: skip
+    plan = over(asked.plan, expected[::n], us.reshape(stages, n, -1).mean(axis=1))
+    return Loop(
+        plan=plan, compiled=compiled, feedback=True, integrator=integrator, t=t, qpos=qpos, qvel=qvel, act=act,
+        ctrl=us, xs=compiled.twin.x_of(w), plan_xs=expected, contact_force=recorder.force,
+        contact_point=recorder.point, substeps=n, warnings=warnings, contacts=recorder.history(t),
+        touches=recorder.touches, controller=asked, errors=errors, call_seconds=np.array(asking.seconds),
+        events=events, goal=goal, late=asking.late,
+    )  # fmt: skip
+
+
+def _substeps(problem: Problem, compiled: CompiledTwin, parts: int) -> int:
+    """Simulator steps per stage, as of a replay, and a whole number for each part of a stage."""
+    dt = problem.dynamics.dt
+    step = number("the model's timestep", compiled.model.opt.timestep, above=0.0)
+    own = 1 if damping_of(problem.dynamics) is not None else int(getattr(problem.dynamics, "substeps", 1))
+    n = max(REFINEMENT, SUBSTEP_REFINEMENT * own, math.ceil(min(dt / step, 1e12) - 1e-9))
+    return n + -n % parts
+
+
+class _Asking:
+    """The controls of a loop, from states that are met one tick after another."""
+
+    def __init__(
+        self, asked: Asked, compiled: CompiledTwin, step: float, held: int, latency: float | None, noise: float,
+        seed: int, goal: Goal | None, encoders: float | None,
+    ) -> None:  # fmt: skip
+        self._asked, self._compiled, self._step, self._held = asked, compiled, step, held
+        self._latency, self._noise, self._goal = latency, noise, goal
+        self._rng = np.random.default_rng(seed)
+        self._encoders = None if encoders is None else Encoders(compiled.model, encoders)
+        self._u = asked.plan.us[0]
+        self._coming: tuple[int, np.ndarray] | None = None  # the step at which a control is ready, and the control
+        self._times, self._expected = list[float](), list[np.ndarray]()
+        self.seconds, self.late = list[float](), 0.0
+
+    def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
+        """MuJoCo's controls (held, nu) from step i on, whose state is w (nw,)."""
+        rows = np.empty((self._held, len(self._u)))
+        if not np.isfinite(w).all():
+            rows[:] = self._u
+            return self._compiled.commands(rows)
+        measured = w if self._encoders is None else self._encoders(w)  # they are read at every tick
+        x = self._compiled.twin.x_of(measured)
+        if self._noise:
+            x = self._asked.plan.space.integrate(x, self._noise * self._rng.standard_normal(self._asked.plan.space.ndx))
+        t = i * self._step
+        if self._coming is not None and self._coming[0] <= i:
+            self._u, self._coming = self._coming[1], None
+        self._times.append(t)
+        self._expected.append(self._compiled_expectation(t))
+        if self._coming is None:
+            self._ask(i, t, x)
+        rows[:] = self._u
+        if self._coming is not None and self._coming[0] < i + self._held:
+            rows[max(self._coming[0] - i, 0) :] = self._coming[1]
+        return self._compiled.commands(rows)
+
+    def _compiled_expectation(self, t: float) -> np.ndarray:
+        """What the controller expects at t before it is asked again; at the beginning its start."""
+        return self._asked.expected(t) if self._expected else self._asked.plan.xs[0].copy()
+
+    def _ask(self, i: int, t: float, x: np.ndarray) -> None:
+        if self._goal is not None:
+            self._asked.goal = self._goal(t)  # type: ignore[attr-defined]
+        u = self._asked(t, x)
+        if not self._asked.planned:
+            self._u = u
+            return
+        self.seconds.append(self._asked.seconds)
+        late = self._asked.seconds if self._latency is None else self._latency
+        steps = math.ceil(late / self._step - 1e-9)
+        self.late = max(self.late, steps * self._step)
+        if steps == 0:
+            self._u = u
+        else:
+            self._coming = i + steps, u
+
+    def expected(self, t: np.ndarray) -> np.ndarray:
+        """(M+1, nx) what the controller expected at times t (M+1,), on lines between the ticks."""
+        times, values = np.array(self._times), np.array(self._expected)
+        return np.column_stack([np.interp(t, times, column) for column in values.T])

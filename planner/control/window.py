@@ -1,0 +1,270 @@
+"""Window: a problem over the next H stages, whose weights and references slide along with time.
+
+At stage s of its task the window has the stages s ... s+H-1 of the problem, and at its end the problem's final weight.
+Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, as
+the regulator of planner.proof.hold has it. There the effort is counted from the controls that keep the goal.
+
+Everything is laid out once over the whole task and the window after it; to slide is to copy a slice of it into the
+memory of an engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice
+from planner.base.errors import PlannerError
+from planner.dynamics import ResidualDynamics
+from planner.model.space import space_of
+from planner.problem.costs.residuals.arrays import ResidualArrays, joined
+from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.terms import Cost, SumCost
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.goals import terms_of
+from planner.problem.limits import Limits
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
+from planner.problem.state_ranges import Hinges
+from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
+
+AIMED = "position of "
+"""How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
+
+
+class Window:
+    """The window of a problem and the engine that plans in it.
+
+    Args:
+        problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
+        H: Stages of the window.
+
+    Attributes:
+        problem: The window's own, of H stages from the start.
+        engine: That plans in it; made once.
+        stage: Where the window is: of its first stage in the task.
+
+    Raises:
+        PlannerError: A cost that does not say what it is past its end.
+    """
+
+    def __init__(self, problem: Problem, H: int) -> None:
+        self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
+        tracking, residuals = _parts(problem)
+        N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
+        dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
+        past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
+        self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
+        resting = (tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N]
+        self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
+        self._final = tracking.Q[N]
+        self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
+        self._residuals = None if not residuals else _lengthened([cost.measures_for(N) for cost in residuals], H, dt)
+        self._end_rows = None if not residuals else joined([cost.measures_for(N) for cost in residuals])
+        self._frames = _frame_rows(residuals, N)
+        Q = np.concatenate([self._Q[:H], self._final[None]])
+        Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
+        cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
+        if residuals:
+            first = _at_stages(self._residuals, slice(0, H + 1))
+            cost = SumCost(cost, *[_Measured(residuals, first)])
+        limits = _first_stages(problem.limits, H, N)
+        self.problem = replace(
+            problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
+            recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
+        )  # fmt: skip
+        self.engine, self._residual_costs = borrow(self.problem), residuals
+        self._hinges: Hinges | None = None
+        self._lay_out(problem)
+        self.stage, self._stale = -1, True
+
+    def _lay_out(self, problem: Problem) -> None:
+        """The tables of which slices go into the engine."""
+        engine = self.engine
+        if not isinstance(engine, CompiledEngine):
+            return
+        arrays = self._arrays = engine.cost_arrays()
+        self._stage_values = self._Q[:, arrays["stage_row"], arrays["stage_column"]]
+        self._control_values = self._R[:, arrays["control_row"], arrays["control_column"]]
+        arrays["final_value"][:] = self._final[arrays["final_row"], arrays["final_column"]]
+        self._own_bounds: list[tuple[np.ndarray, np.ndarray]] = []
+        if problem.bounds is not None:
+            before = np.minimum(self._at, self.N - 1)
+            for side, names in (("lower", ("lower", "range_lower")), ("upper", ("upper", "range_upper"))):
+                values = getattr(problem.bounds, side)[before]
+                if not np.all(values == values[0]):
+                    self._own_bounds += [(arrays[name], values) for name in names]
+        self._table = engine.residuals
+        self._source = None
+        if self._residuals is not None and isinstance(problem.dynamics, ResidualDynamics):
+            self._source = problem.dynamics.residuals(self._residuals)
+
+    def hinge(self, plan: Plan, kept: Any) -> None:
+        """Keep ranges and constraints by the hinges that a plan of the whole task ended with; past its end unshifted.
+
+        Args:
+            plan: Of the problem, with its hinges or without any.
+            kept: The problem's.
+        """
+        if kept is None:
+            return
+        weight = np.zeros_like(kept.lower) if plan.hinges is None else plan.hinges.weight
+        lower, upper = (kept.lower, kept.upper) if plan.hinges is None else plan.hinges[:2]
+        most = np.tile(weight.max(axis=0), (len(self._at), 1))
+        past = (self._at == self.N)[:, None]
+        self._hinges = Hinges(
+            np.where(past, kept.lower[self._at], lower[self._at]),
+            np.where(past, kept.upper[self._at], upper[self._at]), most,
+        )  # fmt: skip
+        self._stale = True
+
+    def aim(self, goal: np.ndarray, control: np.ndarray | None) -> None:
+        """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
+
+        The references on the way that were the goal go with it.
+        """
+        shift = None
+        if self._hinges is not None:
+            ranges = self.problem.ranges
+            shift = None if ranges is None else self._space.difference(goal, self.x_ref[-1])[ranges.component]
+        self.x_ref[self._to_goal] = goal
+        if shift is not None and self._hinges is not None:
+            for side in self._hinges[:2]:  # they are of the deviation from the reference
+                side[np.ix_(self._to_goal, np.arange(len(shift)))] -= shift
+        self.rest(control)
+
+    def rest(self, control: np.ndarray | None) -> None:
+        """Count the effort past the end of the task from a control (nu,)."""
+        if control is not None:
+            self.u_ref[self._at == self.N] = control
+        self._stale = True
+
+    def point(self, frame: str, position: np.ndarray) -> None:
+        """Move the goal of a frame, and the path that it follows, to a position (3,) in the world."""
+        rows = self._frames[choice("a frame of the goal", frame, self._frames)]
+        assert self._residuals is not None
+        if self._source is not None:
+            self._source.bound[rows] = position[:, None]
+        bound = np.array(self._residuals.bound)
+        bound[rows] = position[:, None]
+        self._residuals = replace(self._residuals, bound=bound)
+        self._stale = True
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames whose goal can be moved."""
+        return tuple(self._frames)
+
+    def slide(self, stage: int) -> None:
+        """Put the window at a stage of the task; past its end it stays as it is."""
+        stage = min(max(stage, 0), self.N)
+        if stage == self.stage and not self._stale:
+            return
+        self.stage, self._stale = stage, False
+        H, here = self.H, slice(stage, stage + self.H)
+        engine = self.engine
+        if isinstance(engine, CompiledEngine):
+            arrays = self._arrays
+            arrays["x_ref"][:] = self.x_ref[stage : stage + H + 1]
+            arrays["u_ref"][:] = self.u_ref[here]
+            arrays["stage_value"][:] = self._stage_values[here]
+            arrays["control_value"][:] = self._control_values[here]
+            for array, values in self._own_bounds:
+                if array.size:
+                    array[:] = values[here]
+            if self._source is not None:
+                self._slide_residuals(stage)
+        elif isinstance(engine, NumpyEngine):
+            engine.weigh(self.cost_at(stage))
+        if self._hinges is not None:
+            last = [*range(stage, stage + H), self.N]
+            engine.hinge(Hinges(*(part[last] for part in self._hinges)))
+
+    def _slide_residuals(self, stage: int) -> None:
+        H, here = self.H, slice(stage, stage + self.H + 1)
+        table, source = self._table, self._source
+        for name in ("world", "reference"):
+            own, values = table._arrays[name], source._arrays[name]
+            own[: len(values), ..., : H + 1] = values[..., here]
+        M = len(source.weight)
+        table.weight[:M], table.bound[:M] = source.weight[:, here], source.bound[:, here]
+        table.weight[:M, H] = self._end_rows.weight[:, -1]
+        table.changed()
+
+    def cost_at(self, stage: int) -> Cost:
+        """The cost of the window at a stage, for an engine in NumPy and for what a loop has cost."""
+        H, here = self.H, slice(stage, stage + self.H)
+        Q = np.concatenate([self._Q[here], self._final[None]])
+        cost = object.__new__(TrackingCost)  # its parts were checked when the window was made
+        cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
+        cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
+        cost.nx, cost.ndx = self._space.nx, self._space.ndx
+        if self._residuals is None:
+            return cost
+        parts = _at_stages(self._residuals, slice(stage, stage + H + 1))
+        return SumCost(cost, _Measured(self._residual_costs, parts))
+
+
+class _Measured(ResidualCost):
+    """The terms of several costs of residuals as one, over a window."""
+
+    def __init__(self, costs: list[ResidualCost], measures: ResidualArrays) -> None:
+        super().__init__(costs[0].mechanism, measures, measures.weight.shape[1] - 1)
+
+
+def _parts(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
+    """The TrackingCost of a problem and its costs of residuals; what else there is has no window."""
+    terms = terms_of(problem.cost)
+    tracking = [term for term in terms if type(term) is TrackingCost]
+    residuals = [term for term in terms if isinstance(term, ResidualCost)]
+    if len(tracking) != 1 or len(terms) != 1 + len(residuals):
+        others = sorted({type(term).__name__ for term in terms if type(term) not in (TrackingCost,)})
+        raise PlannerError(
+            f"the cost has {len(tracking)} TrackingCost and {', '.join(others) or 'nothing else'}, expected one "
+            "TrackingCost, alone or with FrameCosts and PenaltyCosts: a controller asks it for weights past its end."
+        )
+    return tracking[0], residuals
+
+
+def _lengthened(parts: list[ResidualArrays], H: int, dt: float) -> ResidualArrays:
+    """The terms of a whole task and of H stages after it, where the end's weights go on per second."""
+    measures = joined(parts)
+    N = measures.weight.shape[1] - 1
+    longer = measures.along(np.minimum(np.arange(N + H + 1), N))
+    weight, bound = np.array(longer.weight), np.array(longer.bound)
+    weight[:, N + 1 :] = (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
+    # A window that ends before the task does asks its end for the goal, whose rows are off there.
+    off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
+    bound = np.where(off, measures.bound[:, -1:], bound)
+    return replace(longer, weight=weight, bound=bound)
+
+
+def _at_stages(measures: ResidualArrays | None, stages: slice) -> ResidualArrays:
+    """The terms at some stages, the last of which is an end."""
+    assert measures is not None
+    part = measures.along(stages)
+    return ResidualArrays(**{f.name: np.array(getattr(part, f.name)) for f in fields(ResidualArrays)})
+
+
+def _frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
+    """The rows of the joined terms that hold the position of a frame, by the frame's name."""
+    found, first = dict[str, np.ndarray](), 0
+    for cost in residuals:
+        for name, rows in cost.goal_rows().items():
+            if name.startswith(AIMED):
+                frame = name.removeprefix(AIMED)
+                found[frame] = np.concatenate([found.get(frame, np.zeros(0, dtype=int)), first + rows])
+        first += len(cost.measures_for(N).weight)
+    return {frame: rows for frame, rows in found.items() if len(rows) == 3}
+
+
+def _first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
+    """Limits of a window: bounds of controls that are per stage for its stages."""
+    if limits is None or isinstance(limits.control, (str, Mapping)) or not isinstance(limits.control, (tuple, list)):
+        return limits
+    at = np.minimum(np.arange(H), N - 1)
+    sides = [np.asarray(side, dtype=float)[at] if np.ndim(side) == 2 else side for side in limits.control]
+    return replace(limits, control=tuple(sides))
