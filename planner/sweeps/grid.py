@@ -110,7 +110,7 @@ def _parsed(text: Any) -> tuple[str, tuple[Value, ...]]:
             f"{shown(text)} is no part of a grid, expected NAME=START:STOP:COUNT or NAME=VALUE,VALUE, "
             "e.g. height=1:60:60."
         )
-    if values.count(":") == 2:
+    if ":" in values:
         return name, _evenly(name, values)
     words = [word.strip() for word in values.split(",")]
     if not all(words):

@@ -18,7 +18,7 @@ from typing import Any
 from planner.base.errors import PlannerError
 from planner.base.processors import VARIABLE
 
-_ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _environment = threading.Lock()
 
 
@@ -128,8 +128,8 @@ def _alive(pid: int) -> bool:
 def _one_thread() -> Iterator[None]:
     """Processes that start here work with one thread each."""
     with _environment:
-        before = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+        before = {name: os.environ.get(name) for name in ONE_THREAD}
+        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
         try:
             yield
         finally:

@@ -1,7 +1,7 @@
 """What is to be done next: tasks in any order, or chains of neighbours of which each task waits for the one before it.
 
-A batch that a worker took with it when it ended is done again one task at a time: so the task that ends workers is found
-and costs no other.
+A batch that a worker took with it when it ended is done again one task at a time: so the task that ends workers is
+found and costs no other.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The loop of a sweep: batches of tasks to an executor, what comes back to disk at once.
 
 Batches take about half a second, so that handing them out costs little, and there are never more of them on their way
-than the executor is wide and some: memory does not grow with the sweep. A worker that ends, or that a task holds for too
-long, costs that task alone.
+than the executor is wide: memory does not grow with the sweep. A worker that ends, or that a task holds for too long,
+costs that task alone.
 """
 
 from __future__ import annotations
@@ -30,10 +30,6 @@ class _Flight(NamedTuple):
 
     batch: Next
     latest: float  # time.monotonic() after which its worker is ended; infinite without a timeout
-
-
-class Ending(Exception):
-    """What an executor raises for a call whose worker ended, where that is no BrokenExecutor."""
 
 
 def run(
@@ -105,7 +101,7 @@ def _taken(
     batch = flight.batch
     try:
         found = future.result()
-    except (BrokenExecutor, CancelledError, Ending) as error:
+    except (BrokenExecutor, CancelledError) as error:
         if not goes_on:
             raise PlannerError("a worker of the executor ended, which takes no more work; resume goes on.") from error
         late = time.monotonic() > flight.latest

@@ -134,7 +134,7 @@ def sweep(
     )  # fmt: skip
     check_names(grid, *_known(work))
     if continued is not None:
-        choice("continued", continued, tuple(grid.values))
+        choice("the parameter to continue along", continued, tuple(grid.values))
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise PlannerError(f"executor is {shown(executor)}, expected a concurrent.futures.Executor.")
     width = processors() if workers is None else count("workers", workers, most=MOST_WORKERS)
@@ -151,7 +151,7 @@ def sweep(
             store.open()
             queue = _queue(store, grid, continued)
             try:
-                if not store.finished == len(grid):
+                if store.finished != len(grid):
                     warm(work)  # compiles, once on this machine
                     pool = executor or stack.enter_context(_processes(min(width, len(grid)), work))
                     run(work, queue, pool, store, progress)

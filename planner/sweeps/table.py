@@ -1,8 +1,8 @@
 """The table of a sweep: table.csv, and table.parquet where pyarrow is installed, a row a task, by its number.
 
-Columns: task, the parameters, then status, cost and so on, the figures of a proof as STEP.NAME by the alphabet, and last
-the times. But for the times the table depends on nothing but the sweep: not on the number of workers, nor on which of
-them was killed. Rows pass through one at a time.
+Columns: task, the parameters, then status, cost and so on, the figures of a proof as STEP.NAME by the alphabet, and
+last the times. But for the times the table depends on nothing but the sweep: not on the number of workers, nor on which
+of them was killed. Rows pass through one at a time.
 """
 
 from __future__ import annotations
