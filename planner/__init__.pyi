@@ -39,6 +39,7 @@ from planner.solvers.free_time import solve_for as solve_for
 from planner.solvers.periodic import solve_periodic as solve_periodic
 from planner.solvers.slq import solve as solve
 from planner.sweeps.stored_plans import check as check
+from planner.sweeps.sweeping import sweep as sweep
 from planner.view.render.video import render_frame as render_frame
 from planner.view.render.video import render_strip as render_strip
 from planner.view.render.video import render_video as render_video

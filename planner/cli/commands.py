@@ -25,6 +25,7 @@ from planner.cli import (
     reporting,
     running,
     solving,
+    sweeping,
 )
 from planner.cli.console import Console
 
@@ -36,7 +37,7 @@ _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
     "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
-    "paper": paper.paper, "warmup": compiling.warmup,
+    "sweep": sweeping.sweep_case, "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip
 
 

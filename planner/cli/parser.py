@@ -155,6 +155,20 @@ _SOLVER: Flags = {
 _URDF: Flags = {
     "--package-path": _takes("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
 }
+_SWEEP: Flags = {
+    "--set": {"action": "append", "metavar": "NAME=VALUES", "required": True,
+              "help": "Values of a parameter: START:STOP:COUNT, e.g. height=1:60:60, or a list, duration=0.8,1. Of a "
+                      "problem file a key, e.g. weights.effort=0.1,1. Repeat it for others: all combinations."},
+    "--out": _takes("DIR", "Folder of table, plans and page. Default: renders/sweep-CASE."),
+    "--workers": _takes("N", "Processes on this machine. Default: one a processor.", kind=_whole),
+    "--scheduler": _takes("ADDRESS", "Of a running Dask scheduler, tcp://HOST:8786, or local for a Dask cluster here."),
+    "--continue": _takes("NAME", "Start each problem from its neighbour's controls along this parameter.")
+                  | {"dest": "along"},
+    "--timeout": _takes("S", "Longest time of one solve, s.", kind=_number),
+    "--prove": _switch("Prove each plan."),
+    "--rollouts": _takes("N", "Perturbed simulations of each proof.", 0, _whole),
+    "--resume": _switch("Go on with the sweep that is in the folder."),
+}  # fmt: skip
 _PROOF: Flags = {
     "--rollouts": _takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, _whole),
     "--hold": _takes("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, _number),
@@ -241,6 +255,7 @@ def build() -> argparse.ArgumentParser:
         "Plan a case or a problem file and save the plan.",
         {"--out": _takes("FILE", "The plan's file.", "plan.npz")},
     )
+    with_case("sweep", "Plan a case or a problem file at many parameters, into one table.", _SWEEP)
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it, or anybody's controls.",
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; none where --controls are given."},
@@ -295,7 +310,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
     Raises:
         PlannerError: Wrong usage; the sentence suggests the nearest flag.
     """
-    if argv[:1] in (["run"], ["solve"], ["drive"]) and argv[1:]:
+    if argv[:1] in (["run"], ["solve"], ["drive"], ["sweep"]) and argv[1:]:
         ending = argv[1].lower()
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]

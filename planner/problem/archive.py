@@ -8,6 +8,7 @@ write new ones: they name what an editor, a script or a broken copy changed.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import sys
@@ -15,7 +16,7 @@ import tokenize
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -64,26 +65,48 @@ def plan_name(path: str | Path) -> Path:
 
 def write_archive(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
     """Write arrays and meta, atomically; the same content gives the same bytes."""
+    with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
+        pack(file, arrays, meta)
+
+
+def pack(file: IO[bytes], arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
+    """Write arrays and meta into an open file."""
     meta = finite(meta)
     meta = {"format_version": FORMAT_VERSION, **meta, "digests": digests(arrays, meta)}
-    with write_atomically(path) as unfinished, open(unfinished, "wb") as file:
-        contents = arrays | {"meta": np.array(json.dumps(meta, allow_nan=False))}
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive:
-            for name, array in contents.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                    np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
+    contents = arrays | {"meta": np.array(json.dumps(meta, allow_nan=False))}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive:
+        for name, array in contents.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
+
+
+def opened(path: Path) -> IO[bytes]:
+    """An open plan file: an ordinary one, or DIR/plans/000.zip/000017.npz, one inside an archive of many plans.
+
+    Raises:
+        FileError: There is none.
+        OSError: It cannot be read.
+    """
+    if os.path.isfile(path):  # no folder, pipe or device, say
+        return open(path, "rb")
+    if path.parent.suffix == ".zip" and os.path.isfile(path.parent):
+        try:
+            with open(path.parent, "rb") as handle, zipfile.ZipFile(handle) as archive:
+                return io.BytesIO(archive.read(path.name))
+        except (*_BROKEN, NotImplementedError):
+            named = f"{printable(path.parent)} has no plan {printable(path.name)}"
+            raise FileError(f"{named}, expected one of the plans of a sweep.") from None
+    problem = "is not a file" if os.path.exists(path) else "does not exist"
+    raise FileError(f"{printable(path)} {problem}, expected a plan.npz.")
 
 
 def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays and meta of a plan file whose history has so many columns, checked against each other."""
-    if not os.path.isfile(path):  # but a folder, a pipe or a device, say
-        problem = "is not a file" if os.path.exists(path) else "does not exist"
-        raise FileError(f"{printable(path)} {problem}, expected a plan.npz.")
     named = printable(path)
     foreign = FileError(f"{named} is not a plan: expected an .npz with {', '.join(ARRAYS)} and meta.")
     try:
         # Our own handle: np.load leaks its file when the archive is broken.
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
+        with opened(path) as handle, np.load(handle, allow_pickle=False) as file:
             unpacked = sum(entry.file_size for entry in file.zip.infolist())
             if unpacked > _MOST_BYTES:
                 raise FileError(f"{named} unpacks to {unpacked} bytes, expected a plan of at most {_MOST_BYTES}.")
@@ -221,6 +244,9 @@ def changed(arrays: dict[str, np.ndarray], meta: dict[str, Any], written: dict[s
 
 def plan_digest(path: Path) -> str:
     """The digest of a plan's file, which its proof is stored with."""
+    if Path(path).parent.suffix == ".zip":
+        with opened(Path(path)) as file:
+            return digest_of(file.read())
     return digest_of(read_input(path, "the plan"))
 
 

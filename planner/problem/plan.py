@@ -15,6 +15,7 @@ from the file alone (planner.load_plan); a problem that is its maker's own Pytho
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -26,7 +27,7 @@ import numpy as np
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
-from planner.problem.archive import FILE, HINGES, PART, digest_of, plan_name, write_archive
+from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_name, write_archive
 from planner.problem.at_bounds import constraints_broken, control_at_bound, stalled, state_outside
 from planner.problem.costs.wanted import stored_tolerance
 from planner.problem.criteria import plain
@@ -234,6 +235,17 @@ class Plan(Built):
         Raises:
             FileError: The file cannot be written.
         """
+        write_archive(plan_name(path), *self._contents())
+        return Path(path)
+
+    def to_bytes(self) -> bytes:
+        """The content of the file that save() writes."""
+        file = io.BytesIO()
+        pack(file, *self._contents())
+        return file.getvalue()
+
+    def _contents(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The arrays and the meta of its file."""
         recipe, parts = self.recipe, {}
         if recipe is None and self.problem is not None:
             recipe, parts = in_parts(plain(self.problem)) or (None, {})
@@ -259,5 +271,4 @@ class Plan(Built):
             arrays[FILE + names[name]] = np.frombuffer(content, np.uint8)
         for name, part in parts.items():
             arrays[PART + name] = part
-        write_archive(plan_name(path), arrays, meta)
-        return Path(path)
+        return arrays, meta

@@ -13,7 +13,6 @@ the caller's thread.
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,6 +23,7 @@ import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
+from planner.base.processors import processors
 from planner.problem.plan import Iteration, Plan, Start, Status
 
 MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
@@ -72,7 +72,7 @@ def best_of(
     best: Plan | None = None
     waiting: deque[tuple[int, Future[Plan]]] = deque()
     submitted, interrupted = 0, False
-    with ThreadPoolExecutor(min(starts, _processors())) as pool:
+    with ThreadPoolExecutor(min(starts, processors())) as pool:
         try:
             while waiting or (submitted < starts and not interrupted):
                 try:
@@ -129,8 +129,3 @@ def _score(rank: Callable[[Plan], float] | None, plan: Plan) -> float:
 
 def _summary(number: int, plan: Plan, score: float) -> Start:
     return Start(number, plan.status, plan.cost, plan.nit, score)
-
-
-def _processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

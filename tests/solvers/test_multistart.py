@@ -57,7 +57,7 @@ def test_each_start_is_a_solve_of_its_own(engine):
 def test_the_same_bits_whatever_ends_first(engine, monkeypatch):
     problem = engines()[engine]
     plans = [planner.solve(problem, starts=5, seed=3) for _ in range(2)]
-    monkeypatch.setattr(multistart, "_processors", lambda: 1)
+    monkeypatch.setattr(multistart, "processors", lambda: 1)
     plans.append(planner.solve(problem, starts=5, seed=3))
     for plan in plans[1:]:
         same_bits(plan, plans[0])

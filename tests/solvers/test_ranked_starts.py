@@ -54,7 +54,7 @@ def test_the_cost_is_the_default():
 
 def test_the_same_bits_whatever_ends_first(monkeypatch):
     plans = [planner.solve(wells(), starts=6, spread=3.0, rank=lambda plan: -plan.cost) for _ in range(2)]
-    monkeypatch.setattr(multistart, "_processors", lambda: 1)
+    monkeypatch.setattr(multistart, "processors", lambda: 1)
     plans.append(planner.solve(wells(), starts=6, spread=3.0, rank=lambda plan: -plan.cost))
     for plan in plans[1:]:
         same_bits(plan, plans[0])

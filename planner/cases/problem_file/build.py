@@ -123,8 +123,17 @@ def load(path: str | Path, **instead: Any) -> ProblemFile:
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
     """
+    return loaded(read_table(Path(path)), path, **instead)
+
+
+def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFile:
+    """The problem of a file's table, as load(); the path is for messages, and files are relative to it.
+
+    Raises:
+        PlannerError: A key is unknown, missing or wrong, or the model cannot be used.
+    """
     path = Path(path)
-    table = with_defaults(with_model_limits(read_table(path)), str(path))
+    table = with_defaults(with_model_limits(table), str(path))
     table = with_files(table, path.parent)
     table |= {name: value for name, value in instead.items() if value is not None}
     if not isinstance(table["model"], str) or not table["model"]:

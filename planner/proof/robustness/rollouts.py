@@ -13,7 +13,6 @@ may round differently in other company.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -25,6 +24,7 @@ import numpy as np
 from planner.base.arguments import number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco, load_rollout
+from planner.base.processors import processors
 from planner.dynamics.assembly import tangents
 from planner.model.mechanism import Mechanism
 from planner.problem.goals import stages_asked
@@ -93,8 +93,7 @@ class Rollouts:
         self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self._row = np.empty(mujoco.mj_stateSize(model, self._full))
         mujoco.mj_getState(model, self._scratch, self._row, self._full)
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        threads = cores if threads is None else threads
+        threads = processors() if threads is None else threads
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
         self.integrator = NATIVE if implicit else "EULER" if stiff and self._euler_agrees() else "RK4"

@@ -1,0 +1,70 @@
+"""The command `sweep`: plan a case or a problem file at many parameters, into one folder."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from planner.base.arguments import count, number
+from planner.base.errors import PlannerError
+from planner.cli.console import Console
+from planner.cli.parser import PROBLEM_FILE
+from planner.cli.problems import durations_of, name_of, objective_of
+from planner.problem.limits import EXACT, Limits
+from planner.sweeps.dask import dask_executor
+from planner.sweeps.sweeping import sweep
+from planner.view.report.sweep_page import write_sweep_page
+
+INTERRUPTED = 130
+
+
+def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan a case or a problem file at every point of a grid."""
+    if arguments.rank != "cost":
+        raise PlannerError("--rank is for one problem, expected a sweep without it: its starts are ranked by cost.")
+    if arguments.workers is not None and arguments.scheduler is not None:
+        raise PlannerError("--workers and --scheduler are both given, expected one of them.")
+    name = name_of(arguments)
+    out = Path(arguments.out or f"renders/sweep-{name}")
+    on_dask = arguments.scheduler is not None
+    with dask_executor(arguments.scheduler) if on_dask else nullcontext() as executor:
+        done = sweep(
+            Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
+            out=out, executor=executor, workers=arguments.workers, fixed=_fixed(arguments),
+            prove={"rollouts": count("rollouts", arguments.rollouts, least=0)} if arguments.prove else False,
+            continued=arguments.along, timeout=arguments.timeout, resume=arguments.resume,
+            objective=None if arguments.objective is None else objective_of(arguments.objective),
+            durations=None if arguments.durations is None else durations_of(arguments.durations),
+            limits=_limits(arguments), progress=console.progress(f"planning {name}"), **_options(arguments),
+        )  # fmt: skip
+    page = write_sweep_page(done)
+    console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
+    console.say(str(page))
+    if done.interrupted:
+        console.complain(f"interrupted; {done.finished} of {len(done.grid)} are done, and --resume goes on with them.")
+    converged = done.statuses.get("CONVERGED", 0)
+    code = INTERRUPTED if done.interrupted else 0 if converged == len(done.grid) else 1
+    facts = {"tasks": len(done.grid), "finished": done.finished, "statuses": done.statuses, "folder": str(out)}
+    return console.finish("sweep", code, **facts)
+
+
+def _fixed(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Flags of the case that are the same for all tasks."""
+    fixed = {name[5:]: value for name, value in vars(arguments).items() if name.startswith("case_")}
+    folder = getattr(arguments, "package_path", None)
+    return fixed if folder is None else fixed | {"package_path": str(Path(folder).absolute())}
+
+
+def _limits(arguments: argparse.Namespace) -> Limits | None:
+    bound = arguments.control_limit
+    if bound is None and not arguments.exact_goal:
+        return None
+    bound = None if bound is None else number("control-limit", bound, above=0.0)
+    return Limits(control=bound, final=EXACT if arguments.exact_goal else None)
+
+
+def _options(arguments: argparse.Namespace) -> dict[str, Any]:
+    names = ("update", "line_search", "hessian", "max_iterations", "starts", "seed")
+    return {name: getattr(arguments, name) for name in names}

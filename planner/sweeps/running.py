@@ -1,0 +1,131 @@
+"""The loop of a sweep: batches of tasks to an executor, what comes back to disk at once.
+
+Batches take about half a second, so that handing them out costs little, and there are never more of them on their way
+than the executor is wide: memory does not grow with the sweep. A worker that ends, or that a task holds for too long,
+costs that task alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from planner.base.errors import PlannerError
+from planner.sweeps.queue import Next, Queue
+from planner.sweeps.store import Store
+from planner.sweeps.work import LOST, TIMEOUT, Batch, Work, do, failed, reason_of
+
+SECONDS = 0.5  # that a batch should take
+MOST = 500  # tasks of a batch
+GRACE = 5.0  # s beyond its timeout after which a task's worker is ended
+_LATEST = 0.3  # weight of the last batch in the mean time of a task
+_LOOK = 0.2  # s between looks for tasks that take too long
+
+
+class _Flight(NamedTuple):
+    """A batch on its way."""
+
+    batch: Next
+    latest: float  # time.monotonic() after which its worker is ended; infinite without a timeout
+
+
+def run(
+    work: Work, queue: Queue, executor: Executor, store: Store, progress: Callable[[int, int], object] | None = None
+) -> None:
+    """Do all tasks of a queue and store what they give.
+
+    Args:
+        work: How a task is done.
+        queue: The tasks.
+        executor: Where they are done. One with `end(future)`, as those of planner, loses no more than a batch with a
+            worker; another is given up when it is broken.
+        store: Where rows and plans go.
+        progress: Called with the tasks done and their number.
+
+    Raises:
+        PlannerError: The executor takes no more work.
+        FileError: The store cannot be written.
+        KeyboardInterrupt: Ctrl-C; what had ended by then is stored.
+    """
+    width = int(getattr(executor, "width", 2 * (getattr(executor, "_max_workers", None) or 1)))
+    flights: dict[Future[Batch], _Flight] = {}
+    mean = None  # s of a task
+    try:
+        while True:
+            size = 1 if mean is None else max(1, min(MOST, int(SECONDS / mean)))
+            while len(flights) < width and (batch := queue.take(size)) is not None:
+                flights[_submitted(executor, work, queue, batch)] = _Flight(batch, _latest(work, batch, mean))
+            if not flights:
+                return
+            done, _ = wait(flights, _LOOK if work.timeout is not None else None, FIRST_COMPLETED)
+            for future in done:
+                flight = flights.pop(future)
+                seconds = _taken(work, future, flight, queue, store, hasattr(executor, "end"))
+                if seconds is not None:
+                    mean = seconds if mean is None else (1.0 - _LATEST) * mean + _LATEST * seconds
+            if done and progress is not None:
+                progress(store.finished, len(store.places))
+            for future, flight in flights.items():
+                if time.monotonic() > flight.latest and hasattr(executor, "end"):
+                    executor.end(future)  # type: ignore[attr-defined]
+    except KeyboardInterrupt:
+        _store_what_ended(flights, store)
+        raise
+    finally:
+        for future in flights:
+            future.cancel()
+
+
+def _submitted(executor: Executor, work: Work, queue: Queue, batch: Next) -> Future[Batch]:
+    try:
+        return executor.submit(do, work, batch.tasks, queue.continued, batch.controls)
+    except (BrokenExecutor, RuntimeError) as error:
+        raise PlannerError(f"the executor takes no more work ({reason_of(error)}); resume goes on.") from None
+
+
+def _latest(work: Work, batch: Next, mean: float | None) -> float:
+    """When a batch's worker is ended: a wrong guess for several tasks does no harm, they are done again one by one."""
+    if work.timeout is None:
+        return float("inf")
+    usual = 0.0 if len(batch.tasks) == 1 or mean is None else 4.0 * mean * len(batch.tasks)
+    return time.monotonic() + work.timeout + GRACE + usual
+
+
+def _taken(
+    work: Work, future: Future[Batch], flight: _Flight, queue: Queue, store: Store, goes_on: bool
+) -> float | None:
+    """Store what a batch gave, or why it gave nothing; the mean time of its tasks, s, or None."""
+    batch = flight.batch
+    try:
+        found = future.result()
+    except (BrokenExecutor, CancelledError) as error:
+        if not goes_on:
+            raise PlannerError("a worker of the executor ended, which takes no more work; resume goes on.") from error
+        late = time.monotonic() > flight.latest
+        if len(batch.tasks) > 1 or not (batch.alone or late):
+            queue.lost(batch)
+            return None
+        found = Batch([failed(work, batch.tasks[0], *_why(work, late))], None)
+    except Exception as error:  # of what travels: a problem that cannot be pickled, say
+        found = Batch([failed(work, task, "FAILED", reason_of(error)) for task in batch.tasks], None)
+    store.append(found.done)
+    queue.ended(batch, found.controls)
+    seconds = [sum(one.row.get(name, 0.0) for name in ("solve_seconds", "prove_seconds")) for one in found.done]
+    return max(sum(seconds) / len(seconds), 1e-4)
+
+
+def _why(work: Work, late: bool) -> tuple[str, str]:
+    """The status and the reason of a task whose worker ended."""
+    if late:
+        return TIMEOUT, f"It was not done after {work.timeout:g} s and did not stop by itself; its worker was ended."
+    return LOST, "Its worker ended in the middle, twice: killed, or out of memory."
+
+
+def _store_what_ended(flights: dict[Future[Any], _Flight], store: Store) -> None:
+    for future in list(flights):
+        if future.done() and not future.cancelled() and future.exception() is None:
+            with suppress(PlannerError):
+                store.append(future.result().done)

@@ -1,0 +1,246 @@
+"""Work: how each task of a sweep is solved, and, where that is asked for, proved. This is what travels to workers.
+
+A task that raises is a row with its reason, as is one that takes longer than it may: the callback of the solver ends it
+between two iterations. What one task gives depends on nothing but the work and its number; with `continued`, on the
+controls of the neighbour before it too.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner import cases
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
+from planner.cases.problem_file import ProblemFile, case_in, loaded
+from planner.cases.problem_file.table import read_table
+from planner.problem.criteria import with_objective
+from planner.problem.limits import Limits
+from planner.problem.plan import Plan, Status
+from planner.problem.problem import Problem
+from planner.proof import prove
+from planner.solvers.free_time import solve_for
+from planner.solvers.periodic import solve_periodic
+from planner.solvers.slq import solve
+from planner.sweeps.grid import Grid
+
+FAILED, TIMEOUT, LOST = "FAILED", "TIMEOUT", "WORKER_LOST"
+"""Statuses beside those of plans: it raised, it took too long, its worker ended."""
+
+_PRINTS = (0.25, 0.5, 0.75)  # parts of the horizon at which states are kept, to tell one motion from another
+_MOST_PRINTS = 8  # numbers of a state
+
+
+@dataclass(frozen=True)
+class Work:
+    """How the tasks of a sweep are done.
+
+    Attributes:
+        grid: The parameters of each task.
+        source: Name of a case, path of a problem file, or a function of the parameters that returns a Problem.
+        fixed: Parameters of the case, or keys of the file, that are the same for all tasks.
+        options: Of solve().
+        objective: Weights of criteria in place of the problem's own, or None.
+        durations: The shortest and the longest, s, for an objective with time.
+        limits: In place of the problem's own, or None.
+        proved: Arguments of prove(), or None to prove nothing.
+        timeout: s that a solve may take, or None.
+    """
+
+    grid: Grid
+    source: str | Path | Callable[..., Problem]
+    fixed: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+    objective: dict[str, float] | None = None
+    durations: list[float] | None = None
+    limits: Limits | None = None
+    proved: dict[str, Any] | None = None
+    timeout: float | None = None
+
+    def problem(self, task: int) -> ProblemFile:
+        """The problem of a task, and how to solve it.
+
+        Raises:
+            PlannerError: Its parameters are out of range.
+        """
+        point = self.grid.point(task)
+        if callable(self.source):
+            built = self.source(**self.fixed, **point)
+            if not isinstance(built, Problem):
+                raise PlannerError(f"the function that builds returned {shown(built)}, expected a Problem.")
+            file = ProblemFile(built, 1, 0, None, None)
+        elif isinstance(self.source, Path):
+            file = _of_file(self.source, self.fixed | point)
+        else:
+            file = ProblemFile(cases.build(self.source, **self.fixed, **point), 1, 0, None, None)
+        if self.limits is not None:
+            file = file._replace(problem=replace(file.problem, limits=self.limits))
+        if self.objective is not None:
+            file = file._replace(problem=with_objective(file.problem, self.objective), objective=self.objective)
+        return file if self.durations is None else file._replace(durations=self.durations)
+
+
+class Done(NamedTuple):
+    """One task that is done.
+
+    Attributes:
+        row: Its row of the table.
+        plan: The content of its plan's file, or None where there is no plan.
+    """
+
+    row: dict[str, Any]
+    plan: bytes | None
+
+
+class Batch(NamedTuple):
+    """Some tasks that are done.
+
+    Attributes:
+        done: In the order of the tasks.
+        controls: (N, nu) of the last one if it converged, for its neighbour; None otherwise.
+    """
+
+    done: list[Done]
+    controls: np.ndarray | None
+
+
+def do(work: Work, tasks: list[int], continued: bool = False, controls: np.ndarray | None = None) -> Batch:
+    """Do some tasks one after the other.
+
+    Args:
+        work: How.
+        tasks: Their numbers.
+        continued: Start each from the controls of the one before it, if that converged.
+        controls: (N, nu) of the one before the first of them, or None.
+    """
+    done, last = [], controls
+    for task in tasks:
+        one, plan = _done(work, task, last if continued else None)
+        done.append(one)
+        last = plan.us if plan is not None and plan.success else None
+    return Batch(done, last)
+
+
+def warm(work: Work, task: int = 0) -> str:
+    """Load, and on a cold start compile, what the tasks need; "" or why the first of them cannot be built."""
+    try:
+        solve(work.problem(task).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
+    except Exception as error:
+        return reason_of(error)
+    return ""
+
+
+def failed(work: Work, task: int, status: str, reason: str) -> Done:
+    """The row of a task that has no plan."""
+    return Done({"task": task, **work.grid.point(task), "status": status, "reason": reason}, None)
+
+
+def reason_of(error: BaseException) -> str:
+    """An error in one line."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, PlannerError) else f"{type(error).__name__}: {text}"
+
+
+def _done(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, Plan | None]:
+    try:
+        with np.errstate(all="ignore"):
+            return _planned(work, task, controls)
+    except Exception as error:
+        return failed(work, task, FAILED, reason_of(error)), None
+
+
+def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, Plan]:
+    began = time.perf_counter()
+    ends = None if work.timeout is None else began + work.timeout
+    late = False
+
+    def heed(_: Any) -> None:
+        nonlocal late
+        if ends is not None and time.perf_counter() > ends:
+            late = True
+            raise StopIteration
+
+    file = work.problem(task)
+    problem, neighbour = _from_neighbour(file.problem, controls)
+    options = {"starts": file.starts, "seed": file.seed} | work.options
+    if problem.periodic is not None:
+        plan = solve_periodic(problem, callback=heed, **options)
+    elif file.objective is not None:
+        plan = solve_for(problem, file.objective, durations=file.durations, callback=heed, **options)
+    else:
+        plan = solve(problem, callback=heed, **options)
+    solved = time.perf_counter()
+    row: dict[str, Any] = {
+        "task": task, **work.grid.point(task), "status": TIMEOUT if late else plan.status.name,
+        "reason": f"It was not done after {work.timeout:g} s." if late else "" if plan.success else plan.message,
+        "cost": float(plan.cost), "iterations": plan.nit, "gradient_norm": float(plan.gradient_norm),
+        "guess": "neighbour" if neighbour else "own", "start": plan.start, "print": _print(plan),
+        "solve_seconds": solved - began,
+    }  # fmt: skip
+    if work.proved is not None and plan.status is not Status.NOT_FINITE:
+        row |= _proof(plan, work.proved)
+        row["prove_seconds"] = time.perf_counter() - solved
+    return Done(row, plan.to_bytes()), plan
+
+
+def _proof(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+    """The columns of a proof; of one that cannot be made, why."""
+    try:
+        proof = prove(plan, **asked)
+    except PlannerError as error:
+        return {"verdict": "", "proof_reason": str(error)}
+    row: dict[str, Any] = {
+        "verdict": proof.verdict, "mode": proof.mode or "", "feasible": proof.feasible, "optimal": proof.optimal,
+        "robustness": proof.robustness, "proof_reason": proof.reason,
+    }  # fmt: skip
+    for name, section in proof.sections.items():
+        row |= {f"{name}.{one.name}": float(one.value) for one in section.measured}
+    return row
+
+
+def _from_neighbour(problem: Problem, controls: np.ndarray | None) -> tuple[Problem, bool]:
+    """The problem with its neighbour's controls as first guess, held longer or shorter where it has other stages."""
+    N, nu = problem.N, problem.dynamics.nu
+    if controls is None or controls.shape[1] != nu:
+        return problem, False
+    stages = np.arange(N) * len(controls) // N
+    return replace(problem, us=controls[stages]), True
+
+
+def _print(plan: Plan) -> list[float]:
+    """Some numbers of the motion, by which two of them are told apart."""
+    knots = [int(part * plan.N) for part in _PRINTS]
+    return [float(value) for value in plan.xs[knots, :_MOST_PRINTS].ravel()]
+
+
+def _of_file(path: Path, values: dict[str, Any]) -> ProblemFile:
+    named = case_in(path)
+    if named is not None:
+        case, given, starts, seed = named
+        return ProblemFile(cases.build(case, **given | values), starts, seed, None, None)
+    return loaded(changed(read_table(path), values), path)
+
+
+def changed(table: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """A problem file's table with some keys changed; "weights.effort" is a key of the table weights.
+
+    Raises:
+        PlannerError: A part of a dotted name is no table.
+    """
+    table = copy.deepcopy(table)
+    for name, value in values.items():
+        *folders, last = name.split(".")
+        place: Any = table
+        for folder in folders:
+            place = place.setdefault(folder, {})
+            if not isinstance(place, dict):
+                raise PlannerError(f"{name} names a key of {folder!r}, which is no table in the file.")
+        place[last] = value
+    return table

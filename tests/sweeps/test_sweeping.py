@@ -1,0 +1,197 @@
+"""Sweeps in threads of this process: what comes out, and what goes on after an interruption."""
+
+import csv
+import os
+import resource
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from commands import refused, run
+from troubled_problems import troubled
+
+import planner
+from planner.sweeps.shards import Shards, plan_place
+from planner.sweeps.store import TIMES
+from planner.sweeps.sweeping import read_sweep, sweep
+
+GRID = {"height": [1, 2, 3, 4, 5], "horizon": [50, 60]}
+
+
+def swept(out, grid=GRID, build="hopper", threads=1, **options):
+    with ThreadPoolExecutor(threads) as executor:
+        return sweep(build, grid, out=out, executor=executor, **options)
+
+
+def table(folder, times=False):
+    with open(folder / "table.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{name: value for name, value in row.items() if times or name not in TIMES} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep") / "out"
+    return swept(folder)
+
+
+def test_the_table_has_a_row_a_task_in_order(done):
+    rows = table(done.folder, times=True)
+    assert [int(row["task"]) for row in rows] == list(range(10))
+    assert [(int(row["height"]), int(row["horizon"])) for row in rows[:3]] == [(1, 50), (1, 60), (2, 50)]
+    plan = planner.solve(planner.cases.hopper(height=2, horizon=60))
+    assert float(rows[3]["cost"]) == plan.cost  # to the last bit
+    assert int(rows[3]["iterations"]) == plan.nit
+    assert all(float(row["solve_seconds"]) > 0.0 for row in rows)
+    assert done.complete
+    assert done.statuses == {"CONVERGED": 10}
+
+
+def test_a_plan_is_read_out_of_the_archive(done):
+    plan = planner.solve(planner.cases.hopper(height=2, horizon=60))
+    for found in (done.plan(3), planner.load_plan(done.folder / "plans/000.zip/000003.npz")):
+        assert np.array_equal(found.us, plan.us)
+        assert found.parameters["height"] == 2.0
+    assert sorted(os.listdir(done.folder / "plans")) == ["000.zip"]
+    with pytest.raises(planner.PlannerError, match=r"has no plan 000099\.npz"):
+        planner.load_plan(done.folder / plan_place(99))
+
+
+def test_parquet_has_the_same_table(done):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    found = parquet.read_table(done.folder / "table.parquet").to_pylist()
+    rows = table(done.folder, times=True)
+    assert list(found[0]) == list(rows[0])
+    assert [row["cost"] for row in found] == [float(row["cost"]) for row in rows]
+
+
+def test_the_table_does_not_depend_on_the_number_of_workers(done, tmp_path):
+    swept(tmp_path / "out", threads=3)
+    assert table(tmp_path / "out") == table(done.folder)
+
+
+def test_a_task_that_raises_is_in_the_table_and_the_rest_goes_on(tmp_path):
+    done = swept(tmp_path / "out", {"height": [1, -2, 3, 4]}, troubled, fixed={"how": "raise"})
+    rows = table(tmp_path / "out")
+    assert [row["status"] for row in rows] == ["CONVERGED", "FAILED", "FAILED", "CONVERGED"]
+    assert rows[1]["reason"].startswith("height is -2, expected")
+    assert rows[2]["reason"] == "ZeroDivisionError: no such machine"
+    with pytest.raises(planner.PlannerError):
+        done.plan(2)
+
+
+def test_a_solve_that_takes_too_long_ends_between_iterations(tmp_path):
+    swept(tmp_path / "out", {"height": [1]}, timeout=1e-9)
+    (row,) = table(tmp_path / "out")
+    assert (row["status"], row["iterations"]) == ("TIMEOUT", "1")
+
+
+def test_resume_does_what_is_missing_and_nothing_twice(done, tmp_path):
+    swept(tmp_path / "out", {"height": GRID["height"], "horizon": [50, 60]})
+    lines = (tmp_path / "out/rows.jsonl").read_bytes().splitlines(keepends=True)
+    torn = b"".join(lines[:4]) + lines[4][:30]
+    (tmp_path / "out/rows.jsonl").write_bytes(torn)
+    archive = tmp_path / "out/plans/000.zip"
+    archive.write_bytes(archive.read_bytes()[:-500])  # no directory: as a killed process leaves it
+    with pytest.raises(planner.PlannerError, match="--resume"):
+        swept(tmp_path / "out")
+    with pytest.raises(planner.PlannerError, match="another sweep"):
+        swept(tmp_path / "out", {"height": [1]}, resume=True)
+    again = swept(tmp_path / "out", resume=True)
+    assert again.complete
+    assert table(tmp_path / "out") == table(done.folder)
+    rows = (tmp_path / "out/rows.jsonl").read_bytes().splitlines(keepends=True)
+    assert rows[:4] == lines[:4]
+    assert len(rows) == 10
+    with zipfile.ZipFile(archive) as file:
+        assert sorted(file.namelist()) == [f"{k:06d}.npz" for k in range(10)]
+    assert read_sweep(tmp_path / "out").plan(9).cost == done.plan(9).cost
+
+
+def test_archives_without_a_directory_keep_their_whole_entries(tmp_path):
+    shards = Shards(tmp_path)
+    for task in (0, 1, 2):
+        shards.add(task, bytes([task]) * 1000)
+    shards.flush()
+    left = (tmp_path / "000.zip").read_bytes()
+    shards.close()
+    (tmp_path / "000.zip").write_bytes(left[:-10])
+    Shards(tmp_path).keep({0, 1, 2})
+    with zipfile.ZipFile(tmp_path / "000.zip") as file:
+        assert file.namelist() == ["000000.npz", "000001.npz"]
+        assert file.read("000001.npz") == b"\1" * 1000
+
+
+def test_each_starts_from_its_neighbour_whatever_the_number_of_workers(done, tmp_path):
+    for threads in (1, 3):
+        swept(tmp_path / str(threads), continued="height", threads=threads)
+    rows = table(tmp_path / "1")
+    assert rows == table(tmp_path / "3")
+    assert [row["guess"] for row in rows] == ["own"] * 2 + ["neighbour"] * 8
+    assert sum(int(row["iterations"]) for row in rows) < sum(int(row["iterations"]) for row in table(done.folder))
+
+
+def test_a_chain_goes_on_where_it_was(tmp_path):
+    whole = swept(tmp_path / "whole", continued="height")
+    swept(tmp_path / "out", continued="height")
+    file = tmp_path / "out/rows.jsonl"
+    file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[:5]))
+    swept(tmp_path / "out", continued="height", resume=True)
+    assert table(tmp_path / "out") == table(whole.folder)
+
+
+def test_several_starts_are_passed_on(tmp_path):
+    done = swept(tmp_path / "out", {"height": [4]}, starts=3, seed=1)
+    assert len(done.plan(0).starts) == 3
+    with pytest.raises(planner.PlannerError, match="an option is 'start'"):
+        swept(tmp_path / "other", start=3)
+
+
+def test_a_proof_is_in_the_table(tmp_path):
+    swept(tmp_path / "out", {"height": [4]}, prove=True)
+    (row,) = table(tmp_path / "out")
+    assert (row["verdict"], row["feasible"], row["optimal"]) == ("PASS", "True", "True")
+    assert float(row["refined_open_loop.rms_height_error"]) < 0.05
+
+
+def test_keys_of_a_problem_file_are_swept(tmp_path):
+    (tmp_path / "cart.toml").write_text('case = "hopper"\nhorizon = 50\n')
+    done = swept(tmp_path / "out", {"height": [4, 5]}, tmp_path / "cart.toml")
+    assert done.plan(1).parameters["height"] == 5.0
+    with pytest.raises(planner.PlannerError, match="hopper has no parameter"):
+        swept(tmp_path / "other", {"mass": [4]}, tmp_path / "cart.toml")
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path):
+    def interrupt(finished, _):
+        if finished == 4:
+            raise KeyboardInterrupt
+
+    done = swept(tmp_path / "out", progress=interrupt)
+    assert done.interrupted
+    assert 4 <= done.finished < 10
+    assert len(table(tmp_path / "out")) == done.finished
+    assert swept(tmp_path / "out", resume=True).complete
+
+
+def test_a_full_disk_keeps_what_is_finished(done, tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))  # the archive outgrows it
+    try:
+        with pytest.raises(planner.PlannerError, match="grew beyond"):
+            swept(tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    finished = len((tmp_path / "out/rows.jsonl").read_bytes().splitlines())
+    assert 0 < finished < 10
+    assert swept(tmp_path / "out", resume=True).complete
+    assert table(tmp_path / "out") == table(done.folder)
+
+
+def test_the_command_refuses_what_does_not_exist(tmp_path):
+    refused(run("sweep", "hopper", "--set", "heigth=1:2:2", "--out", "out", cwd=tmp_path), "no parameter 'heigth'")
+    both = ("--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
+    refused(run("sweep", "hopper", "--set", "height=1", *both, cwd=tmp_path), "one of them")
+    refused(run("sweep", "hopper", "--set", "height=1", "--continue", "mass", cwd=tmp_path), "expected one of: height")
+    assert list(tmp_path.iterdir()) == []
