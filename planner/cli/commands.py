@@ -16,6 +16,7 @@ from planner.cli import (
     checking,
     compiling,
     describing,
+    exporting,
     listing,
     paper,
     parser,
@@ -35,6 +36,7 @@ _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
     "run": running.run, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
+    "export": exporting.export_plan,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip
 
