@@ -19,7 +19,8 @@ FLYING = """
 <mujoco model="flying">
   <worldbody><body name="trunk" pos="0 0 1">
     <freejoint name="base"/><geom size="0.1" mass="2"/>
-    <body pos="0.2 0 0"><joint name="hip" type="ball"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1"/>
+    <body pos="0.2 0 0"><joint name="hip" type="ball"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1"/>
       <body pos="0.3 0 0"><joint name="knee" axis="0 1 0" damping="0.1"/>
         <geom type="capsule" fromto="0 0 0 0.2 0.1 0" size="0.02" mass="0.5"/></body></body>
   </body></worldbody>
@@ -156,7 +157,7 @@ def test_the_hopper_has_a_table_and_keyframes_but_no_joint_trajectory(tmp_path):
     header, _ = read_csv(plan.to_csv(tmp_path / "a.csv", 100))
     assert header[-1] == "u[0]"
     plan.to_keyframes(tmp_path / "a.xml", 20)
-    with pytest.raises(planner.PlannerError, match=r"without a Mechanism; write a CSV"):
+    with pytest.raises(planner.PlannerError, match=r"no Mechanism; write a CSV"):
         plan.to_joint_trajectory()
 
 

@@ -1,7 +1,7 @@
 """A plan as ROS 2's trajectory_msgs/JointTrajectory, as YAML or JSON; no ROS is needed.
 
-The message knows joints of one coordinate: hinges (rad) and slides (m). Free and ball joints have no place in it and are
-left out. Accelerations and efforts stay empty, as the message allows: a plan's accelerations jump from stage to stage,
+The message knows joints of one coordinate: hinges (rad) and slides (m). Free and ball joints have no place in it and
+are left out. Accelerations and efforts stay empty, as the message allows: a plan's accelerations jump from stage to stage,
 and its controls are those of actuators, not of joints.
 """
 
@@ -79,7 +79,7 @@ def _mechanism(plan: Motion) -> Mechanism:
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
     if not isinstance(mechanism, Mechanism):
         raise PlannerError(
-            "a joint trajectory needs the names of joints, but the plan is of dynamics without a Mechanism; write a CSV."
+            "a joint trajectory needs the names of joints, but the plan's dynamics have no Mechanism; write a CSV."
         )
     return mechanism
 

@@ -46,7 +46,7 @@ def write_keyframes(plan: Motion, path: PathLike, rate: float | None = None) -> 
     keyframe = ElementTree.SubElement(root, "keyframe")
     for k, t in enumerate(samples.t):
         values = {name: " ".join(map(repr, row[k].tolist())) for name, row in rows.items() if row.shape[1]}
-        ElementTree.SubElement(keyframe, "key", name=f"plan_{k}", time=repr(float(t)), **values)
+        ElementTree.SubElement(keyframe, "key", {"name": f"plan_{k}", "time": repr(float(t)), **values})
     ElementTree.indent(root)
     with write_atomically(path) as unfinished:
         unfinished.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")

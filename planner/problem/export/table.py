@@ -1,4 +1,6 @@
-"""A plan as a table: a CSV file, or a pandas DataFrame. A row is an instant: its time, the state, the control from it on.
+"""A plan as a table: a CSV file, or a pandas DataFrame.
+
+A row is an instant: its time, the state, the control from it on.
 
 Columns of controls have the names of actuators, so `planner prove --controls` reads a file of controls alone.
 """
