@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.shown import Shown
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
@@ -115,7 +116,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Built):
+class Plan(Built, Shown):
     """An optimized motion with the gains that hold it.
 
     Attributes:

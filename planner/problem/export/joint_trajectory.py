@@ -1,8 +1,8 @@
 """A plan as ROS 2's trajectory_msgs/JointTrajectory, as YAML or JSON; no ROS is needed.
 
 The message knows joints of one coordinate: hinges (rad) and slides (m). Free and ball joints have no place in it and
-are left out. Accelerations and efforts stay empty, as the message allows: a plan's accelerations jump from stage to stage,
-and its controls are those of actuators, not of joints.
+are left out. Accelerations and efforts stay empty, as the message allows: a plan's accelerations jump from stage to
+stage, and its controls are those of actuators, not of joints.
 """
 
 from __future__ import annotations
