@@ -17,6 +17,7 @@ from planner.cli import (
     compiling,
     describing,
     driving,
+    exporting,
     listing,
     paper,
     parser,
@@ -37,7 +38,8 @@ _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
     "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
-    "sweep": sweeping.sweep_case, "paper": paper.paper, "warmup": compiling.warmup,
+    "sweep": sweeping.sweep_case, "export": exporting.export_plan,
+    "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip
 
 

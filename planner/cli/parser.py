@@ -15,8 +15,10 @@ from planner.base.arguments import choice, shown
 from planner.base.errors import PlannerError
 from planner.cases import CASES
 from planner.cases.problem_file import keys as problem_keys
+from planner.cli.exporting import FORMATS
 from planner.dynamics import INTEGRATORS
 from planner.paper.studies.catalogue import STUDIES
+from planner.problem.export.table import PARTS
 from planner.problem.objective import OBJECTIVES
 from planner.proof.engines import ENGINES
 from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
@@ -223,7 +225,8 @@ def build() -> argparse.ArgumentParser:
     plan = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
     no_refine = {"--no-refine": _switch("Do not solve a failed plan again at a finer step.")}
     folder = {"--out": _takes("DIR", "Folder of the results. Default: renders/CASE.")}
-    command("list", "List the machines, their summaries and their parameters.", _OUTPUT)
+    machine = {"metavar": "NAME", "nargs": "?", "help": f"A machine, for its flags; {PROBLEM_FILE} for a file's keys."}
+    command("list", "List the machines, a line each, or the flags of one.", {"machine": machine}, _OUTPUT)
     command(
         "model", "Describe a model of your own: its joints, actuators and contacts, and what looks wrong.",
         {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
@@ -281,6 +284,14 @@ def build() -> argparse.ArgumentParser:
     command(
         "report", "Prove a stored plan again and write report.html with all its pictures.", plan, _NO_VIDEO,
         {"--out": _takes("DIR", "Folder of the results.", "report")}, _PROOF, _OUTPUT,
+    )  # fmt: skip
+    command(
+        "export", "Write a stored plan for other programs.", plan,
+        {"--to": {"choices": FORMATS, "required": True,
+                  "help": "csv: a table; json, yaml: ROS 2's JointTrajectory; keyframes: an MJCF to include."},
+         "--rate": _takes("HZ", "Samples a second. Default: the plan's own knots.", kind=_number),
+         "--only": {"choices": PARTS, "help": "Of a csv: these columns alone. Default: both."},
+         "--out": _takes("FILE", "The file. Default: PLAN with the ending of the form.")}, _OUTPUT,
     )  # fmt: skip
     command(
         "check", "Prove stored plans again and compare with the numbers stored beside them.",

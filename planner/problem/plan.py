@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.shown import Shown
 from planner.base.versions import installed_versions
 from planner.model.space import StateSpace, euclidean, space_of
 from planner.model.twin import Twin
@@ -31,6 +32,10 @@ from planner.problem.archive import FILE, HINGES, PART, digest_of, pack, plan_na
 from planner.problem.at_bounds import constraints_broken, control_at_bound, stalled, state_outside
 from planner.problem.costs.wanted import stored_tolerance
 from planner.problem.criteria import plain
+from planner.problem.export.joint_trajectory import joint_trajectory
+from planner.problem.export.keyframes import write_keyframes
+from planner.problem.export.sampled import Samples, sampled
+from planner.problem.export.table import frame_of, write_csv
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
 from planner.problem.recipe import Built, Recipe
@@ -112,7 +117,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Built):
+class Plan(Built, Shown):
     """An optimized motion with the gains that hold it.
 
     Attributes:
@@ -272,3 +277,23 @@ class Plan(Built):
         for name, part in parts.items():
             arrays[PART + name] = part
         return arrays, meta
+
+    def sampled(self, rate: float | None = None) -> Samples:
+        """Times, states, controls and stages at the knots, or `rate` times a second and at the end: see Samples."""
+        return sampled(self, rate)
+
+    def to_csv(self, path: str | Path, rate: float | None = None, only: str | None = None) -> Path:
+        """Write time, states and controls (or `only` "states" or "controls") as CSV: see export.table.write_csv."""
+        return write_csv(self, path, rate, only)
+
+    def to_pandas(self, rate: float | None = None, only: str | None = None) -> Any:
+        """The same table as a pandas DataFrame, its index the time: see export.table.frame_of."""
+        return frame_of(self, rate, only)
+
+    def to_joint_trajectory(self, path: str | Path | None = None, rate: float | None = None) -> dict[str, Any]:
+        """ROS 2's JointTrajectory, also written as .yaml or .json: see export.joint_trajectory.joint_trajectory."""
+        return joint_trajectory(self, path, rate)
+
+    def to_keyframes(self, path: str | Path, rate: float | None = None) -> Path:
+        """Write an MJCF of keyframes that a model can include: see export.keyframes.write_keyframes."""
+        return write_keyframes(self, path, rate)

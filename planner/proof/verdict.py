@@ -16,6 +16,7 @@ from typing import Any
 
 from planner.base.gl import load_mujoco
 from planner.base.measured import Section
+from planner.base.shown import Filmed
 from planner.proof.growth import Growth
 from planner.proof.hold import Held
 from planner.proof.order import Order
@@ -25,7 +26,7 @@ from planner.proof.robustness.perturbed import Perturbed
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class Proof(Filmed):
     """The simulator's judgement of a plan, step by step.
 
     Attributes:

@@ -171,18 +171,49 @@ def test_stale_pictures_do_not_stay_beside_a_new_plan(tmp_path):
     assert {p.name for p in tmp_path.iterdir()} - {"mine.mp4"} <= set(OUTPUTS)
 
 
-def test_list_shows_every_case_with_its_parameters(tmp_path):
+def test_list_shows_a_line_for_each_machine(tmp_path):
     done = run("list", cwd=tmp_path)
+    lines = done.stdout.splitlines()
     assert done.returncode == 0
-    assert "hopper" in done.stdout
-    assert "--flow-weight" in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 100
+    assert [line.split()[0] for line in lines[: len(planner.cases.CASES)]] == list(planner.cases.CASES)
+    assert len(lines) <= len(planner.cases.CASES) + 3
+    assert max(map(len, lines)) <= 100
     cases = json.loads(run("list", "--json", cwd=tmp_path).stdout)["cases"]
     assert {case["case"]: case["parameters"] for case in cases}["hopper"]["height"] == 20.0
     assert [case["case"] for case in cases] == list(planner.cases.CASES)
     for case in cases:
         hidden = {"ends", "angles"}  # numbers of a plan, nothing to type
         assert set(case["parameters"]) == set(planner.cases.build(case["case"]).parameters) - hidden
+
+
+def test_list_of_a_machine_shows_its_flags_and_of_a_problem_file_its_keys(tmp_path):
+    done = run("list", "hopper", cwd=tmp_path)
+    assert "--flow-weight" in done.stdout
+    assert "--flow-weight" not in run("list", "two-link", cwd=tmp_path).stdout
+    assert "final_position" in run("list", "PROBLEM.toml", cwd=tmp_path).stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100
+    refused(run("list", "hoper", cwd=tmp_path), "the machine is 'hoper'", "Did you mean 'hopper'?")
+
+
+@pytest.mark.parametrize(("form", "ending"), [("csv", ".csv"), ("json", ".json"), ("yaml", ".yaml"),
+                                              ("keyframes", ".keys.xml")])  # fmt: skip
+def test_export_writes_beside_the_plan(tmp_path, form, ending):
+    planner.solve(planner.cases.two_link(), max_iterations=1).save(tmp_path / "a.npz")
+    done = run("export", "a.npz", "--to", form, "--rate", 20, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert (document["file"], document["samples"]) == (f"a{ending}", 41)
+    assert (tmp_path / f"a{ending}").stat().st_size > 1000
+
+
+def test_export_refuses_in_a_sentence(tmp_path):
+    planner.solve(planner.cases.hopper(), max_iterations=1).save(tmp_path / "a.npz")
+    refused(run("export", "a.npz", "--to", "yaml", cwd=tmp_path), "write a CSV")
+    refused(run("export", "a.npz", "--to", "yaml", "--out", "a.json", cwd=tmp_path), "expected a name ending in .yaml")
+    refused(run("export", "a.npz", "--to", "csv", "--rate", -1, cwd=tmp_path), "rate is -1.0")
+    refused(run("export", "a.npz", "--to", "json", "--only", "states", cwd=tmp_path), "--only is for --to csv")
+    refused(run("export", "b.npz", "--to", "csv", cwd=tmp_path), "does not exist")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
 def test_help_shows_flags_with_defaults_and_units(tmp_path):

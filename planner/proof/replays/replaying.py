@@ -16,6 +16,7 @@ import numpy as np
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
+from planner.base.shown import Filmed
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -34,7 +35,7 @@ SUBSTEP_REFINEMENT = 5  # per substep of a plan that has several: its fastest mo
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Filmed):
     """MuJoCo's motion under a plan's controls, sampled at every simulator step.
 
     Attributes:

@@ -1,0 +1,40 @@
+"""Shown: plot() and the HTML of a notebook, for results that lie below the folder that draws.
+
+A Plan does not know how it looks. The module that knows is named here by text, and imported when a picture is first
+asked for, as public names are (planner.base.lazy). This is the one call upwards; it calls planner/view/results.py.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DRAWN_BY = "planner.view.results"
+
+
+class Shown:
+    """A result with pictures."""
+
+    def plot(self) -> Figure:
+        """A Matplotlib figure of it; `figure.savefig("plan.png")` writes it. It belongs to no window (no pyplot)."""
+        return import_module(DRAWN_BY).figure_of(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict or the status, and the plot."""
+        return import_module(DRAWN_BY).html_of(self)
+
+
+class Filmed(Shown):
+    """A result with a film too."""
+
+    def film(self, path: str | Path, **options: Any) -> Path:
+        """Write a film, .mp4; options are those of planner.render_video: width, height, fps, speed, progress.
+
+        Raises:
+            PlannerError: As render_video.
+        """
+        return import_module(DRAWN_BY).film_of(self, path, **options)

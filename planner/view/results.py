@@ -1,0 +1,59 @@
+"""How a plan, a replay and a proof look: a figure, the HTML of a notebook, a film. planner.base.shown calls this."""
+
+from __future__ import annotations
+
+import base64
+import io
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planner.problem.plan import Plan
+from planner.proof import Proof
+from planner.proof.replays.replaying import Replay
+from planner.view.plots.plan import draw_plan
+from planner.view.plots.proof import draw_proof
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 72  # of pictures in a notebook, which keeps them in its file
+_GREEN, _RED, _GREY = "#1a7f37", "#b3261e", "#57606a"
+
+
+def figure_of(result: Plan | Replay | Proof) -> Figure:
+    """States, controls and convergence of a plan; a replay beside its plan; what a proof measured."""
+    if isinstance(result, Proof):
+        return draw_proof(result)
+    return draw_plan(result.plan, result) if isinstance(result, Replay) else draw_plan(result, None)
+
+
+def html_of(result: Plan | Replay | Proof) -> str:
+    """A line about a result and, beneath it, its motion as a picture: HTML without links and without scripts."""
+    if isinstance(result, Proof):
+        word, colour, rest = result.verdict, _GREEN if result.passed else _RED, result.headline[len(result.verdict) :]
+        text, figure = result.reason, draw_plan(result.replay.plan, result)
+    elif isinstance(result, Replay):
+        word, colour, rest, text = "Replay", _GREY, repr(result).removeprefix("Replay"), " ".join(result.warnings)
+        figure = draw_plan(result.plan, result)
+    else:
+        word, colour, rest = result.status.name, _GREEN if result.success else _RED, str(result).partition(": ")[2][:-1]
+        text, figure = result.message, draw_plan(result, None)
+    return (
+        f'<div><strong style="color:{colour}">{escape(word)}</strong> {escape(rest.strip(" ;"))}'
+        f"<p>{escape(text)}</p>{_picture(figure)}</div>"
+    )
+
+
+def film_of(result: Replay | Proof, path: str | Path, **options: Any) -> Path:
+    """The film of a replay, or of both replays of a proof: see render_video."""
+    from planner.view.render.video import render_video
+
+    return render_video(result, path, **options)
+
+
+def _picture(figure: Figure) -> str:
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=_DPI)
+    data = base64.b64encode(content.getvalue()).decode("ascii")
+    return f'<img alt="states and controls over time" src="data:image/png;base64,{data}">'
