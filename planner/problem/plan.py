@@ -36,6 +36,7 @@ from planner.problem.export.joint_trajectory import joint_trajectory
 from planner.problem.export.keyframes import write_keyframes
 from planner.problem.export.sampled import Samples, sampled
 from planner.problem.export.table import frame_of, write_csv
+from planner.problem.motion import Motion, pulls_of, rates_of
 from planner.problem.parts import in_parts
 from planner.problem.problem import Problem
 from planner.problem.recipe import Built, Recipe
@@ -227,6 +228,30 @@ class Plan(Built, Shown):
         inside = self.problem.dynamics.step(xs, us, times).reshape(N, parts, nx)
         inside[:, 0] = self.xs[:-1]
         return np.concatenate([inside.reshape(-1, nx), self.xs[-1:]])
+
+    @property
+    def motion(self) -> Motion:
+        """What the plan does, apart from its problem."""
+        rates, pulls = slice(0, 0), None
+        if self.problem is not None:
+            rates, pulls = rates_of(self.problem.dynamics), pulls_of(self.problem.kept, self.hinges)
+        return Motion(self.t, self.xs, self.us, self.K, self.space, rates, pulls)
+
+    def shifted(self, seconds: float) -> Motion:
+        """A first guess for the same task `seconds` later: solve(..., warm_start=plan.shifted(0.1)). See Motion.
+
+        Raises:
+            PlannerError: seconds is no finite number.
+        """
+        return self.motion.shifted(seconds)
+
+    def stretched(self, duration: float) -> Motion:
+        """A first guess for the same task in another duration (s): solve(..., warm_start=plan.stretched(2.0)).
+
+        Raises:
+            PlannerError: duration is not above 0.
+        """
+        return self.motion.stretched(duration)
 
     def __str__(self) -> str:
         name = f"{self.recipe.name}: " if self.recipe is not None else ""

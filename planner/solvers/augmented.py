@@ -35,8 +35,9 @@ Minimise = Callable[[np.ndarray, Hinges | None, int, int], Plan]
 
 
 def within_ranges(
-    kept: Kept, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int
-) -> Plan:
+    kept: Kept, tolerance: float, minimise: Minimise, first_guess: np.ndarray, max_iterations: int,
+    given: Hinges | None = None,
+) -> Plan:  # fmt: skip
     """The plan of a problem with ranges of its states or constraints; its history counts the iterations of all rounds.
 
     Args:
@@ -45,8 +46,13 @@ def within_ranges(
         minimise: One solve.
         first_guess: (N, nu).
         max_iterations: Limit of all rounds together.
+        given: Hinges of the first round, of a motion nearby; None for those of a motion that nothing is known of.
     """
-    plan, history, first = _begin(kept, minimise, first_guess, max_iterations, 0)
+    if given is None:
+        plan, history, first = _begin(kept, minimise, first_guess, max_iterations, 0)
+    else:
+        plan, first = minimise(first_guess, given, max_iterations, 0), given
+        history = list(plan.history)
     hinges, before = first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan

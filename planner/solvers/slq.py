@@ -32,6 +32,7 @@ from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
 from planner.problem.discretisation import too_long
+from planner.problem.motion import Motion
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
@@ -41,6 +42,7 @@ from planner.solvers.multistart import MOST_STARTS, best_of
 from planner.solvers.regularisation import Regularisation, plain_sweep
 from planner.solvers.shooting import close_gaps, guessed_states
 from planner.solvers.steadied import runs_away, steadied
+from planner.solvers.warm_start import followed
 
 UPDATES = ("feedback", "open-loop")
 HESSIANS = ("gauss-newton", "exact")
@@ -59,6 +61,7 @@ def solve(
     line_search: str = "armijo",
     hessian: str = "gauss-newton",
     states: np.ndarray | str | None = None,
+    warm_start: Plan | Motion | None = None,
     max_iterations: int = 1000,
     gradient_tolerance: float = 1e-8,
     decrease_tolerance: float | None = None,
@@ -81,6 +84,9 @@ def solve(
         states: A first guess of the states (N+1, nx) beside that of the controls, which need not fit it: the solve then
             begins by multiple shooting (see solvers.shooting). "line" for the straight line to the cost's reference
             at the end. None (default) for the states that the controls lead to.
+        warm_start: A Plan of the same machine, or plan.shifted(seconds) or plan.stretched(duration): the first controls
+            are then those that follow it, or its states are a first guess where none do; limits and constraints begin
+            with its multipliers. Step and duration may be others. None (default) for the problem's own guess.
         max_iterations: Limit.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
         decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's,
@@ -129,8 +135,14 @@ def solve(
     if rank is not None and not callable(rank):
         raise PlannerError(f"rank is {shown(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost.")
 
+    beside = hinges = None
+    if warm_start is not None:
+        us, beside, hinges = followed(problem, warm_start)
+        problem = replace(problem, us=us)
     core = solver_problem(problem)
-    descend = partial(_descend, core, descent, guessed_states(core, states))
+    if states is None and beside is not None and core.dynamics.nx == problem.dynamics.nx:  # jerk has more
+        states = beside
+    descend = partial(_descend, core, descent, guessed_states(core, states), hinges)
     options: dict[str, Any] = {
         "update": update, "line_search": line_search, "hessian": hessian, "max_iterations": max_iterations,
         "gradient_tolerance": gradient_tolerance, "decrease_tolerance": decrease_tolerance,
@@ -138,8 +150,10 @@ def solve(
     }  # fmt: skip
     if starts > 1:
         options |= {"seed": seed, "spread": spread}
-    if states is not None:
+    if states is not None and warm_start is None:
         options["states"] = "line" if isinstance(states, str) else "given"
+    if warm_start is not None:
+        options["warm_start"] = "given"
     if rank is not None:
         options["rank"] = getattr(rank, "__name__", type(rank).__name__)
     ranking = rank if rank is None or core is problem else lambda plan: rank(as_user_plan(problem, plan))
@@ -147,7 +161,7 @@ def solve(
     def solved(guess: np.ndarray) -> Plan:
         if starts == 1:
             return descend(guess, max_iterations, callback)
-        sizing = partial(_descend, core, descent, None)
+        sizing = partial(_descend, core, descent, None, None)
         return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing)
 
     best = solved(core.first_guess)
@@ -192,14 +206,14 @@ class _Descent(NamedTuple):
 
 
 def _descend(
-    problem: Problem, descent: _Descent, states: np.ndarray | None, first_guess: np.ndarray, max_iterations: int,
-    callback: Callable[[Iteration], object] | None,
+    problem: Problem, descent: _Descent, states: np.ndarray | None, hinges: Hinges | None, first_guess: np.ndarray,
+    max_iterations: int, callback: Callable[[Iteration], object] | None,
 ) -> Plan:  # fmt: skip
-    """One solve from one first guess (N, nu), and of states (N+1, nx) or None."""
+    """One solve from one first guess (N, nu), and of states (N+1, nx) or None, and of hinges or None."""
     minimise = partial(_minimise, problem, descent, callback, states)
     if problem.kept is None:
         return minimise(first_guess, None, max_iterations, 0)
-    return within_ranges(problem.kept, problem.kept.tolerance, minimise, first_guess, max_iterations)
+    return within_ranges(problem.kept, problem.kept.tolerance, minimise, first_guess, max_iterations, hinges)
 
 
 def _minimise(

@@ -12,12 +12,17 @@ import math
 
 import numpy as np
 
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
 from planner.model.space import space_of
 from planner.problem.costs.terms import Quadratic
+from planner.problem.motion import Motion
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
 
+STRAYS = 2.0  # times what the motion costs: a rollout beyond has left it, and states without one are the better guess
 _WEAKEST = 1e-6  # weight on following what the cost leaves free, relative to the largest
 
 
@@ -31,11 +36,43 @@ def warm_start(plan: Plan, problem: Problem) -> np.ndarray:
     parts = problem.N // plan.N
     us, K = np.repeat(plan.us, parts, axis=0), np.repeat(plan.K, parts, axis=0)
     xs = plan.xs if parts == 1 else plan.between_knots(parts)  # a discrete map has nothing between
-    tries = [roll_out(problem, problem.first_guess), roll_out(problem, us), roll_out(problem, us, K, xs)]
-    retuned = _gains(problem, xs, us)
-    if retuned is not None:
-        tries.append(roll_out(problem, us, retuned, xs))
+    tries = [roll_out(problem, problem.first_guess), *_ways(problem, xs, us, K)]
     return min(tries, key=lambda one: one[0])[1]
+
+
+def followed(problem: Problem, given: Plan | Motion) -> tuple[np.ndarray, np.ndarray | None, Hinges | None]:
+    """A first guess from a motion of any duration and step, as the problem's knots sample it.
+
+    Returns:
+        Controls (N, nu) that follow it, of least cost. Its states (N+1, nx) beside its own controls in their place
+        where none stays near it, else None. Its hinges, None for none.
+
+    Raises:
+        PlannerError: Neither a Plan nor a Motion, or of another machine.
+    """
+    motion = given.motion if isinstance(given, Plan) else given
+    if not isinstance(motion, Motion):
+        raise PlannerError(
+            f"warm_start is {shown(given)}, expected a Plan, or what plan.shifted(seconds) or plan.stretched(duration) "
+            "returns."
+        )
+    own, nx, nu = problem.dynamics, motion.xs.shape[1], motion.us.shape[1]
+    if (nx, nu, motion.space.ndx) != (own.nx, own.nu, space_of(own).ndx):
+        raise PlannerError(
+            f"warm_start has {nx} states and {nu} controls, expected {own.nx} and {own.nu}: a plan of the same machine."
+        )
+    there = motion.at(own.dt * np.arange(problem.N + 1))
+    hinges = None if there.pulls is None or problem.kept is None else there.pulls.hinges(problem.kept)
+    cost, us = min(_ways(problem, there.xs, there.us, there.K), key=lambda one: one[0])
+    if cost <= STRAYS * problem.cost.value(there.xs, there.us):
+        return us, None, hinges
+    return there.us, there.xs, hinges
+
+
+def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Costs and controls of us as they are, and of two ways to follow xs: by gains K, and by gains along xs."""
+    ways, retuned = [roll_out(problem, us), roll_out(problem, us, K, xs)], _gains(problem, xs, us)
+    return ways if retuned is None else [*ways, roll_out(problem, us, retuned, xs)]
 
 
 def roll_out(
