@@ -111,6 +111,7 @@ class Controller:
         self._window.hinge(self.plan, problem.kept)
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
+        self._new_goal: np.ndarray | None = None
         self.reset()
 
     def _keeps_goal(self) -> bool:
@@ -200,9 +201,7 @@ class Controller:
                 shape = (3,) if np.ndim(places) < 2 else (self.horizon + 1, 3)
                 self._window.point(str(frame), array(f"the goal of {frame}", places, shape))
         else:
-            x = self.state_of(goal)
-            self._rest = keeping(self.problem, x, self._us[-1] if self._rest is None else self._rest)
-            self._window.aim(x, self._rest)
+            self._new_goal = self.state_of(goal)  # the next plan leads there
         self._goal = goal
 
     def state_of(self, goal: Any) -> np.ndarray:
@@ -235,6 +234,10 @@ class Controller:
         if math.isnan(self._begin):
             self._begin = self._made = t
         self._asked = t
+        if self._new_goal is not None:
+            self._rest = keeping(self.problem, self._new_goal, self._us[-1] if self._rest is None else self._rest)
+            self._window.aim(self._new_goal, self._rest)
+            self._new_goal = None
         self._window.slide(int((t - self._begin) / self._dt + _LITTLE))
         trouble = self._solve(t, x)
         if trouble:
