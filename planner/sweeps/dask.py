@@ -40,6 +40,13 @@ class DaskExecutor(Executor):
         threads = sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
         self.width = max(1, threads)
 
+    def prepare(self, first: Callable[[], object]) -> None:
+        """Call something on each worker, first on one of each machine, which compiles for the others."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        hosts = {worker["host"]: address for address, worker in workers.items()}
+        self._client.run(first, workers=list(hosts.values()))
+        self._client.run(first, workers=list(workers))
+
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function on some worker."""
         answer: Future[Any] = Future()

@@ -60,7 +60,7 @@ def test_a_worker_that_is_killed_once_costs_nothing(executor, tmp_path):
 
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_a_task_that_hangs_is_ended_with_its_worker(executor, tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "GRACE", 1.0)
+    monkeypatch.setattr(running, "GRACE", 3.0)
     with executor() as pool:
         sweep(troubled, GRID, out=tmp_path / "out", executor=pool, workers=2, fixed={"how": "hang"}, timeout=2.0)
     bad, rows = statuses(tmp_path / "out")
@@ -101,12 +101,12 @@ def test_an_address_where_nobody_answers_is_a_sentence(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_sweep_that_is_ended_goes_on_with_resume(kill, tmp_path):
-    command = [sys.executable, "-m", "planner", "sweep", "hopper", "--set", "height=1:60:600", "--workers", "2",
+    command = [sys.executable, "-m", "planner", "sweep", "hopper", "--set", "height=1:60:150", "--workers", "2",
                "--out", "out"]  # fmt: skip
     running = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     rows = tmp_path / "out/rows.jsonl"
     for _ in range(600):
-        if rows.exists() and rows.stat().st_size > 20_000:
+        if rows.exists() and rows.stat().st_size > 2_000:
             break
         time.sleep(0.05)
     if kill == signal.SIGINT:  # a terminal sends it to all
@@ -119,15 +119,15 @@ def test_a_sweep_that_is_ended_goes_on_with_resume(kill, tmp_path):
         assert "--resume goes on with them" in said
     assert "Traceback" not in said
     before = rows.read_bytes().splitlines()
-    assert 0 < len(before) < 600
+    assert 0 < len(before) < 150
     subprocess.run([*command, "--resume", "--quiet"], cwd=tmp_path, check=False, capture_output=True, timeout=120)
     after = rows.read_bytes().splitlines()
-    assert len(after) == 600
+    assert len(after) == 150
     whole = len(before) if kill != signal.SIGKILL else len(before) - 1
     assert after[:whole] == before[:whole]
     done = read_sweep(tmp_path / "out")
     assert done.complete
-    assert done.plan(599).parameters["height"] == 60.0
+    assert done.plan(149).parameters["height"] == 60.0
 
 
 def test_tasks_that_take_long_are_still_shared(tmp_path):

@@ -80,7 +80,7 @@ def _part(root: ElementTree.Element, name: str) -> ElementTree.Element:
 def _lay_floor(model: Any, film: Film, ours: int) -> None:
     """Put our floor under all poses of the ghost, or hide it where the model has one of its own.
 
-    Replays that are shown side by side have the same ghost, so that a machine that misses its plan misses the floor, too.
+    Replays side by side have the same ghost, so that a machine that misses its plan misses the floor, too.
     """
     mujoco = gl.load_mujoco()
     planned = film.path_ghost_qpos
