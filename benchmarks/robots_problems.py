@@ -161,9 +161,7 @@ def _short_of_force(model: mujoco.MjModel, qpos: np.ndarray, speeding: np.ndarra
         lower[dof], upper[dof] = lower[dof] + ends[0], upper[dof] + ends[1]
     limited = np.flatnonzero(model.jnt_actfrclimited)
     dofs = model.jnt_dofadr[limited]
-    lower[dofs], upper[dofs] = (
-        np.clip(side[dofs], *model.jnt_actfrcrange[limited].T) for side in (lower, upper)
-    )
+    lower[dofs], upper[dofs] = (np.clip(side[dofs], *model.jnt_actfrcrange[limited].T) for side in (lower, upper))
     pulled = (lower != 0.0) | (upper != 0.0)
     if np.any(speeding):
         columns = np.zeros((model.nv, model.nv))
