@@ -11,8 +11,8 @@
 
 Joints that equalities tie to others go where those take them; joints that nothing drives end where they began. A joint
 whose way would take one out of its range, or a tendon out of its own, moves half as far, up to three times, or stays;
-one that its motor could not bring or hold there moves to the other side, or half as far, likewise. On legs a joint that leans
-sideways or turns and has as much room on both sides stays: both legs would lean to the same side.
+one that its motor could not bring or hold there moves to the other side, or half as far, likewise. On legs a joint that
+leans sideways or turns and has as much room on both sides stays: both legs would lean to the same side.
 Where shapes would meet on the straight line that are apart at the start, the way is halved, up to three times: nobody
 asks an arm to go into its own base.
 """
@@ -161,9 +161,7 @@ def _short_of_force(model: mujoco.MjModel, qpos: np.ndarray, speeding: np.ndarra
         lower[dof], upper[dof] = lower[dof] + ends[0], upper[dof] + ends[1]
     limited = np.flatnonzero(model.jnt_actfrclimited)
     dofs = model.jnt_dofadr[limited]
-    lower[dofs], upper[dofs] = (
-        np.clip(side[dofs], *model.jnt_actfrcrange[limited].T) for side in (lower, upper)
-    )
+    lower[dofs], upper[dofs] = (np.clip(side[dofs], *model.jnt_actfrcrange[limited].T) for side in (lower, upper))
     pulled = (lower != 0.0) | (upper != 0.0)
     if np.any(speeding):
         columns = np.zeros((model.nv, model.nv))
