@@ -32,9 +32,10 @@ def test_ranges_are_narrowed_to_what_the_other_joint_allows():
 def test_a_file_without_a_pose_is_refused_with_the_range_that_would_do():
     machine = Mechanism.from_mjcf(two("0 1", "0 1", 1.5, 0.5))
     dynamics = RigidBodyDynamics(machine, dt=0.01)
-    cost = costs.default_cost(dynamics, machine.home, machine.home, 10)
+    start = np.array([1.5, 0.0, 0.0, 0.0])
+    cost = costs.default_cost(dynamics, start, start, 10)
     with pytest.raises(PlannerError, match=r"equality 'tie' asks .* write range=\"1.5 2\" for joint 'a'"):
-        Problem(dynamics, cost, machine.home, limits=Limits.of_model())
+        Problem(dynamics, cost, start, limits=Limits.of_model())
 
 
 def test_joints_that_are_held_at_one_place_are_told():
