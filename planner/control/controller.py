@@ -254,7 +254,7 @@ class Controller:
         engine, began = self._engine, time.perf_counter()
         if not np.isfinite(x).all():
             return "the measured state is not finite"
-        cost = engine.follow(x, *self._moved((t - self._made) / self._dt))
+        cost = engine.follow(x, (self._xs, self._us, self._K), (t - self._made) / self._dt)
         if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
             held = self._holding(x, self._us[-1])
             cost = engine.start(x, np.tile(held, (self.horizon, 1)))
@@ -274,10 +274,12 @@ class Controller:
                 self._mu = min(max(LEAST, FACTOR * self._mu), MOST)
         if kind == INDEFINITE:
             return "the sweep is not definite"
+        if not math.isfinite(outcome.slope):
+            return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
         xs, us, K = self._next
         engine.read(xs, us, K)
-        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY and math.isfinite(K.sum())):
+        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY):
             return "the plan is not finite"
         self._next, (self._xs, self._us, self._K) = (self._xs, self._us, self._K), (xs, us, K)
         return ""
@@ -285,21 +287,6 @@ class Controller:
     def _within(self, began: float, done: int) -> bool:
         assert self.budget is not None
         return done == 0 or time.perf_counter() - began < self.budget
-
-    def _moved(self, stages: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The plan moved on by some stages, which need not be whole; its last stage is repeated."""
-        m = int(stages + _LITTLE)
-        part = stages - m
-        H, (xs, us, K) = self.horizon, self._next
-        m = min(m, H)
-        left = H - m
-        xs[: left + 1], xs[left + 1 :] = self._xs[m:], self._xs[-1]
-        us[:left], us[left:] = self._us[m:], self._us[-1]
-        K[:left], K[left:] = self._K[m:], self._K[-1]
-        if part > _LITTLE and left:
-            away = self._space.difference(xs[1:], xs[:-1])
-            xs[:-1] = self._space.integrate(xs[:-1], part * away)
-        return xs, us, K
 
     def _failed(self, t: float, trouble: str) -> None:
         self.failures, self._in_a_row = self.failures + 1, self._in_a_row + 1
