@@ -346,8 +346,8 @@ class Controller:
         stages = max((t - self._made) / self._dt, 0.0)
         n = int(stages + _LITTLE)
         if n >= self.horizon:
-            return self._xs[-1]
+            return self._xs[-1].copy()
         part = stages - n
         if part <= _LITTLE:
-            return self._xs[n]
+            return self._xs[n].copy()  # the memory is another plan's soon
         return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]
