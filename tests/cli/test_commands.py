@@ -212,6 +212,7 @@ def test_export_refuses_in_a_sentence(tmp_path):
     refused(run("export", "a.npz", "--to", "yaml", "--out", "a.json", cwd=tmp_path), "expected a name ending in .yaml")
     refused(run("export", "a.npz", "--to", "csv", "--rate", -1, cwd=tmp_path), "rate is -1.0")
     refused(run("export", "a.npz", "--to", "json", "--only", "states", cwd=tmp_path), "--only is for --to csv")
+    refused(run("export", "", "--to", "csv", cwd=tmp_path), "expected a plan.npz")
     refused(run("export", "b.npz", "--to", "csv", cwd=tmp_path), "does not exist")
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
