@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from planner.base.arguments import shown
 from planner.base.errors import FileError, PlannerError
 
 PathLike = str | os.PathLike[str]
@@ -94,6 +95,17 @@ def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileErr
         raise raises(f"cannot read {what} {printable(path)}: it is not text.") from None
 
 
+def as_path(path: PathLike) -> Path:
+    """The path of a file to write.
+
+    Raises:
+        FileError: It is no path.
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise FileError(f"cannot write to {shown(path)}: expected the path of a file.")
+    return Path(path)
+
+
 def printable(path: PathLike) -> str:
     """A path for a message: as it is, or quoted with escapes where it has unprintable characters."""
     return str(path) if str(path).isprintable() else repr(str(path))
@@ -109,7 +121,7 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
     Raises:
         FileError: `path` cannot be written: what was wrong and what was expected.
     """
-    target = Path(path)
+    target = as_path(path)
     try:
         place = Path(os.path.realpath(target))  # a link stays; the file it points at is replaced
         _refuse_other_than_file(target)
