@@ -10,6 +10,6 @@ from planner.proof.replays.replaying import replay as replay
 from planner.proof.replays.sampled_gains import Sampling as Sampling
 from planner.proof.replays.sampled_gains import sampling_of as sampling_of
 from planner.proof.robustness.perturbation import Perturbation as Perturbation
-from planner.proof.slowest_rate import slowest_rate as slowest_rate
+from planner.proof.gain_rates import slowest_rate as slowest_rate
 from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof

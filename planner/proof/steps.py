@@ -39,7 +39,7 @@ from planner.proof.robustness.perturbed import Trials, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.scales import worst_by_unit
-from planner.proof.slowest_rate import controller_section, slowest_rate
+from planner.proof.gain_rates import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
 from planner.proof.your_file import OPEN_LOOP_MISSES, your_file
