@@ -1,12 +1,18 @@
 """A problem file of four lines for a machine by others: one rule for all, never one for a machine.
 
-    model     the file as it is; a machine with legs whose file has no floor is included into a scene with one
-    start     the first keyframe, else the pose of the file; put within the ranges where it is outside
+    model     the file as it is; a machine with legs whose file has no floor is included into a scene with one, and a
+              file that says no unit of angles and whose ranges are radians gets that unit: its package merges it into
+              a file that says so
+    start     the first keyframe, else the pose of the file; put within the ranges where it is outside, and joints that
+              their motors cannot hold there go to the nearest angle at which they can
     goal      the start with the driven joints moved, to the side of more room: by 15 % of the range for arms and hands,
               3 % for machines with legs, 0.5 rad where there is no range; the cart of an underactuated machine by 0.5 m
     duration  1.5 s for arms, 2 s for underactuated machines, 1 s for the others
 
-A joint that an equality ties to another one goes where that takes it. Joints that nothing drives end where they began.
+Joints that equalities tie to others go where those take them; joints that nothing drives end where they began. A joint
+whose way would take one out of its range, or a tendon out of its own, moves half as far, up to three times, or stays;
+one that its motor could not bring or hold there moves to the other side, or half as far, likewise. On legs a joint that leans
+sideways or turns and has as much room on both sides stays: both legs would lean to the same side.
 Where shapes would meet on the straight line that are apart at the start, the way is halved, up to three times: nobody
 asks an arm to go into its own base.
 """
@@ -14,15 +20,26 @@ asks an arm to go into its own base.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from planner.model.urdf.read import opened_model
+
 DURATION = {"arm": 1.5, "hand": 1.0, "legged": 1.0, "underactuated": 2.0}
 SHARE = {"arm": 0.15, "hand": 0.15, "legged": 0.03}  # of a range
 UNLIMITED = 0.5  # rad or m
 HALVINGS, LINE = 3, 11
+TIES = 4  # Newton steps onto equalities
+ON_IT = 1e-9  # rad or m: as far beyond a range is still on it
+MIDDLE = 1e-3  # of a range
+ACROSS = 0.7  # of an axis along y: it bends a leg forwards
+POSES = 20  # to try between the ends of a range
+SMOOTH = 8.0  # times way / duration^2: the acceleration of a smooth motion, 5.8, with some to spare
+SLIGHT = 0.02  # of the largest torque that holds a machine: less falls by little in a second
+FULL_TURN = 6.3  # rad: ranges in degrees are wider
 FLOOR = '<geom name="corpus floor" type="plane" size="0 0 0.05" pos="0 0 {:.9g}"/>'
 
 
@@ -32,6 +49,9 @@ def problem_text(file: Path, kind: str, folder: Path) -> str:
         start, goal = _of_urdf(file, kind)
     else:
         model = mujoco.MjModel.from_xml_path(str(file))
+        if _written_in_radians(file):
+            file = _in_radians(file, folder)
+            model = mujoco.MjModel.from_xml_path(str(file))
         if kind == "legged" and not _has_floor(model):
             file = _with_floor(file, folder)
         start, goal = _of_model(model, kind)
@@ -46,25 +66,140 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
     for i, j in place.items():
         if model.jnt_limited[j]:
             start[i] = np.clip(start[i], *model.jnt_range[j])
-    start = _tied(model, start)
-    way, driven = np.zeros_like(start), _driven(model, start)
+    driven = _driven(model, start)
+    start = _tied(model, start, driven)
+    held = kind != "legged" and bool(driven.all() or kind in ("arm", "hand"))  # the ground holds legs, nothing a pole
+    start = _held(model, start, driven, place) if held else start
+    way = np.zeros_like(start)
     for i, j in place.items():
-        if driven[model.jnt_dofadr[j]]:
-            way[i] = _way(start[i], model.jnt_range[j] if model.jnt_limited[j] else None, kind)
+        limits = model.jnt_range[j] if model.jnt_limited[j] else None
+        if driven[model.jnt_dofadr[j]] and not (kind == "legged" and _leans(model, j, start, limits)):
+            way[i] = _way(start[i], limits, kind)
+            way[i] *= _share_within(model, start, np.where(np.arange(model.nq) == i, way, 0.0), driven)
+    way = _held_way(model, start, way, driven, place, DURATION[kind]) if held else way
     for _ in range(HALVINGS):
-        if not _meets(model, start, way):
+        if not _meets(model, start, way, driven):
             break
         way *= 0.5
-    goal = _tied(model, start + way)
+    goal = _tied(model, start + way, driven)
     unchanged = bool(first) and np.array_equal(start, model.key_qpos[0])
-    return (f'"{first}"' if unchanged else _numbers(start)), _numbers(_tied(model, goal))
+    return (f'"{first}"' if unchanged else _numbers(start)), _numbers(goal)
 
 
-def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray) -> bool:
+def _leans(model: mujoco.MjModel, joint: int, start: np.ndarray, limits: np.ndarray | None) -> bool:
+    """Whether a joint leans sideways or turns, with as much room on both sides."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(model, data)
+    middle = limits is not None and abs(limits.sum() - 2.0 * start[model.jnt_qposadr[joint]]) < MIDDLE * np.ptp(limits)
+    return middle and abs(data.xaxis[joint, 1]) < ACROSS
+
+
+def _held(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray, place: dict[int, int]) -> np.ndarray:
+    """The nearest pose, a joint at a time, that motors hold against gravity."""
+    for _ in range(POSES):
+        short = _short_of_force(model, qpos)
+        worst = int(np.argmax(short))
+        if short[worst] == 0.0:
+            break
+        i = next((i for i, j in place.items() if model.jnt_dofadr[j] == worst), None)
+        if i is None or not model.jnt_limited[place[i]]:
+            break
+        poses = [qpos, qpos]
+        limits = model.jnt_range[place[i]]
+        for side, sign in enumerate((-1.0, 1.0)):
+            moved = qpos.copy()
+            moved[i] = np.clip(moved[i] + sign * np.ptp(limits) / POSES, *limits)
+            poses[side] = _tied(model, moved, driven)
+        best = min(poses, key=lambda pose: _short_of_force(model, pose)[worst])
+        if _short_of_force(model, best)[worst] >= short[worst]:
+            break
+        qpos = best
+    return qpos
+
+
+def _held_way(
+    model: mujoco.MjModel, start: np.ndarray, way: np.ndarray, driven: np.ndarray, place: dict[int, int], T: float
+) -> np.ndarray:  # fmt: skip
+    """The way with joints turned round, or moved less, whose motors could not bring or hold them there."""
+    way, at_start = way.copy(), _short_of_force(model, start)
+    for share in (-1.0, -0.5, -0.5, 0.5, 0.0):
+        goal = _tied(model, start + way, driven)
+        speeding = np.zeros(model.nv)
+        for i, j in place.items():
+            speeding[model.jnt_dofadr[j]] = SMOOTH * abs(way[i]) / T**2
+        short = _short_of_force(model, goal, speeding) > at_start
+        for i, j in place.items():
+            limits = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
+            if short[model.jnt_dofadr[j]]:
+                way[i] = float(np.clip(start[i] + share * way[i], *limits)) - start[i]
+    return way
+
+
+def _short_of_force(model: mujoco.MjModel, qpos: np.ndarray, speeding: np.ndarray | float = 0.0) -> np.ndarray:
+    """(nv,) what motors of one joint each, N m or N, lack to hold a pose, with a tenth to spare.
+
+    `speeding` are accelerations of the joints (nv,) for which there is to be force too, either way.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    needed, short = data.qfrc_bias - data.qfrc_passive, np.zeros(model.nv)
+    lower, upper = np.zeros(model.nv), np.zeros(model.nv)
+    for a in range(model.nu):
+        joint = int(model.actuator_trnid[a, 0])
+        if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT or model.actuator_gaintype[a] != 0:
+            return short
+        dof, gear = model.jnt_dofadr[joint], model.actuator_gear[a, 0]
+        bias = model.actuator_biasprm[a, :2] @ [1.0, data.actuator_length[a]] if model.actuator_biastype[a] else 0.0
+        ends = np.array([-np.inf, np.inf])
+        if model.actuator_ctrllimited[a]:
+            ends = np.sort(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a]) + bias
+        if model.actuator_forcelimited[a]:
+            ends = np.clip(ends, *model.actuator_forcerange[a])
+        ends = np.sort(ends * gear) if gear else np.zeros(2)
+        lower[dof], upper[dof] = lower[dof] + ends[0], upper[dof] + ends[1]
+    limited = np.flatnonzero(model.jnt_actfrclimited)
+    dofs = model.jnt_dofadr[limited]
+    lower[dofs], upper[dofs] = (np.clip(side[dofs], *model.jnt_actfrcrange[limited].T) for side in (lower, upper))
+    pulled = (lower != 0.0) | (upper != 0.0)
+    if np.any(speeding):
+        columns = np.zeros((model.nv, model.nv))
+        for i, row in enumerate(np.eye(model.nv)):
+            mujoco.mj_mulM(model, data, columns[i], row)
+        speeding = np.diag(columns) * speeding
+    low, high = needed * 1.1 - speeding, needed * 1.1 + speeding
+    short[pulled] = np.maximum(0.0, np.maximum(lower - low, high - upper))[pulled]
+    short[np.abs(needed) + speeding < SLIGHT * np.abs(needed).max(initial=0.0)] = 0.0
+    return short
+
+
+def _share_within(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray, driven: np.ndarray) -> float:
+    """How much of a joint's way takes nothing further out of a range: all of it, a half ... or nothing."""
+    before = _outside(model, start)
+    for share in 0.5 ** np.arange(HALVINGS + 1):
+        if np.all(_outside(model, _tied(model, start + share * way, driven)) <= before + ON_IT):
+            return float(share)
+    return 0.0
+
+
+def _outside(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """How far each hinge, slide and tendon is out of its range, 0 within it."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    single = np.flatnonzero(model.jnt_limited & (model.jnt_type >= 2))
+    limited = np.flatnonzero(model.tendon_limited)
+    values = np.concatenate([qpos[model.jnt_qposadr[single]], data.ten_length[limited]])
+    ranges = np.concatenate([model.jnt_range[single], model.tendon_range[limited]])
+    return np.maximum(0.0, np.maximum(ranges[:, 0] - values, values - ranges[:, 1]))
+
+
+def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray, driven: np.ndarray) -> bool:
     """Whether shapes touch on the straight line that do not at its start; a floor is no matter of the way."""
     data, known = mujoco.MjData(model), None
     for part in np.linspace(0.0, 1.0, LINE):
-        data.qpos[:] = _tied(model, start + part * way)
+        data.qpos[:] = _tied(model, start + part * way, driven)
         mujoco.mj_fwdPosition(model, data)
         planes = model.geom_type[data.contact.geom] == mujoco.mjtGeom.mjGEOM_PLANE
         touching = {frozenset(pair) for pair in data.contact.geom[~planes.any(axis=1)].tolist()}
@@ -77,7 +212,7 @@ def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray) -> bool:
 
 def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
     """The same, of the joints that a URDF gives an effort."""
-    starts, goals = [], []
+    starts, ways = {}, {}
     for joint in ElementTree.parse(file).getroot().findall("joint"):
         limit = joint.find("limit")
         moves = joint.get("type") in ("revolute", "prismatic", "continuous") and joint.find("mimic") is None
@@ -85,10 +220,27 @@ def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
             continue
         lower, upper = (float(limit.get(side, 0.0)) for side in ("lower", "upper"))
         limits = None if joint.get("type") == "continuous" or lower >= upper else np.array([lower, upper])
-        value = 0.0 if limits is None else float(np.clip(0.0, *limits))
-        starts.append(f'"{joint.get("name")}" = {value:.9g}')
-        goals.append(f'"{joint.get("name")}" = {value + _way(value, limits, kind):.9g}')
-    return f"{{ {', '.join(starts)} }}", f"{{ {', '.join(goals)} }}"
+        starts[joint.get("name")] = 0.0 if limits is None else float(np.clip(0.0, *limits))
+        ways[joint.get("name")] = _way(starts[joint.get("name")], limits, kind)
+    share = _share_without_touch(file, starts, ways)
+    goals = {name: value + share * ways[name] for name, value in starts.items()}
+    texts = [", ".join(f'"{name}" = {value:.9g}' for name, value in one.items()) for one in (starts, goals)]
+    return f"{{ {texts[0]} }}", f"{{ {texts[1]} }}"
+
+
+def _share_without_touch(file: Path, starts: dict[str, float], ways: dict[str, float]) -> float:
+    """How much of the way of a URDF is free of shapes that meet: halved as in _of_model."""
+    model = opened_model(file).survey.model
+    start, way = model.qpos0.copy(), np.zeros(model.nq)
+    for name, value in starts.items():
+        address = model.jnt_qposadr[model.joint(name).id]
+        start[address], way[address] = value, ways[name]
+    driven = way != 0.0  # hinges and slides alone: a URDF's base is fixed here
+    start = _tied(model, start, driven)
+    for halvings in range(HALVINGS):
+        if not _meets(model, start, 0.5**halvings * way, driven):
+            return 0.5**halvings
+    return 0.5**HALVINGS
 
 
 def _way(value: float, limits: np.ndarray | None, kind: str) -> float:
@@ -107,17 +259,47 @@ def _driven(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     return (np.abs(moment) > 1e-9).any(axis=0)
 
 
-def _tied(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Positions with joints where equalities between joints take them."""
-    qpos = qpos.copy()
-    for i in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)):
+def _tied(model: mujoco.MjModel, qpos: np.ndarray, driven: np.ndarray) -> np.ndarray:
+    """Positions where equalities between joints, and between tendons, take the joints that nothing drives."""
+    qpos, data = qpos.copy(), mujoco.MjData(model)
+    kinds, active = mujoco.mjtEq, model.eq_active0 == 1
+    for i in np.flatnonzero((model.eq_type == kinds.mjEQ_JOINT) & active):
         first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
         way = 0.0
         if second >= 0:
             way = qpos[model.jnt_qposadr[second]] - model.qpos0[model.jnt_qposadr[second]]
         address = model.jnt_qposadr[first]
         qpos[address] = model.qpos0[address] + np.polynomial.polynomial.polyval(way, model.eq_data[i, :5])
+    if not np.any((model.eq_type == kinds.mjEQ_TENDON) & active):
+        return qpos
+    for _ in range(TIES):
+        data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(model, data)
+        rows = np.flatnonzero(data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        J = np.zeros((data.nefc, model.nv))
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(J, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        else:
+            J[:] = data.efc_J.reshape(-1, model.nv)[: data.nefc]
+        J = np.where(driven, 0.0, J[rows])
+        step = -np.linalg.lstsq(J, data.efc_pos[rows], rcond=1e-9)[0]
+        mujoco.mj_integratePos(model, qpos, step, 1.0)
     return qpos
+
+
+def _written_in_radians(file: Path) -> bool:
+    """Whether a file leaves the unit of angles to the one that it is merged into, and means radians."""
+    root = ElementTree.parse(file).getroot()
+    angles = [one.get("angle") for one in root.findall("compiler")]
+    parts = root.iter("include")
+    hinges = [one for one in root.iter("joint") if one.get("range") and one.get("type", "hinge") == "hinge"]
+    ends = [abs(float(end)) for one in hinges for end in one.get("range", "").split()]
+    return not any(angles) and not any(True for _ in parts) and bool(ends) and max(ends) <= FULL_TURN
+
+
+def _in_radians(file: Path, folder: Path) -> Path:
+    """The file in a folder, with that unit and with absolute paths."""
+    return _copied(file, folder, lambda root, compiler: compiler.set("angle", "radian"))
 
 
 def _has_floor(model: mujoco.MjModel) -> bool:
@@ -126,19 +308,28 @@ def _has_floor(model: mujoco.MjModel) -> bool:
 
 def _with_floor(file: Path, folder: Path) -> Path:
     """The machine's file with a floor at the lowest point of its start, in a folder; paths in it become absolute."""
+
+    def floored(root: ElementTree.Element, compiler: ElementTree.Element) -> None:
+        worldbody = root.find("worldbody")
+        assert worldbody is not None
+        worldbody.append(ElementTree.fromstring(FLOOR.format(_lowest(file))))
+        option = root.find("option")
+        option = ElementTree.SubElement(root, "option") if option is None else option
+        if [float(part) for part in option.get("gravity", "0 0 -9.81").split()] == [0.0, 0.0, 0.0]:
+            option.attrib.pop("gravity")  # its package gives it with the floor
+
+    return _copied(file, folder, floored)
+
+
+def _copied(file: Path, folder: Path, change: Callable[[ElementTree.Element, ElementTree.Element], None]) -> Path:
+    """A changed copy of a file in a folder, with absolute paths; `change` is given its root and its <compiler>."""
     root = ElementTree.parse(file).getroot()
     compiler = root.find("compiler")
     compiler = ElementTree.SubElement(root, "compiler") if compiler is None else compiler
     for key in ("meshdir", "texturedir"):
         compiler.set(key, str(file.parent / compiler.get(key, compiler.get("assetdir", ""))))
     compiler.attrib.pop("assetdir", None)
-    worldbody = root.find("worldbody")
-    assert worldbody is not None
-    worldbody.append(ElementTree.fromstring(FLOOR.format(_lowest(file))))
-    option = root.find("option")
-    option = ElementTree.SubElement(root, "option") if option is None else option
-    if [float(part) for part in option.get("gravity", "0 0 -9.81").split()] == [0.0, 0.0, 0.0]:
-        option.attrib.pop("gravity")  # its package gives it with the floor
+    change(root, compiler)
     scene = folder / f"{file.parent.name}_{file.name}"
     scene.write_text(ElementTree.tostring(root, encoding="unicode"))
     return scene

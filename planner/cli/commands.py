@@ -15,6 +15,7 @@ from planner.base.versions import installed_versions
 from planner.cli import (
     checking,
     compiling,
+    completing,
     describing,
     driving,
     exporting,
@@ -38,7 +39,7 @@ _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
     "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
     "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
-    "sweep": sweeping.sweep_case, "export": exporting.export_plan,
+    "sweep": sweeping.sweep_case, "completion": completing.print_completion, "export": exporting.export_plan,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip
 

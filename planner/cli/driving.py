@@ -15,8 +15,8 @@ from planner.cli.results import show_plan
 from planner.control.controller import Controller
 from planner.control.judging import LoopVerdict, judge, margins
 from planner.control.simulating import simulate
-from planner.proof.robustness.pushes import Push, pushed_step
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save
 from planner.view.report.loop_page import write_loop_page
 

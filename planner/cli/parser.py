@@ -26,6 +26,9 @@ from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 PROBLEM_FILE = "PROBLEM.toml"
 """Stands for any problem file where a case may be named."""
 
+SHELLS = ("bash", "zsh", "tcsh")
+"""Shells that completion is written for."""
+
 Flags = dict[str, dict[str, Any]]  # options of add_argument() by flag
 
 _OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
@@ -311,6 +314,8 @@ def build() -> argparse.ArgumentParser:
         _OUTPUT,
     )  # fmt: skip
     every = {"--all": _switch("Also compile the kernels that only --hessian exact needs.")}
+    shell = {"choices": SHELLS, "metavar": "SHELL", "help": f"One of {', '.join(SHELLS)}."}
+    command("completion", "Print a script by which a shell completes commands and flags.", {"shell": shell}, _OUTPUT)
     command("warmup", "Compile the numerical core, once.", every, _OUTPUT)
     return top
 

@@ -27,9 +27,12 @@ from planner.control.window import Window
 from planner.kernels.lq.search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
-from planner.problem.costs.tracking import states
+from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.tracking import states, tracking_of
+from planner.problem.goals import terms_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.hold import hold_gain
 from planner.solvers.regularisation import FACTOR, LEAST, MOST
 from planner.solvers.slq import DECREASE, solve
 from planner.solvers.steadied import RUNAWAY
@@ -77,6 +80,7 @@ class Controller:
         failures: Failed solves since the reset.
         plans: Plans made since the reset.
         planned: Whether the last call made a plan.
+        keeps_goal: Whether the goal stays past the end of the task: some control keeps it.
         seconds: How long the last call took to plan, s; 0 where it did not plan.
 
     Raises:
@@ -95,7 +99,8 @@ class Controller:
         self.budget = None if budget is None else number("budget", budget, above=0.0)
         self.patience = count("patience", patience)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
-        self._window, self._holding = Window(problem, H), Holding(problem)
+        # Past its end the goal of a task stays, if some control keeps it.
+        self._window, self._holding = Window(problem, H, keeps=self._keeps_goal()), Holding(problem)
         self._engine = self._window.engine
         nx, nu, ndx = problem.dynamics.nx, problem.dynamics.nu, self._space.ndx
         self._xs, self._us, self._K = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
@@ -104,8 +109,22 @@ class Controller:
             raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
         self._window.hinge(self.plan, problem.kept)
+        self.keeps_goal = self._window.keeps
         self._goal: Any = None
+        self._new_goal: np.ndarray | None = None
         self.reset()
+
+    def _keeps_goal(self) -> bool:
+        """Whether some control keeps the goal, as far as the task states a state to keep."""
+        goal = tracking_of(self.problem.cost)
+        frames = any(isinstance(one, ResidualCost) for one in terms_of(self.problem.cost))
+        if goal is None or frames or not np.any(goal.Q[-1]):
+            return True
+        try:
+            hold_gain(self.problem)
+        except PlannerError:
+            return False
+        return True
 
     @staticmethod
     def check(problem: Problem, horizon: int | None = None, rate: float | None = None, **_: Any) -> tuple[int, float]:
@@ -122,8 +141,8 @@ class Controller:
             )
         if rate * H * dt < 1.0 - 1e-9:
             raise PlannerError(
-                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least {1.0 / (H * dt):.4g} "
-                "Hz, or a longer horizon."
+                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least "
+                f"{1.0 / (H * dt):.4g} Hz, or a longer horizon."
             )
         return H, rate
 
@@ -166,27 +185,27 @@ class Controller:
 
     @property
     def goal(self) -> Any:
-        """Where the task leads. It may be set at any time: a keyframe, positions (nq,), a state (nx,) or a table of
-        frames with their positions (3,) in the world, e.g. {"hand": [0.4, 0, 0.6]}."""
+        """Where the task leads; it may be set at any time.
+
+        A keyframe, positions (nq,), a state (nx,), or a table of frames with their positions in the world, (3,), or
+        (horizon + 1, 3) where they will be at the stages ahead: {"hand": [0.4, 0, 0.6]}.
+        """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 
     @goal.setter
     def goal(self, goal: Any) -> None:
         if isinstance(goal, Mapping):
             if not self._window.frames:
-                raise PlannerError(
-                    "goal is a table of frames and no frame has a goal in this problem, expected a state."
-                )
-            for frame, position in goal.items():
-                self._window.point(str(frame), array(f"the goal of {frame}", position, (3,)))
+                raise PlannerError("goal is a table of frames and no frame of this problem has one, expected a state.")
+            for frame, places in goal.items():
+                shape = (3,) if np.ndim(places) < 2 else (self.horizon + 1, 3)
+                self._window.point(str(frame), array(f"the goal of {frame}", places, shape))
         else:
-            x = self._state(goal)
-            self._rest = keeping(self.problem, x, self._us[-1] if self._rest is None else self._rest)
-            self._window.aim(x, self._rest)
+            self._new_goal = self.state_of(goal)  # the next plan leads there
         self._goal = goal
 
-    def _state(self, goal: Any) -> np.ndarray:
-        """The state (nx,) of a goal."""
+    def state_of(self, goal: Any) -> np.ndarray:
+        """The state (nx,) of a goal: a keyframe, positions (nq,) or a state."""
         mechanism = getattr(self.problem.dynamics, "mechanism", None)
         if isinstance(goal, str):
             if mechanism is None:
@@ -215,6 +234,10 @@ class Controller:
         if math.isnan(self._begin):
             self._begin = self._made = t
         self._asked = t
+        if self._new_goal is not None:
+            self._rest = keeping(self.problem, self._new_goal, self._us[-1] if self._rest is None else self._rest)
+            self._window.aim(self._new_goal, self._rest)
+            self._new_goal = None
         self._window.slide(int((t - self._begin) / self._dt + _LITTLE))
         trouble = self._solve(t, x)
         if trouble:
@@ -232,6 +255,9 @@ class Controller:
         if not np.isfinite(x).all():
             return "the measured state is not finite"
         cost = engine.follow(x, *self._moved((t - self._made) / self._dt))
+        if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
+            held = self._holding(x, self._us[-1])
+            cost = engine.start(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
             return "the plan before, followed from here, runs away"
         fresh, kind, done = True, CONVERGED, 0

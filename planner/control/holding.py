@@ -19,6 +19,7 @@ from planner.problem.problem import Problem
 TIME = 0.1  # s, in which a speed falls to a third
 KEEPS = 1e-3  # of the drift without it: what a control may leave that is said to keep a state
 _NEWTON = 3
+_KEPT = 1e-9  # in each coordinate's unit, of one stage
 
 
 class Holding:
@@ -66,8 +67,10 @@ def keeping(problem: Problem, x: np.ndarray, u: np.ndarray) -> np.ndarray | None
     dynamics, space = problem.dynamics, space_of(problem.dynamics)
     first = space.difference(dynamics.step(x[None], np.zeros((1, dynamics.nu)))[0], x)
     for _ in range(_NEWTON):
-        _, B = dynamics.linearize(np.stack([x, x]), u[None])
         drift = space.difference(dynamics.step(x[None], u[None])[0], x)
+        if np.abs(drift).max() <= _KEPT:
+            break
+        _, B = dynamics.linearize(np.stack([x, x]), u[None])
         u = u - np.linalg.lstsq(B[0], drift, rcond=1e-10)[0]
     if problem.bounds is not None:
         u = problem.bounds.clip(-1, u, x)

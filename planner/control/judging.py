@@ -154,6 +154,8 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
     end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
     if not end:
         return Section("stays", not_applicable="no goal of the end was asked for")
+    if not getattr(loop.controller, "keeps_goal", True):
+        return Section("stays", not_applicable="no control keeps the goal, which is met at the end of the task alone")
     last, found = loop.t >= loop.t[-1] - LAST, []
     for unit in dict.fromkeys(one.unit for one in end):
         of_unit = [one for one in end if one.unit == unit]
@@ -175,7 +177,7 @@ def _follows(loop: Loop) -> Section:
         m = problem.dynamics.mechanism
         q = loop.xs[half, : m.nq]
         for frame in first:
-            there = np.array([loop.goal(float(t))[frame] for t in loop.t[half]])
+            there = np.array([np.atleast_2d(loop.goal(float(t))[frame])[0] for t in loop.t[half]])
             finite = np.isfinite(q).all()
             off = np.linalg.norm(frame_pose(m, q, frame)[:, :3, 3] - there, axis=1) if finite else np.array([np.inf])
             found += [
@@ -183,7 +185,7 @@ def _follows(loop: Loop) -> Section:
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
-    there = np.array([loop.controller._state(loop.goal(float(t))) for t in loop.t[half]])
+    there = np.array([loop.controller.state_of(loop.goal(float(t))) for t in loop.t[half]])
     off = np.abs(loop.plan.space.difference(loop.xs[half], there))
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):
@@ -226,7 +228,7 @@ def margins(
     controller: Controller, body: str, *, times: int = TIMES, latency: float = 0.0, direction: Any = (1.0, 0.0, 0.0),
     duration: float | None = None, push_duration: float = 0.1, progress: Callable[[int, int], object] | None = None,
 ) -> tuple[Section, dict[str, np.ndarray], np.ndarray]:  # fmt: skip
-    """How large a push at each time, a latency and a mass error the loop survives, beside the plan with its gains alone.
+    """How large a push at each time, latency and mass error the loop survives, beside the plan with its gains alone.
 
     Each is the largest of some levels, found by bisection as if less were survived always.
 
@@ -275,7 +277,7 @@ def margins(
         told()
         words = "" if who == "loop" else f"; {ALONE}"
         measured += [
-            Measured(f"{who}_least_push", float(maps[who].min()), "N", None, f"at {body}, survived at any of {times} times{words}"),
+            Measured(f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"),
             Measured(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
             Measured(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
         ]  # fmt: skip

@@ -105,7 +105,7 @@ def simulate(
         friction: Dry friction in each joint, as a share of the largest force that the plan asks of it.
         contact_friction: By how much coefficients of friction are larger: -0.5 for half of them.
         noise: Standard deviation of what is measured, in each coordinate's unit.
-        encoders: Whether positions of hinges and slides come from encoders of 17 bits, and speeds are their differences.
+        encoders: Whether hinges and slides are read from encoders of 17 bits, their speeds being differences of that.
         goal: A function of time, s, whose value is given to the controller's goal before it is asked.
         start: (nx,) another start, from which the controller plans before the time begins.
         seed: Of the noise.

@@ -41,30 +41,34 @@ class Window:
     Args:
         problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
         H: Stages of the window.
+        keeps: Whether the goal stays past the end of the task; for one that no control keeps, the apex of a hop, the
+            end of the task is weighed when it comes and nothing after it but the way's own weights.
 
     Attributes:
         problem: The window's own, of H stages from the start.
         engine: That plans in it; made once.
+        keeps: See the argument.
         stage: Where the window is: of its first stage in the task.
 
     Raises:
         PlannerError: A cost that does not say what it is past its end.
     """
 
-    def __init__(self, problem: Problem, H: int) -> None:
+    def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
         self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
         tracking, residuals = _parts(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
-        resting = (tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N]
+        resting = (tracking.Q[N - 1] if N > 1 else 0.0) + keeps * dt * tracking.Q[N]
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
-        self._final = tracking.Q[N]
+        self._final, self._last = tracking.Q[N], tracking.Q[N - 1] if N > 1 else 0.0 * tracking.Q[N]
+        self.keeps = keeps
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
-        self._residuals = None if not residuals else _lengthened([cost.measures_for(N) for cost in residuals], H, dt)
-        self._end_rows = None if not residuals else joined([cost.measures_for(N) for cost in residuals])
-        self._frames = _frame_rows(residuals, N)
+        self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
+        self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, keeps * dt)
+        self._frames, self._points = _frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
         Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
         cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
@@ -89,7 +93,6 @@ class Window:
         arrays = self._arrays = engine.cost_arrays()
         self._stage_values = self._Q[:, arrays["stage_row"], arrays["stage_column"]]
         self._control_values = self._R[:, arrays["control_row"], arrays["control_column"]]
-        arrays["final_value"][:] = self._final[arrays["final_row"], arrays["final_column"]]
         self._own_bounds: list[tuple[np.ndarray, np.ndarray]] = []
         if problem.bounds is not None:
             before = np.minimum(self._at, self.N - 1)
@@ -142,15 +145,13 @@ class Window:
             self.u_ref[self._at == self.N] = control
         self._stale = True
 
-    def point(self, frame: str, position: np.ndarray) -> None:
-        """Move the goal of a frame, and the path that it follows, to a position (3,) in the world."""
-        rows = self._frames[choice("a frame of the goal", frame, self._frames)]
-        assert self._residuals is not None
-        if self._source is not None:
-            self._source.bound[rows] = position[:, None]
-        bound = np.array(self._residuals.bound)
-        bound[rows] = position[:, None]
-        self._residuals = replace(self._residuals, bound=bound)
+    def point(self, frame: str, places: np.ndarray) -> None:
+        """Move the goal of a frame, and the path that it follows, to a place (3,) in the world.
+
+        Places (H+1, 3) are where it will be at the stages of the next window.
+        """
+        choice("a frame of the goal", frame, self._frames)
+        self._points[frame] = np.atleast_2d(places)
         self._stale = True
 
     @property
@@ -172,6 +173,7 @@ class Window:
             arrays["u_ref"][:] = self.u_ref[here]
             arrays["stage_value"][:] = self._stage_values[here]
             arrays["control_value"][:] = self._control_values[here]
+            arrays["final_value"][:] = self._weight_at_end(stage)[arrays["final_row"], arrays["final_column"]]
             for array, values in self._own_bounds:
                 if array.size:
                     array[:] = values[here]
@@ -183,6 +185,10 @@ class Window:
             last = [*range(stage, stage + H), self.N]
             engine.hinge(Hinges(*(part[last] for part in self._hinges)))
 
+    def _weight_at_end(self, stage: int) -> np.ndarray:
+        """The weight of the window's end."""
+        return self._final if self.keeps or stage + self.H <= self.N else self._last
+
     def _slide_residuals(self, stage: int) -> None:
         H, here = self.H, slice(stage, stage + self.H + 1)
         table, source = self._table, self._source
@@ -191,13 +197,16 @@ class Window:
             own[: len(values), ..., : H + 1] = values[..., here]
         M = len(source.weight)
         table.weight[:M], table.bound[:M] = source.weight[:, here], source.bound[:, here]
-        table.weight[:M, H] = self._end_rows.weight[:, -1]
+        if self.keeps or stage + H <= self.N:
+            table.weight[:M, H] = self._end_rows.weight[:, -1]
+        for frame, places in self._points.items():
+            table.bound[self._frames[frame], : H + 1] = places.T
         table.changed()
 
     def cost_at(self, stage: int) -> Cost:
         """The cost of the window at a stage, for an engine in NumPy and for what a loop has cost."""
         H, here = self.H, slice(stage, stage + self.H)
-        Q = np.concatenate([self._Q[here], self._final[None]])
+        Q = np.concatenate([self._Q[here], self._weight_at_end(stage)[None]])
         cost = object.__new__(TrackingCost)  # its parts were checked when the window was made
         cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
         cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
@@ -205,6 +214,12 @@ class Window:
         if self._residuals is None:
             return cost
         parts = _at_stages(self._residuals, slice(stage, stage + H + 1))
+        bound, weight = np.array(parts.bound), np.array(parts.weight)
+        for frame, places in self._points.items():
+            bound[self._frames[frame]] = places.T
+        if self.keeps or stage + H <= self.N:
+            weight[:, -1] = self._end_rows.weight[:, -1]
+        parts = replace(parts, bound=bound, weight=weight)
         return SumCost(cost, _Measured(self._residual_costs, parts))
 
 
@@ -229,9 +244,8 @@ def _parts(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
     return tracking[0], residuals
 
 
-def _lengthened(parts: list[ResidualArrays], H: int, dt: float) -> ResidualArrays:
+def _lengthened(measures: ResidualArrays, H: int, dt: float) -> ResidualArrays:
     """The terms of a whole task and of H stages after it, where the end's weights go on per second."""
-    measures = joined(parts)
     N = measures.weight.shape[1] - 1
     longer = measures.along(np.minimum(np.arange(N + H + 1), N))
     weight, bound = np.array(longer.weight), np.array(longer.bound)

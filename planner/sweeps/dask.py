@@ -22,7 +22,6 @@ LOCAL = "local"
 """In place of an address: a cluster on this machine."""
 
 CONNECTING = 10.0  # s to wait for a scheduler
-_AHEAD = 2  # batches on their way for each thread: one waits while the other is worked on
 
 
 class DaskExecutor(Executor):
@@ -32,14 +31,21 @@ class DaskExecutor(Executor):
         client: A distributed.Client.
 
     Attributes:
-        width: How many calls may be submitted before one has ended.
+        width: How many calls it works on at once.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self._futures: dict[Future[Any], Any] = {}
         threads = sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
-        self.width = _AHEAD * max(1, threads)
+        self.width = max(1, threads)
+
+    def prepare(self, first: Callable[[], object]) -> None:
+        """Call something on each worker, first on one of each machine, which compiles for the others."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        hosts = {worker["host"]: address for address, worker in workers.items()}
+        self._client.run(first, workers=list(hosts.values()))
+        self._client.run(first, workers=list(workers))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function on some worker."""

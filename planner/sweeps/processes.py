@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing import connection
 from typing import Any
 
 from planner.base.errors import PlannerError
@@ -31,10 +32,13 @@ class LocalProcesses(Executor):
 
     Attributes:
         width: How many calls may be submitted before one has ended.
+        one_each: Each call begins at once.
 
     Raises:
         PlannerError: No process can be started.
     """
+
+    one_each = True
 
     def __init__(self, width: int, first: Callable[[], object]) -> None:
         self.width = width
@@ -77,7 +81,7 @@ class _Worker:
     """A pool of one process."""
 
     def __init__(self, first: Callable[[], object]) -> None:
-        self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _ignore_interruption)
+        self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepared)
         with _one_thread():
             self._ready = self.pool.submit(_began, first)
         self.pid = 0
@@ -111,9 +115,17 @@ def _began(first: Callable[[], object]) -> int:
     return os.getpid()
 
 
-def _ignore_interruption() -> None:
-    """Ctrl-C goes to all processes of a terminal; the first one ends the others."""
+def _prepared() -> None:
+    """Ctrl-C goes to all processes of a terminal: the first one ends the others, and these end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _alive(pid: int) -> bool:

@@ -40,8 +40,9 @@ def run(
     Args:
         work: How a task is done.
         queue: The tasks.
-        executor: Where they are done. One with `end(future)`, as those of planner, loses no more than a batch with a
-            worker; another is given up when it is broken.
+        executor: Where they are done, of `width` calls at once. One with `end(future)`, as those of planner, loses no
+            more than a batch with a worker; another is given up when it is broken. With `one_each` a call begins as
+            soon as it is submitted.
         store: Where rows and plans go.
         progress: Called with the tasks done and their number.
 
@@ -50,7 +51,9 @@ def run(
         FileError: The store cannot be written.
         KeyboardInterrupt: Ctrl-C; what had ended by then is stored.
     """
-    width = int(getattr(executor, "width", 2 * (getattr(executor, "_max_workers", None) or 1)))
+    width = int(getattr(executor, "width", getattr(executor, "_max_workers", None) or 1))
+    if work.timeout is None and not hasattr(executor, "one_each"):
+        width *= 2  # one batch waits while another is worked on; its time would run while it waits
     flights: dict[Future[Batch], _Flight] = {}
     mean = None  # s of a task
     try:
@@ -63,7 +66,7 @@ def run(
             done, _ = wait(flights, _LOOK if work.timeout is not None else None, FIRST_COMPLETED)
             for future in done:
                 flight = flights.pop(future)
-                seconds = _taken(work, future, flight, queue, store, hasattr(executor, "end"))
+                seconds = _taken(work, future, flight, queue, store, executor)
                 if seconds is not None:
                     mean = seconds if mean is None else (1.0 - _LATEST) * mean + _LATEST * seconds
             if done and progress is not None:
@@ -95,17 +98,17 @@ def _latest(work: Work, batch: Next, mean: float | None) -> float:
 
 
 def _taken(
-    work: Work, future: Future[Batch], flight: _Flight, queue: Queue, store: Store, goes_on: bool
+    work: Work, future: Future[Batch], flight: _Flight, queue: Queue, store: Store, executor: Executor
 ) -> float | None:
     """Store what a batch gave, or why it gave nothing; the mean time of its tasks, s, or None."""
     batch = flight.batch
     try:
         found = future.result()
     except (BrokenExecutor, CancelledError) as error:
-        if not goes_on:
+        if not hasattr(executor, "end"):
             raise PlannerError("a worker of the executor ended, which takes no more work; resume goes on.") from error
         late = time.monotonic() > flight.latest
-        if len(batch.tasks) > 1 or not (batch.alone or late):
+        if len(batch.tasks) > 1 or not (batch.alone or (late and hasattr(executor, "one_each"))):
             queue.lost(batch)
             return None
         found = Batch([failed(work, batch.tasks[0], *_why(work, late))], None)

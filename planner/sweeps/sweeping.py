@@ -154,6 +154,8 @@ def sweep(
                 if store.finished != len(grid):
                     warm(work)  # compiles, once on this machine
                     pool = executor or stack.enter_context(_processes(min(width, len(grid)), work))
+                    if hasattr(pool, "prepare"):
+                        pool.prepare(partial(warm, work))
                     run(work, queue, pool, store, progress)
             except KeyboardInterrupt:
                 interrupted = True

@@ -165,12 +165,11 @@ def test_keys_of_a_problem_file_are_swept(tmp_path):
 
 def test_ctrl_c_keeps_what_is_finished(tmp_path):
     def interrupt(finished, _):
-        if finished == 4:
-            raise KeyboardInterrupt
+        raise KeyboardInterrupt
 
     done = swept(tmp_path / "out", progress=interrupt)
     assert done.interrupted
-    assert 4 <= done.finished < 10
+    assert 0 < done.finished < 10
     assert len(table(tmp_path / "out")) == done.finished
     assert swept(tmp_path / "out", resume=True).complete
 

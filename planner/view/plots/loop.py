@@ -1,4 +1,4 @@
-"""The picture of a loop: what MuJoCo did beside what the controller expected, what it applied, and the pushes it bore."""
+"""The picture of a loop: MuJoCo beside what the controller expected, what it applied, and the pushes it bore."""
 
 from __future__ import annotations
 

@@ -78,9 +78,13 @@ def _part(root: ElementTree.Element, name: str) -> ElementTree.Element:
 
 
 def _lay_floor(model: Any, film: Film, ours: int) -> None:
-    """Put our floor under all poses of the film, or hide it where the model has one of its own."""
+    """Put our floor under all poses of the ghost, or hide it where the model has one of its own.
+
+    Replays side by side have the same ghost, so that a machine that misses its plan misses the floor, too.
+    """
     mujoco = gl.load_mujoco()
-    scenery, poses = scenery_of(model, film.appearance)[0], film.path_qpos[:: max(1, len(film.path_qpos) // _POSES)]
+    planned = film.path_ghost_qpos
+    scenery, poses = scenery_of(model, film.appearance)[0], planned[:: max(1, len(planned) // _POSES)]
     box = swept_box(model, poses, scenery)
     size, middle = float(np.max(box.high - box.low)), 0.5 * (box.low + box.high)
     data = mujoco.MjData(model)

@@ -30,6 +30,7 @@ def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") ->
     film = _PLAYER.format(video) if video else f'<p class="soft">{escape(video_note)}</p>'
     caption = "MuJoCo solid, what the controller expected as a ghost"
     asked = {name.replace("_", " "): value for name, value in run.errors.items() if value not in (None, 0.0, False, [])}
+    asked["latency"] = "measured" if run.errors["latency"] is None else run.errors["latency"]
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<div class="verdict {kind}" role="status"><strong>{verdict.verdict}</strong><span>{words}</span></div>',
@@ -37,7 +38,7 @@ def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") ->
         f'<h2>Pictures</h2>\n<figure><img src="{picture}" alt="The loop over time"></figure>' if picture else "",
         "<h2>Measured</h2>",
         *[measured_table(section) for section in verdict.sections.values()],
-        "<h2>Asked</h2>\n" + table(asked | {"latency": "measured" if run.errors["latency"] is None else asked.get("latency", 0.0)}),
+        "<h2>Asked</h2>\n" + table(asked),
         "<h2>What the controller said</h2>\n<pre>" + (escape("\n".join(run.events)) or "nothing") + "</pre>",
     ]  # fmt: skip
     page = (

@@ -1,0 +1,180 @@
+"""A controller on the plan's own dynamics: it plans, survives failed solves, holds, follows goals, repeats itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import planner
+from planner.control.controller import Doing
+from planner.control.holding import Holding, keeping
+
+N = 40
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return planner.cases.two_link(horizon=N)
+
+
+@pytest.fixture(scope="module")
+def controller(problem):
+    return planner.Controller(problem)
+
+
+def driven(controller, stages, moved=None, seen=None):
+    """States of the plan's own dynamics under a controller that is asked once a stage."""
+    dynamics = controller.problem.dynamics
+    controller.reset()
+    xs = [controller.problem.x0]
+    for n in range(stages):
+        x = xs[-1] if moved is None or moved[0] != n else xs[-1] + moved[1]
+        u = controller(n * dynamics.dt, x if seen is None else seen(n, x))
+        xs.append(dynamics.step(x[None], u[None])[0])
+    return np.array(xs)
+
+
+def test_undisturbed_it_follows_the_plan_to_its_end_and_stays(problem, controller):
+    xs = driven(controller, 2 * N)
+    apart = np.abs(xs[:N] - controller.plan.xs[:N]).max()  # a window asks for what comes after the end, too
+    assert apart < 0.05 * np.abs(controller.plan.xs).max()
+    assert np.abs(xs[N:] - [np.pi / 2, 0, 0, 0]).max() < 0.05
+    assert (controller.failures, controller.plans, controller.status) == (0, 2 * N, Doing.PLANNING)
+
+
+def test_after_a_jump_it_comes_back(controller):
+    xs = driven(controller, 3 * N, moved=(N, np.array([0.2, -0.3, 1.0, 0.0])))
+    assert np.abs(xs[-1] - [np.pi / 2, 0, 0, 0]).max() < 0.05
+
+
+def test_it_repeats_itself_to_the_last_bit(problem, controller):
+    other = planner.Controller(problem)
+    jump = (N // 2, np.array([0.1, 0.0, 0.5, 0.0]))
+    first = driven(controller, N, jump)
+    np.testing.assert_array_equal(first, driven(controller, N, jump))
+    np.testing.assert_array_equal(first, driven(other, N, jump))
+
+
+def test_the_first_plan_is_the_solved_one(controller):
+    controller.reset()
+    u = controller(0.0, controller.problem.x0)
+    np.testing.assert_allclose(u, controller.plan.us[0], rtol=1e-4, atol=1e-4)
+
+
+def test_bounds_hold_of_plans_and_of_gains(problem):
+    bounded = planner.Controller(replace(problem, limits=planner.Limits(control=14.0)))
+    x, dt = bounded.problem.x0, bounded.problem.dynamics.dt
+    for n in range(N):
+        far = x + np.array([1.0, -1.0, 3.0, 0.0])
+        assert np.abs(bounded(n * dt, x)).max() <= 14.0
+        assert np.abs(bounded.control((n + 0.5) * dt, far)).max() <= 14.0
+        x = bounded.problem.dynamics.step(x[None], bounded(n * dt, x)[None])[0]
+
+
+def test_between_its_plans_the_gains_act(problem):
+    slow = planner.Controller(problem, rate=5.0 / problem.duration)
+    dt, x = problem.dynamics.dt, problem.x0
+    slow(0.0, x)
+    away = np.array([0.01, 0.0, 0.0, 0.0])
+    expected = slow.expected(1.5 * dt)
+    assert not np.array_equal(expected, slow.expected(dt))
+    u, moved = slow(1.5 * dt, expected), slow(1.5 * dt, expected + away)
+    assert slow.plans == 1
+    np.testing.assert_allclose(u, slow._us[1])
+    np.testing.assert_allclose(moved - u, slow._K[1] @ away, atol=1e-12)
+
+
+def test_a_failed_solve_goes_on_with_the_last_plan_then_holds_and_recovers(problem):
+    c = planner.Controller(problem, patience=4)
+    nothing = np.full(4, np.nan)
+    dt, x = problem.dynamics.dt, problem.x0
+    c(0.0, x)
+    expected = c.expected(dt)
+    assert not c.make_plan(dt, nothing)
+    assert c.status is Doing.LAST_PLAN
+    np.testing.assert_allclose(c.control(dt, expected), c._us[1])
+    for n in range(2, 5):
+        c.make_plan(n * dt, nothing)
+    assert c.status is Doing.HOLDING
+    assert c.failures == 4
+    assert "not finite" in str(c.events[0])
+    assert "gravity compensation" in str(c.events[1])
+    np.testing.assert_allclose(c.control(5 * dt, x), Holding(problem)(x, None))
+    assert c.make_plan(6 * dt, x)
+    assert c.status is Doing.PLANNING
+    assert "succeeded after 4" in str(c.events[-1])
+
+
+def test_after_the_last_plans_end_it_holds(problem):
+    c = planner.Controller(problem, horizon=3, patience=100)
+    dt = problem.dynamics.dt
+    c(0.0, problem.x0)
+    for n in range(1, 5):
+        c.make_plan(n * dt, np.full(4, np.nan))
+        c.control(n * dt, problem.x0)
+    assert c.status is Doing.HOLDING
+    assert "the plan has ended" in str(c.events[-1])
+
+
+def test_holding_stands_against_gravity_and_brakes(problem):
+    hold, x, dynamics = Holding(problem), np.array([0.3, -0.4, 0.0, 0.0]), problem.dynamics
+    np.testing.assert_allclose(dynamics.rates(x[None], hold(x, None)[None])[0], 0.0, atol=1e-10)
+    x[2:] = 1.0, -2.0
+    slower = np.abs(x[2:])
+    for _ in range(20):
+        x = dynamics.step(x[None], hold(x, None)[None])[0]
+    assert (np.abs(x[2:]) < 0.1 * slower).all()
+
+
+def test_the_control_that_keeps_a_state(problem):
+    x = np.array([0.3, -0.4, 0.0, 0.0])
+    u = keeping(problem, x, np.zeros(2))
+    np.testing.assert_allclose(problem.dynamics.step(x[None], u[None])[0], x, atol=1e-9)
+    assert keeping(problem, np.array([0.0, 0.0, 1.0, 0.0]), np.zeros(2)) is None
+
+
+def test_a_goal_that_moves_is_reached(problem):
+    c = planner.Controller(problem)
+    c.goal = [1.2, 0.4]
+    xs = driven(c, 3 * N)
+    assert np.abs(xs[-1] - [1.2, 0.4, 0, 0]).max() < 0.05
+    np.testing.assert_array_equal(c.goal, [1.2, 0.4])
+
+
+def test_more_iterations_and_a_budget(problem):
+    three = planner.Controller(problem, iterations=3)
+    timed = planner.Controller(problem, budget=0.5)
+    one = planner.Controller(problem)
+    x = problem.x0 + np.array([0.2, 0.1, 0.0, 0.5])
+    costs = []
+    for c in (one, three, timed):
+        c.make_plan(0.0, x)
+        costs.append(c._window.problem.cost.value(c._xs, c._us))
+    assert costs[2] <= costs[1] <= costs[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "fragments"),
+    [
+        ({"rate": 500.0}, ("rate is 500 Hz", "stages of 0.05 s", "20 Hz")),
+        ({"rate": 1.0, "horizon": 4}, ("ends after 0.2 s", "5 Hz")),
+        ({"horizon": 0}, ("horizon",)),
+        ({"iterations": 0}, ("iterations",)),
+        ({"budget": -1.0}, ("budget",)),
+        ({"plan": 3}, ("plan is 3",)),
+    ],
+)
+def test_what_does_not_fit_is_refused(problem, given, fragments):
+    with pytest.raises(planner.PlannerError) as caught:
+        planner.Controller(problem, **given)
+    for fragment in fragments:
+        assert fragment in str(caught.value)
+
+
+def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, controller):
+    with pytest.raises(planner.PlannerError, match="EnergyCost.*expected one TrackingCost"):
+        planner.Controller(planner.costs.with_objective(problem, "energy"))
+    with pytest.raises(planner.PlannerError, match="no frame of this problem"):
+        controller.goal = {"hand": [0, 0, 0]}
+    with pytest.raises(planner.PlannerError, match="not planned yet"):
+        planner.Controller(problem).control(0.0, problem.x0)

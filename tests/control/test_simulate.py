@@ -1,0 +1,182 @@
+"""Loops in MuJoCo: latency, pushes, masses, sensors; their verdicts; the command."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from commands import refused, run
+
+import planner
+from planner.control.judging import judge, margins, survives
+from planner.model.mjcf.survey import compile_model
+from planner.proof.robustness.pushes import Push, pushed_step
+
+N = 40
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return planner.cases.two_link(horizon=N)
+
+
+@pytest.fixture(scope="module")
+def controller(problem):
+    return planner.Controller(problem)
+
+
+def test_a_loop_arrives_and_stays_and_is_the_same_again(controller):
+    loop = planner.simulate(controller, latency=0.004)
+    verdict = judge(loop)
+    assert verdict.passed, verdict.rows()
+    assert verdict.headline.startswith("PASS (loop); arrives, stays")
+    assert loop.t[-1] == pytest.approx(3.0)
+    assert len(loop.call_seconds) == 60
+    again = planner.simulate(controller, latency=0.004)
+    np.testing.assert_array_equal(loop.xs, again.xs)
+    np.testing.assert_array_equal(loop.ctrl, again.ctrl)
+    assert loop.plan.N == 60
+    assert np.isfinite(loop.cost)
+    assert json.dumps(verdict.to_dict())
+
+
+def test_a_control_acts_when_it_is_ready(controller):
+    at_once, late = planner.simulate(controller, latency=0.0), planner.simulate(controller, latency=0.02)
+    step = late.timestep
+    k = round(0.02 / step)
+    assert late.late == pytest.approx(0.02)
+    np.testing.assert_array_equal(late.ctrl[:k], np.tile(late.ctrl[0], (k, 1)))  # the first stage's, known beforehand
+    n = late.substeps
+    held = late.ctrl[n : n + k]  # the last control is held while the second plan is made
+    np.testing.assert_array_equal(held, np.tile(late.ctrl[n - 1], (k, 1)))
+    assert not np.array_equal(late.ctrl[n + k], held[-1])
+    assert not np.array_equal(at_once.ctrl[n], at_once.ctrl[n - 1])
+
+
+def test_measured_latency_is_what_the_calls_took(controller):
+    loop = planner.simulate(controller, duration=0.5)
+    assert loop.call_seconds.max() <= loop.late <= loop.call_seconds.max() + loop.timestep
+    assert loop.errors["latency"] is None
+    assert (loop.call_seconds > 0.0).all()
+
+
+def test_a_push_is_a_force_at_the_body_for_its_time(problem):
+    model = copy.copy(compile_model(problem.twin.mjcf))
+    model.opt.timestep, seen = 0.001, []
+    step = pushed_step(model, [Push("forearm", [1.0, 2.0, 3.0], 0.01, 0.004)], seen.append)
+
+    class Data:
+        time, xfrc_applied = 0.0, np.zeros((model.nbody, 6))
+
+    acting = []
+    for k in range(20):
+        Data.time = 0.001 * k
+        step(Data)
+        acting.append(Data.xfrc_applied[model.body("forearm").id, :3].copy())
+    assert [k for k, force in enumerate(acting) if force.any()] == [10, 11, 12, 13]
+    np.testing.assert_array_equal(acting[10], [1.0, 2.0, 3.0])
+    assert len(seen) == 20
+    assert pushed_step(model, []) is None
+
+
+def test_errors_change_the_motion_and_seeds_the_noise(controller):
+    plain = planner.simulate(controller, latency=0.0, duration=1.0)
+    for errors in (
+        {"pushes": [Push("forearm", 5.0, 0.5)]}, {"mass": 0.2}, {"mass": {"forearm": 0.2}}, {"friction": 0.05},
+        {"noise": 1e-3}, {"encoders": True},
+    ):  # fmt: skip
+        other = planner.simulate(controller, latency=0.0, duration=1.0, **errors)
+        assert other.perturbed
+        assert np.isfinite(other.xs).all()
+        assert not np.array_equal(other.xs, plain.xs), errors
+    assert not plain.perturbed
+    first, same, another = (
+        planner.simulate(controller, latency=0.0, duration=0.5, noise=1e-3, seed=seed) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first.xs, same.xs)
+    assert not np.array_equal(first.xs, another.xs)
+
+
+def test_the_loop_stands_a_push_and_says_so_and_a_hopeless_one_fails(controller):
+    assert judge(planner.simulate(controller, latency=0.004, pushes=[Push("forearm", 10.0, 1.0)])).passed
+    hopeless = planner.simulate(controller, latency=0.004, pushes=[Push("forearm", 300.0, 2.5, 0.5)])
+    assert not judge(hopeless).passed
+    assert not survives(hopeless)
+
+
+def test_a_plan_with_its_gains_alone_holds_its_goal(controller):
+    loop = planner.simulate(controller.plan)
+    assert judge(loop).passed
+    assert len(loop.call_seconds) == 0
+
+
+def test_a_moving_goal_is_followed(controller):
+    def goal(t):
+        return [1.2 + 0.1 * np.sin(t), 0.3, 0.1 * np.cos(t), 0.0]
+
+    moving = planner.Controller(controller.problem)
+    verdict = judge(planner.simulate(moving, latency=0.0, duration=5.0, goal=goal))
+    assert verdict.sections["follows"].measured[0].value < 0.1
+
+
+def test_another_start(controller):
+    own = planner.Controller(controller.problem)
+    loop = planner.simulate(own, latency=0.0, start=[0.5, 0.5, 0.0, 0.0])
+    np.testing.assert_allclose(loop.xs[0], [0.5, 0.5, 0.0, 0.0])
+    assert survives(loop)
+
+
+@pytest.mark.slow
+def test_margins_beside_the_gains_alone(controller):
+    section, maps, times = margins(controller, "forearm", times=1)
+    names = {one.name: one.value for one in section.measured}
+    assert set(maps) == {"loop", "gains"}
+    assert len(times) == 1
+    assert names["loop_mass_margin"] > 0.0
+    assert names["loop_latency_margin"] > 0.0
+    assert maps["loop"][0] > 0.0
+
+
+@pytest.mark.parametrize("text", ["", "torso", "torso=50", "torso=x@1s", "torso=1,2N@1s", "torso=5N@-1s", "t=5N@1s/0s"])
+def test_a_push_that_is_none_is_refused(text):
+    with pytest.raises(planner.PlannerError, match="push"):
+        Push.parse(text)
+
+
+def test_pushes_are_parsed_and_written():
+    push = Push.parse("torso=50N@1.0s")
+    assert (push.body, push.force.tolist(), push.time, push.duration) == ("torso", [50.0, 0.0, 0.0], 1.0, 0.1)
+    push = Push.parse("torso=1,-2,3@1.5/0.2s")
+    assert (push.force.tolist(), push.time, push.duration) == ([1.0, -2.0, 3.0], 1.5, 0.2)
+    assert Push.parse(str(push)).to_dict() == push.to_dict()
+
+
+def test_bodies_that_are_not_there_are_refused(controller):
+    with pytest.raises(planner.PlannerError, match="no body 'torso' to push, expected one of: upper_arm, forearm"):
+        planner.simulate(controller, pushes=[Push("torso", 1.0, 0.0)])
+    with pytest.raises(planner.PlannerError, match="mass names the body 'torso', expected one of"):
+        planner.simulate(controller, mass={"torso": 0.1})
+
+
+def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
+    done = run(
+        "drive", "two-link", "--horizon", N, "--latency", "4ms", "--push", "forearm=10N@1s", "--no-video", "--out", "o",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "PASS (loop); arrives, stays" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [
+        "drive.json", "loop.png", "plan.npz", "report.html",
+    ]  # fmt: skip
+    written = json.loads((tmp_path / "o" / "drive.json").read_text())
+    assert written["verdict"] == "PASS"
+    assert written["asked"]["pushes"][0]["body"] == "forearm"
+    for words, fragments in (
+        (("--rate", "500"), ("rate is 500 Hz", "stages of")),
+        (("--push", "trunk=10N@1s"), ("no body 'trunk'", "upper_arm, forearm")),
+        (("--push", "trunk"), ("push is 'trunk'", "BODY=FORCE@TIME")),
+        (("--latency", "soon"), ("latency is 'soon'", "4ms")),
+        (("--map", "trunk"), ("no body 'trunk'",)),
+    ):
+        refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
+        assert not (tmp_path / "p").exists()
