@@ -12,7 +12,7 @@ import planner  # noqa: E402
 project = "planner"
 author = "The slq-planner developers"
 release = version = planner.__version__
-copyright = author  # noqa: A001
+copyright = author
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
