@@ -10,7 +10,7 @@ PYTEST_FLAGS ?= -n 2 --dist loadfile
 GALLERY = renders/gallery
 
 .DEFAULT_GOAL = run
-.PHONY: run test test-slow test-all lint gallery clean help setup setup-test
+.PHONY: run test test-slow test-all lint docs gallery clean help setup setup-test
 
 run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 	@$(PLANNER) run hopper --out renders/hopper
@@ -30,6 +30,10 @@ lint: ## check style and types
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m pyright
 
+docs: ## build the documentation site: docs/_build/index.html
+	@.ci/setup docs
+	$(PYTHON) -m sphinx -W --keep-going -q -b html -d docs/_build/.doctrees docs docs/_build
+
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)
 	@for case in hopper two-link acrobot puma high-dive human-step; do \
@@ -47,7 +51,7 @@ gallery: setup ## make the committed pictures and videos again
 	$(PLANNER) paper --proofs --out renders/proofs
 
 clean: ## remove .venv and caches; results in renders/ stay
-	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist docs/_build *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find planner tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help: ## show this list

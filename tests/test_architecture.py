@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "planner"
+PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
 FILES = {path: path.relative_to(PACKAGE) for path in sorted(PACKAGE.rglob("*.py"))}
 TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
@@ -108,6 +109,15 @@ def test_no_module_has_the_name_of_a_public_function():
     assert functions.isdisjoint(module.rsplit(".", 1)[1] for module in MODULES if "." in module)
 
 
+def test_no_part_of_a_namespace_has_the_name_of_one_of_its_functions():
+    """Whichever was imported last would be what the name stands for."""
+    import planner
+
+    for space in (planner.dynamics, planner.paper, planner.proof):
+        parts = {module.rsplit(".", 1)[1] for module in MODULES if module.rpartition(".")[0] == space.__name__}
+        assert parts.isdisjoint(space.__all__)
+
+
 def test_import_is_light():
     """`import planner` must not choose an OpenGL library for the user, nor draw in matplotlib."""
     heavy = "{'mujoco', 'matplotlib', 'imageio', 'PIL', 'scipy', 'numba'}"
@@ -186,14 +196,14 @@ def test_the_readmes_python_blocks_run(run_python):
 
 
 def test_local_links_of_the_documents_exist():
-    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "mjcf" / "README.md"]:
+    for page in [ROOT / "README.md", *PAGES, ROOT / "mjcf" / "README.md"]:
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
         for target in re.findall(r'src="([^":]+)"', page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT / "docs").as_posix())
 def test_python_blocks_of_the_documents_run(page, run_python):
     for block in python_blocks(page):
         run_python(block)

@@ -1,4 +1,5 @@
 from planner.proof.compare.model_parity import parity as parity
+from planner.proof.gain_rates import slowest_rate as slowest_rate
 from planner.proof.hold import hold_gain as hold_gain
 from planner.proof.refinement import Refined as Refined
 from planner.proof.refinement import Refinement as Refinement
@@ -10,6 +11,5 @@ from planner.proof.replays.replaying import replay as replay
 from planner.proof.replays.sampled_gains import Sampling as Sampling
 from planner.proof.replays.sampled_gains import sampling_of as sampling_of
 from planner.proof.robustness.perturbation import Perturbation as Perturbation
-from planner.proof.slowest_rate import slowest_rate as slowest_rate
 from planner.proof.steps import prove as prove
 from planner.proof.verdict import Proof as Proof

@@ -27,6 +27,7 @@ from planner.problem.problem import Problem
 from planner.proof.another_ground import another_ground
 from planner.proof.compare.model_parity import parity_in
 from planner.proof.consistency import consistency, optimality, recomputed
+from planner.proof.gain_rates import controller_section, slowest_rate
 from planner.proof.growth import growth
 from planner.proof.hold import Held, hold_gain, hold_section, replay_hold
 from planner.proof.left_out import left_out
@@ -39,7 +40,6 @@ from planner.proof.robustness.perturbed import Trials, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.scales import worst_by_unit
-from planner.proof.slowest_rate import controller_section, slowest_rate
 from planner.proof.tracking import goal, tracking
 from planner.proof.verdict import Proof
 from planner.proof.your_file import OPEN_LOOP_MISSES, your_file
