@@ -278,12 +278,13 @@ class Controller:
             cost = engine.start(x, np.tile(held, (self.horizon, 1)))
         if not math.isfinite(cost):
             return "the plan before, followed from here, runs away"
-        fresh, kind, done = True, CONVERGED, 0
+        fresh, kind, done, slope = True, CONVERGED, 0, 0.0
         while done < self.iterations if self.budget is None else self._within(began, done):
             mu = self._mu * engine.largest_control_weight
             promise = -1.0 if self._mu else DECREASE * max(1.0, abs(cost))
             outcome = engine.iterate(True, ARMIJO, mu, fresh, cost, 0.0, promise)
             done, kind, fresh, cost = done + 1, outcome.kind, outcome.kind == ACCEPTED, outcome.cost
+            slope = outcome.slope
             if kind == CONVERGED:
                 break
             if fresh:
@@ -292,7 +293,7 @@ class Controller:
                 self._mu = min(max(LEAST, FACTOR * self._mu), MOST)
         if kind == INDEFINITE:
             return "the sweep is not definite"
-        if not math.isfinite(outcome.slope):
+        if not math.isfinite(slope):
             return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
         xs, us, K = self._next

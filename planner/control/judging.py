@@ -263,7 +263,7 @@ def margins(
     for who, party in parties.items():
 
         def run(party: Controller | Plan = party, **errors: Any) -> bool:
-            given = {"latency": latency} | errors
+            given: dict[str, Any] = {"latency": latency} | errors
             return survives(simulate(party, duration=duration, compiled=compiled, **given))
 
         for k, t in enumerate(at.tolist()):

@@ -191,14 +191,17 @@ class Window:
 
     def _slide_residuals(self, stage: int) -> None:
         H, here = self.H, slice(stage, stage + self.H + 1)
-        table, source = self._table, self._source
+        table, source, end = self._table, self._source, self._end_rows
+        assert table is not None
+        assert source is not None
+        assert end is not None
         for name in ("world", "reference"):
             own, values = table._arrays[name], source._arrays[name]
             own[: len(values), ..., : H + 1] = values[..., here]
         M = len(source.weight)
         table.weight[:M], table.bound[:M] = source.weight[:, here], source.bound[:, here]
         if self.keeps or stage + H <= self.N:
-            table.weight[:M, H] = self._end_rows.weight[:, -1]
+            table.weight[:M, H] = end.weight[:, -1]
         for frame, places in self._points.items():
             table.bound[self._frames[frame], : H + 1] = places.T
         table.changed()
@@ -211,7 +214,7 @@ class Window:
         cost.Q, cost.R, cost.N, cost.nu = Q, self._R[here], H, self._R.shape[1]
         cost.x_ref, cost.u_ref, cost.space = self.x_ref[stage : stage + H + 1], self.u_ref[here], self._space
         cost.nx, cost.ndx = self._space.nx, self._space.ndx
-        if self._residuals is None:
+        if self._residuals is None or self._end_rows is None:
             return cost
         parts = _at_stages(self._residuals, slice(stage, stage + H + 1))
         bound, weight = np.array(parts.bound), np.array(parts.weight)
