@@ -1,6 +1,6 @@
 """Sweeps of hopper plans: how much faster two processes are than one, memory, and what handing out by Dask costs.
 
-    python benchmarks/sweeping.py [--plans 1000] [--dask]
+    python benchmarks/sweeping.py [--plans 1000] [--dask] [--threads]
 
 Wall time is measured from the first row on disk to the last, so that starting processes, which takes seconds whatever
 the size of the sweep, is shown apart. Processor time is that of this process, which hands out and writes, and of its
@@ -14,6 +14,7 @@ import os
 import resource
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,11 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=1000)
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
     parser.add_argument("--dask", action="store_true", help="also on a local Dask cluster of so many workers")
+    parser.add_argument("--threads", action="store_true", help="instead: solves in two threads beside one")
     options = parser.parse_args()
+    if options.threads:
+        _threads()
+        return
     ways = [(workers, dask) for dask in (False, True)[: 1 + options.dask] for workers in options.workers]
     print(f"{'':24}  plans/s  first row, s  own CPU, ms/plan  solving, ms/plan  memory, MB  load")
     rates = {(workers, dask): _run(options.plans, workers, dask) for workers, dask in ways}
@@ -62,6 +67,21 @@ def _run(plans: int, workers: int, dask: bool) -> float:
         flush=True,
     )
     return rate
+
+
+def _threads() -> None:
+    """How many solves a second two threads make, relative to one."""
+    for case, parameters in {"two-link": {"horizon": 1000}, "puma": {}, "hopper": {"horizon": 2000}}.items():
+        problems = [planner.cases.build(case, **parameters) for _ in range(8)]
+        for problem in problems:
+            planner.solve(problem)
+        seconds = []
+        for threads in (1, 2):
+            with ThreadPoolExecutor(threads) as pool:
+                began = time.perf_counter()
+                list(pool.map(planner.solve, problems))
+                seconds.append(time.perf_counter() - began)
+        print(f"{case}: two threads {seconds[0] / seconds[1]:.2f} times one, load {os.getloadavg()[0]:.1f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError("--workers and --scheduler are both given, expected one of them.")
     name = name_of(arguments)
     out = Path(arguments.out or f"renders/sweep-{name}")
-    on_dask = arguments.scheduler is not None
-    with dask_executor(arguments.scheduler) if on_dask else nullcontext() as executor:
+    address: str | None = arguments.scheduler
+    with nullcontext() if address is None else dask_executor(address) as executor:
         done = sweep(
             Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
             out=out, executor=executor, workers=arguments.workers, fixed=_fixed(arguments),

@@ -74,7 +74,7 @@ class LocalProcesses(Executor):
         for worker in self._workers:
             if cancel_futures:
                 worker.end()
-            worker.pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+            worker.pool.shutdown(wait=wait and not cancel_futures, cancel_futures=cancel_futures)
 
 
 class _Worker:
@@ -105,9 +105,9 @@ class _Worker:
 
     def end(self) -> None:
         """Kill its process, if it has begun."""
-        if self.pid:
-            with suppress(OSError):
-                os.kill(self.pid, signal.SIGKILL)
+        for process in list((getattr(self.pool, "_processes", None) or {}).values()):  # one that still loads, too
+            with suppress(OSError, ValueError):
+                process.kill()
 
 
 def _began(first: Callable[[], object]) -> int:

@@ -136,7 +136,7 @@ class Store:
             with open(self.folder / ROWS, "rb") as file:
                 for place in self.places:
                     if place >= 0:
-                        file.seek(place)
+                        file.seek(int(place))
                         row = _row(file.readline())
                         assert row is not None  # it was whole when it was written
                         yield row
@@ -146,7 +146,7 @@ class Store:
         if self.places[task] < 0:
             return None
         with open(self.folder / ROWS, "rb") as file:
-            file.seek(self.places[task])
+            file.seek(int(self.places[task]))
             return _row(file.readline())
 
     def plan(self, task: int) -> Plan:

@@ -154,8 +154,9 @@ def sweep(
                 if store.finished != len(grid):
                     warm(work)  # compiles, once on this machine
                     pool = executor or stack.enter_context(_processes(min(width, len(grid)), work))
-                    if hasattr(pool, "prepare"):
-                        pool.prepare(partial(warm, work))
+                    prepare = getattr(pool, "prepare", None)
+                    if prepare is not None:
+                        prepare(partial(warm, work))
                     run(work, queue, pool, store, progress)
             except KeyboardInterrupt:
                 interrupted = True
@@ -191,10 +192,13 @@ class _processes:
         self._pool.shutdown(cancel_futures=kind is not None)
 
 
-def _source(build: Any) -> str | Path | Callable[..., Problem]:
+def _source(build: Any) -> Any:
     """What builds the problems: a case's name, a function, or the whole path of a problem file."""
+    for name, case in cases.CASES.items():
+        if case is build:
+            return name
     if callable(build):
-        return next((name for name, case in cases.CASES.items() if case is build), build)
+        return build
     if isinstance(build, Path) or (isinstance(build, str) and build.lower().endswith(".toml")):
         return Path(build).absolute()
     return choice("build", build, tuple(cases.CASES))

@@ -172,7 +172,7 @@ def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, 
 
     file = work.problem(task)
     problem, neighbour = _from_neighbour(file.problem, controls)
-    options = {"starts": file.starts, "seed": file.seed} | work.options
+    options: dict[str, Any] = {"starts": file.starts, "seed": file.seed} | work.options
     if problem.periodic is not None:
         plan = solve_periodic(problem, callback=heed, **options)
     elif file.objective is not None:

@@ -2,13 +2,16 @@
 
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 from commands import run
 
 import planner
 from planner.sweeps.grid import grid_of
 from planner.view.report.sweep_maps import Map, maps_of, mark_jumps
+from planner.view.report.sweep_page import write_sweep_page
 
 
 def rows_of(costs):
@@ -33,14 +36,23 @@ def test_a_map_is_over_the_two_longest_parameters():
             assert grid.point(int(task)) == {**one.held, "b": grid.values["b"][i], "c": grid.values["c"][j]}
 
 
-def test_the_command_writes_a_page_whose_plans_can_be_read(tmp_path):
-    words = ("--set", "height=2:5:4", "--set", "duration=0.8,1", "--workers", 1, "--quiet", "--json")
-    done = run("sweep", "hopper", *words, "--out", "out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["statuses"] == {"CONVERGED": 8}
-    page = (tmp_path / "out/index.html").read_text(encoding="utf-8")
+def test_the_page_has_every_task_and_its_plan_can_be_read(tmp_path):
+    with ThreadPoolExecutor(1) as executor:
+        grid = {"height": [2, 3, 4, 5], "duration": [0.8, 1.0]}
+        done = planner.sweep("hopper", grid, out=tmp_path / "out", executor=executor)
+    page = write_sweep_page(done).read_text(encoding="utf-8")
     assert page.count("<rect") == 3 * 8
     told = json.loads(re.search(r'id="rows">(.*?)</script>', page, re.S)[1])
     plan = planner.load_plan(tmp_path / "out" / told["7"]["plan"])
     assert plan.cost == told["7"]["cost"]
     assert "http" not in page
+
+
+@pytest.mark.slow
+def test_the_command_writes_table_and_page(tmp_path):
+    words = ("--set", "height=2:5:4", "--set", "duration=0.8,1", "--workers", 1, "--quiet", "--json")
+    done = run("sweep", "hopper", *words, "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["statuses"] == {"CONVERGED": 8}
+    assert (tmp_path / "out/table.csv").exists()
+    assert (tmp_path / "out/index.html").exists()

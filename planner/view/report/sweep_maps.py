@@ -100,5 +100,5 @@ def _steps(values: np.ndarray, axis: int) -> Iterable[tuple[int, int]]:
     usual[:-1] = np.fmax(usual[:-1], change[1:])
     with np.errstate(invalid="ignore"):
         far = (change > _LEAST) & (change > _FAR * usual)
-    marked = np.moveaxis(far.any(axis=-1), 0, axis)
+    marked = np.moveaxis(np.asarray(far.any(axis=-1)), 0, axis)
     return [(int(i), int(j)) for i, j in np.argwhere(marked)]
