@@ -6,7 +6,8 @@ The machines are files of pip packages that SITE_PACKAGES holds (robots_table.MA
 and a package that is not there is left out. The problem files follow one rule (robots_problems). Every machine has a
 child process of its own and 120 s. load: reading the files and building the problem, in a process that has imported the
 package. plan: the solve. verdict: from the start of the command to its first line of verdict, imports and compiled
-kernels that are read from the disk included; run twice after a change to the kernels.
+kernels that are read from the disk included; run twice after a change to the kernels. A verdict with "(physical)" has a
+reason that lies in the machine or its file: a pose that falls over, equalities and ranges without a pose.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ from robots_problems import problem_text  # noqa: E402 (beside this file)
 from robots_table import KINDS, MACHINES, Machine  # noqa: E402
 
 LIMIT = 120.0  # s for a machine
+PHYSICAL = (  # words of the reasons that lie in a machine or its file, and not in the planner
+    "contradicts itself", "No plan stays at the goal", "does not balance by itself", "No duration lets the actuators",
+)  # fmt: skip
 VERDICT = re.compile(r"^(PASS|FAIL)\b")
 CHILD = """
 import sys, time
@@ -60,6 +64,11 @@ class Row:
     plan: float | None = None
     verdict_seconds: float | None = None
     cure: str = ""  # the first that a FAIL names
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether what is said names a reason of the machine or its file, for which no plan passes."""
+        return self.verdict != "PASS" and any(words in f"{self.message} {self.cure}" for words in PHYSICAL)
 
 
 def tried(machine: Machine, packages: Path, limit: float = LIMIT) -> Row:
@@ -109,7 +118,8 @@ def _run(machine: Machine, folder: Path, limit: float) -> Row:
         if child.returncode == 2 and said:
             row.verdict, row.message, row.load = "refused", _line(said[-1]), None
         elif time.perf_counter() - began >= limit:
-            row.message = f"none within {limit:g} s"
+            falls = next((line for _, line in lines if "does not balance by itself" in line), "")
+            row.message = f"none within {limit:g} s. {_line(falls)}".rstrip()
         else:
             row.message = _line(next((line for _, line in reversed(lines) if not line.startswith("@")), ""))
         return row
@@ -144,7 +154,8 @@ def _seconds(value: float | None) -> str:
 def _cells(row: Row, most: int) -> list[str]:
     message = row.message if len(row.message) <= most else f"{row.message[: most - 3]}..."
     message += f" To pass: {row.cure}" if row.cure else ""
-    return [row.package, row.machine, row.kind, str(row.joints or ""), row.verdict, _seconds(row.load),
+    verdict = f"{row.verdict} (physical)" if row.is_physical else row.verdict
+    return [row.package, row.machine, row.kind, str(row.joints or ""), verdict, _seconds(row.load),
             _seconds(row.plan), _seconds(row.verdict_seconds), message.replace("|", "/")]  # fmt: skip
 
 
@@ -164,7 +175,9 @@ def summary(rows: list[Row]) -> str:
     for kind in KINDS:
         of_kind = [row for row in rows if row.kind.startswith(kind)]
         parts += [f"{sum(row in passed for row in of_kind)} of {len(of_kind)} ({kind})"] if of_kind else []
+    physical = sum(row.is_physical for row in rows)
     text = f"{len(passed)} of {len(rows)} PASS at the first try: {', '.join(parts)}"
+    text += f"; {physical} cannot, for a reason of the machine or its file" if physical else ""
     arms = [row for row in passed if row.kind.startswith("arm")]
     for word, values in (
         ("load", [row.load for row in arms]),

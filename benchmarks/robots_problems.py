@@ -11,14 +11,16 @@
 
 Joints that equalities tie to others go where those take them; joints that nothing drives end where they began. A joint
 whose way would take one out of its range, or a tendon out of its own, moves half as far, up to three times, or stays;
-one that its motor could not bring or hold there moves to the other side, or half as far, likewise. On legs a joint that leans
-sideways or turns and has as much room on both sides stays: both legs would lean to the same side.
+one that its motor could not bring or hold there moves to the other side, or half as far, likewise. On legs a joint that
+leans sideways or turns and has as much room on both sides stays: both legs would lean to the same side. A pose in which
+legs with stiff joints topple is half as far away, likewise, where the start stands.
 Where shapes would meet on the straight line that are apart at the start, the way is halved, up to three times: nobody
 asks an arm to go into its own base.
 """
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +38,8 @@ TIES = 4  # Newton steps onto equalities
 ON_IT = 1e-9  # rad or m: as far beyond a range is still on it
 MIDDLE = 1e-3  # of a range
 ACROSS = 0.7  # of an axis along y: it bends a leg forwards
+STIFF = 2.0, 3000.0, 100.0  # kg m^2, N m/rad, N m s/rad
+UPRIGHT = 2.0, 0.3  # s; rad: a machine that has turned as far has toppled
 POSES = 20  # to try between the ends of a range
 SMOOTH = 8.0  # times way / duration^2: the acceleration of a smooth motion, 5.8, with some to spare
 SLIGHT = 0.02  # of the largest torque that holds a machine: less falls by little in a second
@@ -54,6 +58,7 @@ def problem_text(file: Path, kind: str, folder: Path) -> str:
             model = mujoco.MjModel.from_xml_path(str(file))
         if kind == "legged" and not _has_floor(model):
             file = _with_floor(file, folder)
+            model = mujoco.MjModel.from_xml_path(str(file))
         start, goal = _of_model(model, kind)
     return f'model = "{file}"\nstart = {start}\ngoal = {goal}\nduration = {DURATION[kind]}\n'
 
@@ -81,9 +86,32 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
         if not _meets(model, start, way, driven):
             break
         way *= 0.5
+    if kind == "legged" and _stands(model, start):
+        for _ in range(HALVINGS):
+            if _stands(model, _tied(model, start + way, driven)):
+                break
+            way *= 0.5
     goal = _tied(model, start + way, driven)
     unchanged = bool(first) and np.array_equal(start, model.key_qpos[0])
     return (f'"{first}"' if unchanged else _numbers(start)), _numbers(goal)
+
+
+def _stands(model: mujoco.MjModel, qpos: np.ndarray) -> bool:
+    """Whether a machine with a free base and a floor stays upright in MuJoCo with stiff joints."""
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if len(free) != 1 or not _has_floor(model):
+        return False
+    stiff, joints = copy.copy(model), np.flatnonzero(model.jnt_type >= 2)
+    places, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    stiff.opt.timestep, stiff.opt.integrator = 5e-4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    stiff.dof_armature[dofs] += STIFF[0]
+    data = mujoco.MjData(stiff)
+    data.qpos[:] = qpos
+    while data.time < UPRIGHT[0]:
+        data.qfrc_applied[dofs] = STIFF[1] * (qpos[places] - data.qpos[places]) - STIFF[2] * data.qvel[dofs]
+        mujoco.mj_step(stiff, data)
+    first = int(model.jnt_qposadr[free[0]]) + 3
+    return abs(float(data.qpos[first : first + 4] @ qpos[first : first + 4])) > np.cos(0.5 * UPRIGHT[1])
 
 
 def _leans(model: mujoco.MjModel, joint: int, start: np.ndarray, limits: np.ndarray | None) -> bool:

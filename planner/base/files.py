@@ -6,6 +6,7 @@ under a hidden name beside its place and moved there by os.replace, which is ato
 
 from __future__ import annotations
 
+import difflib
 import errno
 import fcntl
 import os
@@ -16,6 +17,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from planner.base.arguments import shown
 from planner.base.errors import FileError, PlannerError
 
 PathLike = str | os.PathLike[str]
@@ -27,6 +29,8 @@ _HIDDEN = ".planner-"  # prefix of the names of unfinished files and folders
 _LOCK = f"{_HIDDEN}lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # of file systems that have none
 _FULL = 64 * 1024  # bytes: a disk with less is full; some libraries report a failed write without its cause
+
+_MOST_LISTED = 1000  # files of a folder that are compared with a name
 
 # Errors of the device, which come without a file name.
 _DEVICE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO, errno.ESTALE}
@@ -58,9 +62,29 @@ def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: ty
                 return file.read()
     except OSError as error:
         reason = error.strerror or str(error)
+        reason += _instead(Path(os.fsdecode(path))) if error.errno == errno.ENOENT else ""
     except ValueError:  # a null character
         reason = "no file can have this name"
     raise raises(f"cannot read {what} {printable(path)}: {reason}.") from None
+
+
+def _instead(path: Path) -> str:
+    """What to write for a file that is not there: the one of the nearest name, or the part of the path that is."""
+    folder = path.parent
+    try:
+        if folder.is_dir():
+            named = "this folder" if folder == Path() else printable(folder)
+            names = sorted(one.name for one in folder.iterdir() if one.suffix == path.suffix)[:_MOST_LISTED]
+            near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.5) or names[:1] * (len(names) == 1)
+            if near:
+                return f", expected the name of a file that is there: write {printable(folder / near[0])}"
+            return f", expected a file that is there: {named} has none that ends in {path.suffix or 'that'}"
+        there = next(one for one in folder.parents if one.is_dir())
+    except (OSError, StopIteration):
+        return ""
+    missing = there / folder.relative_to(there).parts[0]
+    from_where = "this folder" if there == Path() else printable(there)
+    return f", expected an existing folder: there is no {printable(missing)}, write a path from {from_where}"
 
 
 def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileError) -> str:
@@ -69,6 +93,17 @@ def read_text(path: PathLike, what: str, *, raises: type[PlannerError] = FileErr
         return read_input(path, what, most=TEXT_LIMIT, raises=raises).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise raises(f"cannot read {what} {printable(path)}: it is not text.") from None
+
+
+def as_path(path: PathLike) -> Path:
+    """The path of a file to write.
+
+    Raises:
+        FileError: It is no path.
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise FileError(f"cannot write to {shown(path)}: expected the path of a file.")
+    return Path(path)
 
 
 def printable(path: PathLike) -> str:
@@ -86,7 +121,7 @@ def write_atomically(path: PathLike) -> Iterator[Path]:
     Raises:
         FileError: `path` cannot be written: what was wrong and what was expected.
     """
-    target = Path(path)
+    target = as_path(path)
     try:
         place = Path(os.path.realpath(target))  # a link stays; the file it points at is replaced
         _refuse_other_than_file(target)

@@ -58,7 +58,8 @@ def _run(words: list[str], console: Console) -> int:
     try:
         arguments = parser.parse(words)
         if arguments.version:
-            console.say("  ".join(f"{name} {version}" for name, version in installed_versions().items()))
+            versions = {"planner": "", **installed_versions()}  # planner first
+            console.say("  ".join(f"{name} {version}" for name, version in versions.items()))
             return 0
         if arguments.command is None:
             parser.build().print_help()

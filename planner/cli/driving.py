@@ -39,7 +39,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     compiled = CompiledTwin(problem.twin)
     named = [*pushes, *([] if arguments.map is None else [Push(arguments.map, 1.0, 0.0)])]
     pushed_step(compiled.model, named)  # refuses a body that there is not, before any work
-    given = {"rate": arguments.rate, "iterations": count("iterations", arguments.iterations)}
+    given = {"rate": arguments.rate, "iterations": count("iterations", arguments.iterations), "latency": latency or 0.0}
     if arguments.stages is not None:
         given["horizon"] = count("stages", arguments.stages)
     Controller.check(problem, **given)

@@ -20,10 +20,10 @@ def export_plan(arguments: argparse.Namespace, console: Console) -> int:
     form, rate = arguments.to, arguments.rate
     if arguments.only is not None and form != "csv":
         raise PlannerError(f"--only is for --to csv, expected none with --to {form}.")
+    plan = load_plan(arguments.plan)
     out = Path(arguments.plan).with_suffix(FORMATS[form]) if arguments.out is None else Path(arguments.out)
     if form in ("json", "yaml") and not (out.suffix == ".json" if form == "json" else out.suffix in (".yaml", ".yml")):
         raise PlannerError(f"cannot write {form} to {out}: expected a name ending in {FORMATS[form]}.")
-    plan = load_plan(arguments.plan)
     rows = len(sampled(plan, rate).t) - (arguments.only == "controls")
     missing: tuple[str, ...] = ()
     if form == "csv":

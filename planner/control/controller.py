@@ -72,6 +72,8 @@ class Controller:
             depends on the computer.
         patience: Failed solves in a row after which it holds.
         plan: A plan of the problem to begin with; by default it is solved.
+        latency: s, from a call that plans until its control acts. It then plans for that instant, from where the
+            problem's own dynamics take the machine until then under the control that acts now.
 
     Attributes:
         plan: The plan that it starts with, solved to the end when it was made or reset.
@@ -90,7 +92,7 @@ class Controller:
 
     def __init__(
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
-        budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None,
+        budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None, latency: float = 0.0,
     ) -> None:  # fmt: skip
         H, rate = self.check(problem, horizon, rate)
         dt = problem.dynamics.dt
@@ -98,6 +100,7 @@ class Controller:
         self.iterations = count("iterations", iterations)
         self.budget = None if budget is None else number("budget", budget, above=0.0)
         self.patience = count("patience", patience)
+        self.latency = number("latency", latency, least=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
         # Past its end the goal of a task stays, if some control keeps it.
         self._window, self._holding = Window(problem, H, keeps=self._keeps_goal()), Holding(problem)
@@ -178,6 +181,7 @@ class Controller:
         self.status, self.events = Doing.PLANNING, list[Event]()
         self.failures = self.plans = self.stalls = 0
         self.planned, self.seconds = False, 0.0
+        self._acting = self._us[0].copy()
         if self._goal is None:
             end = self.plan.xs[-1] if self._window.frames else self._window.x_ref[-1]
             self._rest = keeping(self.problem, end, self.plan.us[-1])
@@ -223,17 +227,31 @@ class Controller:
         self.planned, self.seconds = False, 0.0
         if (t - self._asked) * self.rate >= 1.0 - _LITTLE:
             began = time.perf_counter()
+            self._asked = t
+            if self.latency:
+                t, x = t + self.latency, self._ahead(x)
             self.make_plan(t, x)
             self.planned, self.seconds = True, time.perf_counter() - began
             if self.status is Doing.PLANNING:
-                return self._us[0].copy()
-        return self.control(t, x)
+                self._acting = self._us[0].copy()
+                return self._acting
+        self._acting = self.control(t, x)
+        return self._acting
+
+    def _ahead(self, x: np.ndarray) -> np.ndarray:
+        """Where the control that acts now takes a state within the latency."""
+        left, lengths = self.latency, []
+        while left > _LITTLE * self._dt:
+            lengths.append(min(left, self._dt))
+            left -= lengths[-1]
+        for length in lengths:
+            x = self.problem.dynamics.step(x[None], self._acting[None], np.array([length]))[0]
+        return x
 
     def make_plan(self, t: float, x: np.ndarray) -> bool:
         """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
         if math.isnan(self._begin):
-            self._begin = self._made = t
-        self._asked = t
+            self._begin = self._made = t - self.latency
         if self._new_goal is not None:
             self._rest = keeping(self.problem, self._new_goal, self._us[-1] if self._rest is None else self._rest)
             self._window.aim(self._new_goal, self._rest)
@@ -254,7 +272,7 @@ class Controller:
         engine, began = self._engine, time.perf_counter()
         if not np.isfinite(x).all():
             return "the measured state is not finite"
-        cost = engine.follow(x, *self._moved((t - self._made) / self._dt))
+        cost = engine.follow(x, (self._xs, self._us, self._K), (t - self._made) / self._dt)
         if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
             held = self._holding(x, self._us[-1])
             cost = engine.start(x, np.tile(held, (self.horizon, 1)))
@@ -274,10 +292,12 @@ class Controller:
                 self._mu = min(max(LEAST, FACTOR * self._mu), MOST)
         if kind == INDEFINITE:
             return "the sweep is not definite"
+        if not math.isfinite(outcome.slope):
+            return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
         xs, us, K = self._next
         engine.read(xs, us, K)
-        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY and math.isfinite(K.sum())):
+        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY):
             return "the plan is not finite"
         self._next, (self._xs, self._us, self._K) = (self._xs, self._us, self._K), (xs, us, K)
         return ""
@@ -285,21 +305,6 @@ class Controller:
     def _within(self, began: float, done: int) -> bool:
         assert self.budget is not None
         return done == 0 or time.perf_counter() - began < self.budget
-
-    def _moved(self, stages: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The plan moved on by some stages, which need not be whole; its last stage is repeated."""
-        m = int(stages + _LITTLE)
-        part = stages - m
-        H, (xs, us, K) = self.horizon, self._next
-        m = min(m, H)
-        left = H - m
-        xs[: left + 1], xs[left + 1 :] = self._xs[m:], self._xs[-1]
-        us[:left], us[left:] = self._us[m:], self._us[-1]
-        K[:left], K[left:] = self._K[m:], self._K[-1]
-        if part > _LITTLE and left:
-            away = self._space.difference(xs[1:], xs[:-1])
-            xs[:-1] = self._space.integrate(xs[:-1], part * away)
-        return xs, us, K
 
     def _failed(self, t: float, trouble: str) -> None:
         self.failures, self._in_a_row = self.failures + 1, self._in_a_row + 1
@@ -324,7 +329,7 @@ class Controller:
         """The control (nu,) of the plan that is there, with its gains."""
         if math.isnan(self._made):
             raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
-        stages = (t - self._made) / self._dt
+        stages = max((t - self._made) / self._dt, 0.0)
         n = int(stages + _LITTLE)
         if n >= self.horizon and self.status is not Doing.PLANNING:
             self._hold(t, "the plan has ended")
@@ -338,11 +343,11 @@ class Controller:
 
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s: its own integrator over a part of a stage."""
-        stages = (t - self._made) / self._dt
+        stages = max((t - self._made) / self._dt, 0.0)
         n = int(stages + _LITTLE)
         if n >= self.horizon:
-            return self._xs[-1]
+            return self._xs[-1].copy()
         part = stages - n
         if part <= _LITTLE:
-            return self._xs[n]
+            return self._xs[n].copy()  # the memory is another plan's soon
         return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]

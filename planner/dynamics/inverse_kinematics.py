@@ -14,8 +14,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from planner.base.arguments import array, count
 from planner.base.errors import PlannerError
@@ -99,6 +97,8 @@ def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.n
     if target.position is not None:
         rows.append((T[:3, 3] - target.position, J[:3], False))
     if target.orientation is not None:
+        from scipy.spatial.transform import Rotation  # 0.4 s that `planner run` need not pay
+
         reference = Rotation.from_quat(target.orientation[[1, 2, 3, 0]]).as_matrix()
         r = Rotation.from_matrix(reference.T @ R).as_rotvec()
         rows.append((r, log_jacobian(r) @ R.T @ J[3:], True))
@@ -165,6 +165,8 @@ def _from(
             last.clear()
             last[y.tobytes()] = stacked(y)
         return last[y.tobytes()]
+
+    from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
 
     done = least_squares(
         lambda y: np.concatenate([both(y)[0], LEAN * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore

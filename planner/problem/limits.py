@@ -21,6 +21,7 @@ from planner.base.arguments import array, choice, number, numbers, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
+from planner.model.coupled_ranges import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators
@@ -221,6 +222,11 @@ class Limits:
             if isinstance(self.position, str):
                 choice("the limits' position", self.position, (MODEL, OFF))
             found = model_ranges(machine, self.margin)
+            if _is(self.position, MODEL) and machine.couplings:
+                wide = np.array([[one.least, one.most] if (one := found.get(i)) else [-np.inf, np.inf]
+                                 for i in range(machine.nv)])  # fmt: skip
+                if said := contradiction(machine, wide):
+                    raise PlannerError(said)
             for joint, value in {} if _is(self.position, MODEL) else _table("position", self.position).items():
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:

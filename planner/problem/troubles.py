@@ -12,6 +12,7 @@ import numpy as np
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import directions
 from planner.model.actuators import INTEGRATOR
+from planner.model.coupled_ranges import contradiction, narrowed
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
 
@@ -20,6 +21,7 @@ _MENDED = 1e-2  # of that median: the armature that is proposed
 _SHALLOW = 1e-3  # of the machine's size: feet on the ground sink in about as far
 _DEGREES = math.radians(2.0 * math.pi)  # rad: a whole turn in radians, read as degrees
 _ROUNDING = 1e-9  # of a control or force, and of 1
+_HELD = 1e-6  # rad or m
 _SPARE = 1.5  # times what holds: the range that is proposed
 _MOST = 4  # of a kind that are told one by one
 
@@ -39,7 +41,7 @@ def troubles_of(
     found += _outside(joints, np.array(model.qpos0), "the start that the file describes", _to_start)
     for name, qpos in keyframes.items():
         found += _outside(joints, qpos, f"keyframe {name!r}", _to_key)
-    found += _overlapping(model)
+    found += _overlapping(model) + ([] if mechanism is None else _coupled(mechanism))
     if mechanism is not None and not free_bases(model):
         pose = next(iter(keyframes.values()), np.array(model.qpos0))
         found += _weak(mechanism, pose)
@@ -140,6 +142,21 @@ def _overlapping(model: Any) -> list[Trouble]:
     ]  # fmt: skip
     more = len(deep) - _MOST
     return found + ([Trouble(f"so are {more} more pairs of bodies", "the same")] if more > 0 else [])
+
+
+def _coupled(mechanism: Mechanism) -> list[Trouble]:
+    """Joints that equalities and ranges together leave no way, or no place at all."""
+    if not mechanism.couplings:
+        return []
+    ranges = np.array(mechanism.joint_range)
+    if said := contradiction(mechanism, ranges):
+        problem, _, mend = said.rstrip(".").partition(": write ")
+        return [Trouble(problem, mend or "wider ranges in the file")]
+    left = narrowed(mechanism, ranges)
+    held = (np.ptp(left, axis=1) < _HELD) & (np.ptp(ranges, axis=1) > _HELD)
+    names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(held)]
+    words = f"equalities and ranges together hold {_few(names)} at one place, so nothing moves there"
+    return [Trouble(words, "a wider range in the file, or goals that leave them there")] if names else []
 
 
 def _weak(mechanism: Mechanism, qpos: np.ndarray) -> list[Trouble]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,13 +129,15 @@ def do(work: Work, tasks: list[int], continued: bool = False, controls: np.ndarr
     return Batch(done, last)
 
 
-def warm(work: Work, task: int = 0) -> str:
-    """Load, and on a cold start compile, what the tasks need; "" or why the first of them cannot be built."""
-    try:
-        solve(work.problem(task).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
-    except Exception as error:
-        return reason_of(error)
-    return ""
+def warm(work: Work) -> None:
+    """Load, and on a cold start compile, what the tasks need.
+
+    A function of the user's own is not called here: it may do anything, which is for the tasks to find out.
+    """
+    if callable(work.source):
+        return
+    with suppress(Exception), np.errstate(all="ignore"):  # what is wrong with the first task is in its row
+        solve(work.problem(0).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
 
 
 def failed(work: Work, task: int, status: str, reason: str) -> Done:

@@ -349,3 +349,11 @@ def test_a_writer_that_hides_the_cause_of_a_full_disk(small_disk):
     with pytest.raises(FileError, match="no space left on device"):
         work()
     assert contents(small_disk) == {}
+
+
+def test_a_file_that_is_not_there_is_answered_with_the_nearest_one(tmp_path):
+    (tmp_path / "robot.xml").write_text("<mujoco/>")
+    with pytest.raises(FileError, match=r"No such file or directory, expected .* write .*/robot\.xml\.$"):
+        read_text(tmp_path / "robt.xml", "the model")
+    with pytest.raises(FileError, match=r"there is no .*/arms, write a path from "):
+        read_text(tmp_path / "arms" / "robot.xml", "the model")

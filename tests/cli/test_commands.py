@@ -212,6 +212,7 @@ def test_export_refuses_in_a_sentence(tmp_path):
     refused(run("export", "a.npz", "--to", "yaml", "--out", "a.json", cwd=tmp_path), "expected a name ending in .yaml")
     refused(run("export", "a.npz", "--to", "csv", "--rate", -1, cwd=tmp_path), "rate is -1.0")
     refused(run("export", "a.npz", "--to", "json", "--only", "states", cwd=tmp_path), "--only is for --to csv")
+    refused(run("export", "", "--to", "csv", cwd=tmp_path), "expected a plan.npz")
     refused(run("export", "b.npz", "--to", "csv", cwd=tmp_path), "does not exist")
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
@@ -224,7 +225,7 @@ def test_help_shows_flags_with_defaults_and_units(tmp_path):
 
 
 def test_version_and_no_command_at_all_exit_0(tmp_path):
-    assert "planner" in launch("--version", cwd=tmp_path).stdout
+    assert launch("--version", cwd=tmp_path).stdout.startswith(f"planner {planner.__version__}  ")
     assert run(cwd=tmp_path).returncode == 0
 
 

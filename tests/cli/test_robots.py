@@ -1,5 +1,6 @@
 """benchmarks/robots.py: problem files by one rule, and what comes of a few machines by others."""
 
+import math
 import sysconfig
 import tomllib
 from pathlib import Path
@@ -50,7 +51,9 @@ HOPPER = """
 """
 URDF = """
 <robot name="two">
-  <link name="base"/><link name="upper"/><link name="tip"/>
+  <link name="base"/>
+  <link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
+  <link name="tip"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
   <joint name="lift" type="prismatic"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
     <limit lower="0.1" upper="0.5" effort="10" velocity="1"/></joint>
   <joint name="turn" type="continuous"><parent link="upper"/><child link="tip"/><axis xyz="0 0 1"/>
@@ -117,3 +120,21 @@ def test_machines_of_others_pass_at_the_first_try(name):
     assert row.load is not None
     assert row.plan is not None
     assert row.verdict_seconds is not None
+
+
+def test_a_start_that_its_motor_cannot_hold_becomes_one_that_it_can(tmp_path):
+    arm = """<mujoco><compiler angle="radian"/><worldbody><body>
+      <joint name="a" axis="0 1 0" limited="true" range="-1.6 1.6"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.5 0 0" mass="1"/>
+    </body></worldbody><actuator><motor joint="a" ctrllimited="true" ctrlrange="-2 2"/></actuator></mujoco>"""
+    (tmp_path / "arm.xml").write_text(arm)
+    problem = tomllib.loads(problem_text(tmp_path / "arm.xml", "arm", tmp_path))
+    for pose in ("start", "goal"):
+        assert 9.81 * 0.25 * math.cos(problem[pose][0]) < 2.0
+
+
+def test_a_file_without_a_unit_whose_ranges_are_radians_gets_it(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM.replace('angle="radian"', "").format(keyframe=""))
+    problem = tomllib.loads(problem_text(tmp_path / "arm.xml", "arm", tmp_path))
+    assert problem["model"] != str(tmp_path / "arm.xml")
+    assert problem["start"][0] == pytest.approx(0.5)

@@ -172,7 +172,7 @@ def test_what_does_not_fit_is_refused(problem, given, fragments):
 
 
 def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, controller):
-    with pytest.raises(planner.PlannerError, match="EnergyCost.*expected one TrackingCost"):
+    with pytest.raises(planner.PlannerError, match=r"EnergyCost.*expected one TrackingCost"):
         planner.Controller(planner.costs.with_objective(problem, "energy"))
     with pytest.raises(planner.PlannerError, match="no frame of this problem"):
         controller.goal = {"hand": [0, 0, 0]}

@@ -6,8 +6,10 @@ import json
 import numpy as np
 import pytest
 from commands import refused, run
+from places import ROOT
 
 import planner
+from planner.base.errors import RenderingUnavailable
 from planner.control.judging import judge, margins, survives
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
@@ -180,3 +182,43 @@ def test_the_command_writes_its_files_and_refuses_in_one_sentence(tmp_path):
     ):
         refused(run("drive", "two-link", *words, "--out", "p", cwd=tmp_path), *fragments)
         assert not (tmp_path / "p").exists()
+
+
+def test_a_controller_that_knows_its_latency_expects_what_comes(problem):
+    """Without errors the plan is made for the state in which its control acts: only the simulator's step differs."""
+    late, misses = problem.dynamics.dt, []
+    for known in (late, 0.0):
+        loop = planner.simulate(planner.Controller(problem, latency=known), latency=late, duration=1.0)
+        misses.append(np.abs(loop.xs[:: loop.substeps][2:] - loop.plan.xs[2:]).max())
+    assert misses[0] < 0.02 * misses[1]
+
+
+@pytest.mark.slow
+def test_the_hopper_arrives_though_nothing_keeps_it_there():
+    controller = planner.Controller(planner.cases.hopper())
+    assert not controller.keeps_goal
+    verdict = judge(planner.simulate(controller, latency=0.0))
+    assert verdict.passed
+    assert verdict.sections["stays"].not_applicable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["reach", "around_a_post", "reach_within_limits"])
+def test_tasks_with_frames_limits_and_things_in_the_way(name):
+    controller = planner.Controller(planner.load_problem(ROOT / "examples" / "tasks" / f"{name}.toml"))
+    loop = planner.simulate(controller, latency=0.0)
+    assert judge(loop).passed, judge(loop).rows()
+    limits = controller.problem.bounds
+    if limits is not None:
+        assert (loop.ctrl <= limits.upper[0] + 1e-9).all()
+
+
+@pytest.mark.slow
+def test_a_loop_is_filmed(controller, tmp_path):
+    pytest.importorskip("imageio")
+    loop = planner.simulate(controller, latency=0.0, duration=0.5)
+    try:
+        film = planner.render_video(loop, tmp_path / "loop.mp4", width=320, height=180, fps=10)
+    except RenderingUnavailable as error:
+        pytest.skip(str(error))
+    assert film.stat().st_size > 1000

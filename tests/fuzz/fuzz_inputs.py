@@ -25,7 +25,8 @@ WORDS = (
 )  # fmt: skip
 NUMBERS = ("0", "1", "-1", "0.5", "2", "10", "-0.3", "1e-3", "1e-12", "1000", "1e6", "1e12")
 SHORT = {"run": ["--rollouts", "0", "--no-video", "--no-refine"], "prove": ["--rollouts", "2"],
-         "report": ["--rollouts", "0", "--no-video"], "render": ["--out", "strip.png", "--size", "160x96"]}  # fmt: skip
+         "report": ["--rollouts", "0", "--no-video"], "render": ["--out", "strip.png", "--size", "160x96"],
+         "export": ["--to", "csv"]}  # fmt: skip
 STAGES = ["--horizon", "8", "--max-iterations", "2"]
 PROBLEM = """model = "model.xml"
 start = {}
@@ -68,7 +69,7 @@ def _flags(rng: random.Random, command: str, case: str | None) -> list[str]:
 
 
 def _command_line(rng: random.Random, plans: dict[str, bytes]) -> tuple[list[str], dict[str, bytes]]:
-    command = rng.choice(["run", "solve", "solve", "prove", "prove", "render", "report", "check", "list"])
+    command = rng.choice(["run", "solve", "solve", "prove", "prove", "render", "report", "check", "export", "list"])
     case = rng.choice(list(CASES)) if command in ("run", "solve") else None
     flags = [part for flag in _flags(rng, command, case) for part in flag.split("\0")]
     if case is not None:

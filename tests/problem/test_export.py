@@ -170,6 +170,10 @@ def test_wrong_arguments_are_said_and_leave_no_file(arm, tmp_path):
         (lambda: arm.to_joint_trajectory(tmp_path / "a.xml"), "expected a name in .yaml, .yml or .json"),
         (lambda: arm.to_keyframes(tmp_path / "a.xml", 1e5), "lower the rate"),
         (lambda: broken.to_csv(tmp_path / "a.csv"), "not finite"),
+        (lambda: arm.to_csv(5), "cannot write to 5: expected the path of a file"),
+        (lambda: arm.to_joint_trajectory(arm), "expected the path of a file"),
+        (lambda: arm.to_csv(tmp_path / "no" / "a.csv"), "does not exist; create it"),
+        (lambda: arm.to_csv(tmp_path / "a.csv", "100"), "rate is '100'"),
         (lambda: replace(arm, twin=None).to_keyframes(tmp_path / "a.xml"), "write a CSV"),
     ):
         with pytest.raises(planner.PlannerError) as error:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import FileError, PlannerError
-from planner.base.files import PathLike, printable, write_atomically
+from planner.base.files import PathLike, as_path, printable, write_atomically
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.export.sampled import Motion, sampled
 
@@ -35,7 +35,7 @@ def joint_trajectory(plan: Motion, path: PathLike | None = None, rate: float | N
         PlannerError: The plan's machine has no hinge or slide, the rate is wrong, or the plan is not finite.
         FileError: The path has another ending, or the file cannot be written.
     """
-    if path is not None and Path(path).suffix not in SUFFIXES:
+    if path is not None and as_path(path).suffix not in SUFFIXES:
         raise FileError(f"cannot write a joint trajectory to {printable(path)}: expected a name in {_list(SUFFIXES)}.")
     names, positions, velocities = _single_joints(plan)
     samples = sampled(plan, rate)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicSpline
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
@@ -20,6 +19,8 @@ from planner.problem.tasks.timetable import Task
 
 def motion(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions (K, nq), velocities and accelerations (K, nv) at times t (K,), of a machine of hinges and slides."""
+    from scipy.interpolate import BPoly, CubicSpline  # 0.4 s that `planner run` need not pay
+
     mechanism = task.mechanism
     nq = mechanism.nq
     stops = [0, *(k for k in range(1, len(poses.q) - 1) if poses.stops[k]), len(poses.q) - 1]

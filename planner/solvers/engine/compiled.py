@@ -20,6 +20,7 @@ from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
+from planner.solvers.engine.moved import Trajectory, move
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
 
 
@@ -53,6 +54,7 @@ class CompiledEngine(Engine):
         self._w = Workspace(cost, self._space, dynamics.structured, numbers, hinges, servos)
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
+        self._K = self._w.K[:, :, self._w.first : self._w.first + self._w.ndx]  # a view
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
@@ -93,12 +95,12 @@ class CompiledEngine(Engine):
         self._w.dus[:] = 0.0
         return self._search(search.START, False, math.inf, 0.0)[1]
 
-    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
-        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost."""
-        w = self._w
-        w.xs[:], w.us[:], w.k[:] = xs, us, 0.0
-        w.K[:, :, w.first : w.first + w.ndx] = K
-        w.us[0] += K[0] @ self._space.difference(x0, xs[0])  # the rollout begins at the trajectory's own start
+    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+        """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
+        w, K = self._w, self._K
+        move((w.xs, w.us, K), trajectory, stages, self._space)
+        w.k.fill(0.0)
+        w.us[0] += K[0] @ self._space.difference(x0, w.xs[0])  # the rollout begins at the trajectory's own start
         w.xs[0] = x0
         return self._search(search.START, True, math.inf, 0.0)[1]
 
@@ -238,4 +240,4 @@ class CompiledEngine(Engine):
     def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
         """Copy trajectory and gains into arrays of these shapes."""
         w = self._w
-        xs[:], us[:], K[:] = w.xs, w.us, w.K[:, :, w.first : w.first + w.ndx]
+        xs[:], us[:], K[:] = w.xs, w.us, self._K

@@ -18,6 +18,7 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers import lq
+from planner.solvers.engine.moved import Trajectory, move
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
 
 
@@ -79,9 +80,11 @@ class NumpyEngine(Engine):
             self._state_weights = state_weights(Q, self.largest_control_weight)
         return float(J[0])
 
-    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
-        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost."""
-        first = us[:, None, :].copy()
+    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+        """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
+        xs, us, K = (np.empty_like(part) for part in trajectory)
+        move((xs, us, K), trajectory, stages, self._space)
+        first = us[:, None, :]
         states, J = self._rollout(x0, first, K, xs)
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
         return float(J[0])

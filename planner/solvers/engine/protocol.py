@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.kernels.lq import search
 from planner.problem.state_ranges import Hinges
+from planner.solvers.engine.moved import Trajectory
 
 
 class Outcome(NamedTuple):
@@ -66,8 +67,8 @@ class Engine(Protocol):
         """Linearise (if `fresh`), sweep, search, accept."""
         ...
 
-    def follow(self, x0: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> float:
-        """Roll out u = us + K (x - xs) from x0 (nx,), within bounds, and take it as the trajectory; its cost.
+    def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
+        """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost.
 
         After a start, with whose memory and terms it goes on.
         """
