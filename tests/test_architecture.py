@@ -170,7 +170,13 @@ def run_python(tmp_path, monkeypatch):
     prove = planner.prove
     monkeypatch.setattr(planner, "prove", lambda plan, **options: prove(plan, **options | {"rollouts": 0}))
     monkeypatch.chdir(tmp_path)
-    return lambda text: exec(compile(text, "program", "exec"), {"__name__": "__main__"})
+
+    def run(text, names=None):
+        names = {} if names is None else names
+        names["__name__"] = "__main__"
+        exec(compile(text, "program", "exec"), names)
+
+    return run
 
 
 def test_the_example_plans_proves_and_saves(tmp_path, run_python, monkeypatch, capsys):
@@ -205,5 +211,7 @@ def test_local_links_of_the_documents_exist():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT / "docs").as_posix())
 def test_python_blocks_of_the_documents_run(page, run_python):
+    """Each by itself, but for tutorials, whose blocks follow one another."""
+    names = {} if page.parent.name == "tutorials" else None
     for block in python_blocks(page):
-        run_python(block)
+        run_python(block, names)
