@@ -160,15 +160,15 @@ class _Search:
         duration = float(duration)
         problem = with_objective(retimed(plain(self.problem), duration), self.rest)
         options = _single(self.options) if self.tried else self.options
+        plan = None
         if self.plans:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
+            if self.alone:
+                plan = self._first_look(problem, self.plans[near].stretched(duration), options)
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
             free = solve(replace(plain(problem), limits=None, constraints=()), **_single(options))
             problem = replace(problem, us=warm_start(free, problem))
-        plan = None
-        if self.alone and self.plans:
-            plan = self._first_look(problem, self.plans[near].stretched(duration), options)
         plan = self.last = solve(problem, **options) if plan is None else plan
         outside = _outside(problem, plan)
         line = Tried(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
