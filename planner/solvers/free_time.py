@@ -27,6 +27,7 @@ from planner.base.errors import PlannerError
 from planner.problem.criteria import plain, with_objective
 from planner.problem.discretisation import retimed
 from planner.problem.limits import EXACT, Limits
+from planner.problem.motion import Motion
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -35,6 +36,8 @@ from planner.solvers.warm_start import warm_start
 
 TOLERANCE = 1e-3
 """Of a duration, relative."""
+LOOK = 30  # iterations of a duration near one whose motion is known, after which it is told what is too short
+FAR = 100.0  # tolerances outside
 _SHRINK = 0.85  # from one duration to the next on the way down: a motion changes little, and fifteen span a decade
 
 
@@ -146,7 +149,7 @@ class _Search:
     ) -> None:  # fmt: skip
         self.problem, self.weights, self.options, self.callback = problem, weights, options, callback
         rest = {name: weight for name, weight in weights.items() if name != "time"}
-        self.rest = rest or {"effort": 1.0}
+        self.rest, self.alone = rest or {"effort": 1.0}, not rest
         self.tried: list[Tried] = []
         self.plans: dict[float, Plan] = {}  # those that succeeded, by duration
         self.last: Plan | None = None
@@ -157,14 +160,17 @@ class _Search:
         duration = float(duration)
         problem = with_objective(retimed(plain(self.problem), duration), self.rest)
         options = _single(self.options) if self.tried else self.options
+        plan = None
         if self.plans:
             near = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             problem = replace(problem, us=warm_start(_at_pace(self.plans[near], near / duration), problem))
+            if self.alone:
+                plan = self._first_look(problem, self.plans[near].stretched(duration), options)
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
             free = solve(replace(plain(problem), limits=None, constraints=()), **_single(options))
             problem = replace(problem, us=warm_start(free, problem))
-        plan = self.last = solve(problem, **options)
-        outside = 0.0 if problem.kept is None else float(np.max(problem.kept.beyond(plan.xs, plan.us), initial=0.0))
+        plan = self.last = solve(problem, **options) if plan is None else plan
+        outside = _outside(problem, plan)
         line = Tried(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
         self.tried.append(line)
         if self.callback is not None:
@@ -180,6 +186,17 @@ class _Search:
             self.best = worth, duration
         return worth
 
+    def _first_look(self, problem: Problem, motion: Motion, options: dict[str, Any]) -> Plan | None:
+        """A solve from a motion of another duration with its multipliers; None for one that is not found, but near.
+
+        From nearby a motion is found in some twenty iterations, if there is one; what is then FAR outside is too short.
+        """
+        assert problem.limits is not None  # time alone has bounds
+        most = min(LOOK, options.get("max_iterations", LOOK))
+        plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
+        ended = plan.status in (Status.CONVERGED, Status.INTERRUPTED)
+        return plan if ended or not _outside(problem, plan) <= FAR * problem.limits.tolerance else None
+
     def found(self, options: dict[str, Any]) -> Plan:
         """The best plan as one of the problem with its whole objective; the last where none met the limits."""
         assert self.last is not None  # at() came first
@@ -188,6 +205,11 @@ class _Search:
         wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
         return replace(as_user_plan(wanted, plan), options=plan.options | told)
+
+
+def _outside(problem: Problem, plan: Plan) -> float:
+    """How far a plan is outside of its limits and constraints: the largest, rad, m, rad/s, m/s."""
+    return 0.0 if problem.kept is None else float(np.max(problem.kept.beyond(plan.xs, plan.us), initial=0.0))
 
 
 def _least(search: _Search, shortest: float, longest: float, tolerance: float) -> None:

@@ -63,10 +63,12 @@ def followed(problem: Problem, given: Plan | Motion) -> tuple[np.ndarray, np.nda
         )
     there = motion.at(own.dt * np.arange(problem.N + 1))
     hinges = None if there.pulls is None or problem.kept is None else there.pulls.hinges(problem.kept)
-    cost, us = min(_ways(problem, there.xs, there.us, there.K), key=lambda one: one[0])
-    if cost <= STRAYS * problem.cost.value(there.xs, there.us):
-        return us, None, hinges
-    return there.us, there.xs, hinges
+    xs, us, near = there.xs, there.us, STRAYS * problem.cost.value(there.xs, there.us)
+    cost, found = min(roll_out(problem, us), roll_out(problem, us, there.K, xs), key=lambda one: one[0])
+    retuned = None if cost <= near else _gains(problem, xs, us)
+    if retuned is not None:
+        cost, found = roll_out(problem, us, retuned, xs)
+    return (found, None, hinges) if cost <= near else (us, xs, hinges)
 
 
 def _ways(problem: Problem, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> list[tuple[float, np.ndarray]]:
