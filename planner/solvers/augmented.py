@@ -26,7 +26,6 @@ from planner.problem.state_ranges import Hinges
 MOST_ROUNDS = 30
 NEARER = 0.1  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
-FIRST = 20.0  # times the cost, what hinges at first weigh
 DEAREST = 1e6  # a first guess by whose cost hinges are weighed
 MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
@@ -129,7 +128,7 @@ def _begun(kept: Kept, plan: Plan, first: Hinges) -> Hinges:
     """Weights from what a solve without hinges cost and how far it was outside; multipliers of what had hinges."""
     had, beyond = first.weight > 0.0, kept.beyond(plan.xs, plan.us)
     outside = float(np.sum(np.where(had, 0.0, beyond) ** 2))
-    weight = FIRST * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
+    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
     used = (np.isfinite(kept.lower) | np.isfinite(kept.upper)).astype(float)
     begun = Hinges(kept.lower.copy(), kept.upper.copy(), weight * used)
     if not had.any():

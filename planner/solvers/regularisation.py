@@ -14,7 +14,6 @@ from planner.solvers.engine import Engine, Outcome
 LEAST, MOST, FACTOR = 1e-6, 1e10, 10.0
 # With bounds, what they undo of a direction can be all of its decrease, until mu outweighs B'PB and not only R.
 MOST_BOUNDED = 1e16
-HASTE = 3  # mu that hastens goes by up to this power of the factor: what bounds undo is worth many powers of ten
 # Of the weight that holds the states, and the step below which it is raised. Failures raise it by the factor's square.
 HELD_MOST, HELD_FACTOR = 1e12, 5.0
 SHORT = 0.2
@@ -31,20 +30,16 @@ class Regularisation:
         exact: Whether its Hessians are exact.
         holds: Whether states are held.
         bounded: Whether its controls have bounds.
-        hastens: Whether mu goes faster from one failure, or full step, in a row to the next; with bounds alone.
 
     Attributes:
         mu: In the units of R; zero for the plain model of Eq. 31, and where states are held.
         shown: The weight that lines of the solve show: mu, or Engine.hold.
     """
 
-    def __init__(
-        self, engine: Engine, exact: bool, holds: bool = False, bounded: bool = False, hastens: bool = False
-    ) -> None:
+    def __init__(self, engine: Engine, exact: bool, holds: bool = False, bounded: bool = False) -> None:
         self._most = HELD_MOST if holds else MOST_BOUNDED if bounded else MOST
         self._engine, self._exact, self._holds = engine, exact, holds
         self._relative, self._tried_plain, self._second_order = 0.0, False, exact
-        self._hastens, self._row = hastens and bounded and not holds, 0  # failures in a row, or full steps below 0
 
     @property
     def mu(self) -> float:  # noqa: D102
@@ -72,24 +67,17 @@ class Regularisation:
 
     def raise_(self) -> None:
         """After a sweep or search that failed."""
-        self._row = max(self._row, 0) + 1
-        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else self._factor) * self._relative))
+        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else FACTOR) * self._relative))
 
     def lower(self, step: float, at_kink: bool) -> None:
         """After a step of this length; at a kink of bounds or hinges full steps may never come."""
         if step >= 1.0:
-            self._row = min(self._row, 0) - 1
-            factor = HELD_FACTOR if self._holds else self._factor
+            factor = HELD_FACTOR if self._holds else FACTOR
             self._set(self._relative / factor if self._relative > LEAST else 0.0)
         elif at_kink:
             self._set(0.0)
         elif self._holds:
             self._set(max(LEAST, HELD_FACTOR * self._relative) if step < SHORT else self._relative)
-
-    @property
-    def _factor(self) -> float:
-        """Of mu."""
-        return FACTOR ** min(abs(self._row), HASTE) if self._hastens else FACTOR
 
     def try_plain(self, accepted: bool, flat: bool) -> bool:
         """Drop the weight once where the model promises next to nothing (`flat`): Newton steps outrun it.

@@ -233,7 +233,7 @@ def _minimise(
     if not math.isfinite(cost) or runs_away(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None, problem.kept is not None)
+    regularisation = Regularisation(engine, descent.exact, holds, problem.bounds is not None)
     kinked = problem.limits is not None or problem.kept is not None
     fresh, at_minimum, status = True, False, Status.INTERRUPTED if interrupted else Status.MAX_ITERATIONS
     try:
