@@ -24,7 +24,7 @@ from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.state_ranges import Hinges
 
 MOST_ROUNDS = 30
-NEARER = 0.1  # of the last violation: what must be reached for the weight to stay
+NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
 DEAREST = 1e6  # a first guess by whose cost hinges are weighed
 MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
