@@ -36,8 +36,8 @@ from planner.solvers.warm_start import warm_start
 
 TOLERANCE = 1e-3
 """Of a duration, relative."""
-LOOK = 30  # iterations of a duration near one whose motion is known, after which it is told what is too short
-FAR = 100.0  # tolerances outside
+LOOK = 60  # iterations of a duration near one whose motion is known, after which it is told what is too short
+FAR = 1000.0  # tolerances outside: at 100 a duration of two-link was called too short that is not
 _SHRINK = 0.85  # from one duration to the next on the way down: a motion changes little, and fifteen span a decade
 
 
@@ -189,7 +189,7 @@ class _Search:
     def _first_look(self, problem: Problem, motion: Motion, options: dict[str, Any]) -> Plan | None:
         """A solve from a motion of another duration with its multipliers; None for one that is not found, but near.
 
-        From nearby a motion is found in some twenty iterations, if there is one; what is then FAR outside is too short.
+        From nearby a motion is found in some dozens of iterations, if there is one; what is then FAR outside is too short.
         """
         assert problem.limits is not None  # time alone has bounds
         most = min(LOOK, options.get("max_iterations", LOOK))
