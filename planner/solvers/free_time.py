@@ -189,7 +189,8 @@ class _Search:
     def _first_look(self, problem: Problem, motion: Motion, options: dict[str, Any]) -> Plan | None:
         """A solve from a motion of another duration with its multipliers; None for one that is not found, but near.
 
-        From nearby a motion is found in some dozens of iterations, if there is one; what is then FAR outside is too short.
+        From nearby a motion is found in some dozens of iterations, if there is one. What is then FAR outside is too
+        short.
         """
         assert problem.limits is not None  # time alone has bounds
         most = min(LOOK, options.get("max_iterations", LOOK))
