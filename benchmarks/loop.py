@@ -1,6 +1,6 @@
 """Controllers in the loop: the time of a call from x to u, its own Python, and Crocoddyl's one iteration beside it.
 
-    python benchmarks/loop.py [--crocoddyl /tmp/croc/bin/python] [--shown]
+    python benchmarks/loop.py [--crocoddyl PYTHON] [--shown]
 
 A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearised, swept and
 searched. Kernels are the compiled calls of it, timed alone at the same trajectory; the difference is Python's.
@@ -175,13 +175,13 @@ def row(name: str, controller: planner.Controller, **options: Any) -> None:
 
 if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--crocoddyl", default="/tmp/croc/bin/python", help="an interpreter that has Crocoddyl")
+    arguments.add_argument("--crocoddyl", help="an interpreter that has Crocoddyl")
     arguments.add_argument("--no-table", action="store_true", help="without the table of times")
     arguments.add_argument("--shown", action="store_true", help="also drive the machines of docs/loop.md")
     arguments.add_argument("--starts", type=int, default=0, help="also drive the acrobot from so many random states")
     asked = arguments.parse_args()
     if not asked.no_table:
-        compare(asked.crocoddyl if Path(asked.crocoddyl).exists() else "")
+        compare(asked.crocoddyl or "")
     if asked.shown:
         shown()
     if asked.starts:
