@@ -70,6 +70,16 @@ class Section:
         """The values beyond their bounds."""
         return tuple(one for one in self.measured if not one.passed)
 
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
+        rows = []
+        for one in self.measured:
+            bound = "" if one.bound is None else f"{one.bound:g}"
+            mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
+            value = f"{one.value:.5g} {one.unit}".rstrip()
+            rows.append((self.title, one.name.replace("_", " "), value, bound, mark))
+        return rows
+
     def to_dict(self) -> dict[str, Any]:
         """The section as JSON values."""
         if self.not_applicable:

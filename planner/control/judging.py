@@ -87,15 +87,7 @@ class LoopVerdict:
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
         """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
-        found = []
-        for section in self.sections.values():
-            for one in section.measured:
-                bound = "" if one.bound is None else f"{one.bound:g}"
-                mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
-                found.append(
-                    (section.title, one.name.replace("_", " "), f"{one.value:.5g} {one.unit}".rstrip(), bound, mark)
-                )
-        return found
+        return [row for section in self.sections.values() for row in section.rows()]
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""

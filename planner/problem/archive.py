@@ -93,7 +93,7 @@ def opened(path: Path) -> IO[bytes]:
         try:
             with open(path.parent, "rb") as handle, zipfile.ZipFile(handle) as archive:
                 return io.BytesIO(archive.read(path.name))
-        except (*_BROKEN, NotImplementedError):
+        except (*_BROKEN, NotImplementedError):  # the last is zipfile's for a compression that it does not know
             named = f"{printable(path.parent)} has no plan {printable(path.name)}"
             raise FileError(f"{named}, expected one of the plans of a sweep.") from None
     problem = "is not a file" if os.path.exists(path) else "does not exist"

@@ -107,14 +107,7 @@ class Proof(Filmed):
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
         """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
-        rows = []
-        for section in self.sections.values():
-            for one in section.measured:
-                bound = "" if one.bound is None else f"{one.bound:g}"
-                mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
-                value = f"{one.value:.5g} {one.unit}".rstrip()
-                rows.append((section.title, one.name.replace("_", " "), value, bound, mark))
-        return rows
+        return [row for section in self.sections.values() for row in section.rows()]
 
     def table(self) -> str:
         """All measured beside their bounds, one line each, then the verdict."""

@@ -9,17 +9,7 @@ import planner
 from planner.control.controller import Doing
 from planner.control.holding import Holding, keeping
 
-N = 40
-
-
-@pytest.fixture(scope="module")
-def problem():
-    return planner.cases.two_link(horizon=N)
-
-
-@pytest.fixture(scope="module")
-def controller(problem):
-    return planner.Controller(problem)
+N = 40  # of conftest.py
 
 
 def driven(controller, stages, moved=None, seen=None):

@@ -9,22 +9,11 @@ from commands import refused, run
 from places import ROOT
 
 import planner
-from planner.base.errors import RenderingUnavailable
 from planner.control.judging import judge, margins, survives
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
 
-N = 40
-
-
-@pytest.fixture(scope="module")
-def problem():
-    return planner.cases.two_link(horizon=N)
-
-
-@pytest.fixture(scope="module")
-def controller(problem):
-    return planner.Controller(problem)
+N = 40  # of conftest.py
 
 
 def test_a_loop_arrives_and_stays_and_is_the_same_again(controller):
@@ -214,11 +203,8 @@ def test_tasks_with_frames_limits_and_things_in_the_way(name):
 
 
 @pytest.mark.slow
+@pytest.mark.render
 def test_a_loop_is_filmed(controller, tmp_path):
-    pytest.importorskip("imageio")
     loop = planner.simulate(controller, latency=0.0, duration=0.5)
-    try:
-        film = planner.render_video(loop, tmp_path / "loop.mp4", width=320, height=180, fps=10)
-    except RenderingUnavailable as error:
-        pytest.skip(str(error))
+    film = planner.render_video(loop, tmp_path / "loop.mp4", width=320, height=180, fps=10)
     assert film.stat().st_size > 1000

@@ -1,25 +1,22 @@
 """Step 5 of a proof: the same rollouts in any company, honest rates, nothing lost when interrupted."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from rolled_out_plans import LIMITED, problem_of, rolled_out, tree_plan
+from rolled_out_plans import LIMITED, problem_of, rolled_out
 
 import planner
-from planner.base.errors import FileError, PlannerError
+from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.survey import compile_model
 from planner.problem.goals import Goal
 from planner.problem.problem import Requirements
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
 from planner.proof.robustness.campaign import LEVELS, Campaign
 from planner.proof.robustness.case_replay import replay_case
-from planner.proof.robustness.partial import Partial
-from planner.proof.robustness.perturbation import Nominal, Perturbation, draw, draw_masses
+from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.perturbed import Trials, perturbed
 from planner.proof.robustness.rollouts import MODES, Rollouts
 from planner.proof.robustness.success_rule import end_errors, ranges_of_motion, rule_of, within_goals
@@ -38,21 +35,8 @@ def coarse(plan):
 
 
 @pytest.fixture(scope="module")
-def arm():
-    return planner.solve(planner.cases.two_link(horizon=100))
-
-
-@pytest.fixture(scope="module")
 def acrobot():
     return planner.solve(planner.cases.acrobot())
-
-
-@pytest.fixture(scope="module")
-def tree():
-    """A tree with quaternions and gains that do something."""
-    plan = tree_plan("rk4", N=12)
-    K = 0.05 * np.random.default_rng(5).normal(size=plan.K.shape)
-    return replace(plan, K=K)
 
 
 def ends(result):
@@ -130,61 +114,6 @@ def test_with_goals_each_may_be_missed_by_five_tolerances(arm):
     ends = np.array([[0.5, 10.0], [0.51, 0.0], [0.0, 10.1], [np.inf, 0.0]])
     np.testing.assert_array_equal(rule.won(ends), [True, False, False, False])
     assert rule_of(arm).words == rule.words
-
-
-# What is varied.
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("mass", -0.1), ("inertia", 1.0), ("start", np.nan), ("delay", -1e-3), ("noise", "much")]
-)
-def test_perturbations_are_checked(name, value):
-    with pytest.raises(PlannerError, match=f"Perturbation: {name} is"):
-        Perturbation(**{name: value})
-
-
-def test_nothing_is_called_nothing():
-    assert str(NONE) == "nothing"
-    assert "mass 5 %" in str(Perturbation())
-
-
-def test_switching_one_kind_off_leaves_the_others(arm):
-    sizes = Nominal.of(compile_model(arm.twin.mjcf), arm, arm.twin).sizes
-    all_, fewer = (draw(p, 0, 7, sizes) for p in (Perturbation(), Perturbation(inertia=0.0, friction=0.0)))
-    for name, value in vars(fewer).items():
-        if name not in ("inertia", "friction"):
-            np.testing.assert_array_equal(value, getattr(all_, name))
-    np.testing.assert_array_equal(fewer.inertia, 1.0)
-
-
-def test_a_draw_changes_masses_and_friction_of_the_model(arm):
-    model = compile_model(arm.twin.mjcf)
-    nominal = Nominal.of(model, arm, arm.twin)
-    before = model.body_mass.copy()
-    errors = draw(Perturbation(), 0, 0, nominal.sizes)
-    other = nominal.with_errors(errors, load_mujoco().MjData(model))
-    np.testing.assert_array_equal(model.body_mass, before)
-    moves = model.body_weldid != 0
-    np.testing.assert_allclose(other.body_mass[moves], (before * errors.mass)[moves])
-    np.testing.assert_array_equal(other.body_mass[~moves], before[~moves])
-    ratio = other.body_inertia[moves] / model.body_inertia[moves]  # as a whole: still a body's
-    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1], ratio.shape))
-    np.testing.assert_allclose(other.dof_damping, model.dof_damping * errors.damping + errors.drag * model.dof_M0)
-    assert np.all(other.dof_frictionloss > 0.0)
-    assert not np.allclose(other.dof_M0, model.dof_M0)  # mj_setConst has seen the masses
-    signs = draw_masses(0.2, 0, 3, 1, nominal.sizes).mass
-    np.testing.assert_allclose(np.abs(signs - 1.0), 0.2)
-
-
-def test_free_joints_have_no_bearings(tree):
-    model = compile_model(tree.twin.mjcf)
-    nominal = Nominal.of(model, tree, tree.twin)
-    errors = draw(Perturbation(damping=0.0, drag=1.0, friction=1.0), 0, 0, nominal.sizes)
-    other = nominal.with_errors(errors, load_mujoco().MjData(model))
-    free = model.jnt_type[model.dof_jntid] == load_mujoco().mjtJoint.mjJNT_FREE
-    assert free.any()
-    np.testing.assert_array_equal(other.dof_frictionloss[free], model.dof_frictionloss[free])
-    assert np.all(other.dof_damping[~free] > model.dof_damping[~free])
 
 
 # The same rollouts in any company.
@@ -356,59 +285,6 @@ def test_rollouts_that_explode_are_failures(explosive):
     one = replay_case(explosive, CompiledTwin(explosive.twin), 0, feedback=True)
     assert np.isnan(one.error[-1]).all()
     assert np.isfinite(one.error[10]).all()
-
-
-# Interrupted and gone on with.
-
-
-def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):
-    twin, path, seen = coarse(arm), tmp_path / "rollouts.npz", []
-    whole = perturbed(arm, twin, Trials(24), progress=lambda *counts: seen.append(counts))
-    assert seen[0] == (16, 16 + 8 + 24 + 2 * 4 * 20)  # the first look, the second, open loop, the margins' most
-    assert all(later <= former for (_, former), (_, later) in pairwise(seen))
-    assert seen[-1][0] == seen[-1][1]
-
-    def stop(done, total):
-        if done == 32:  # of 16 and 8 with gains: eight of open loop
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(Rollouts, "batch_size", 8)
-    with pytest.raises(KeyboardInterrupt):
-        perturbed(arm, twin, Trials(24), partial=path, progress=stop)
-    monkeypatch.undo()
-    ran = []
-    monkeypatch.setattr(Rollouts, "run", lambda self, batch, mode, *rest, run=Rollouts.run: (
-        ran.append((len(batch.models), mode)), run(self, batch, mode, *rest))[1])  # fmt: skip
-    resumed = perturbed(arm, twin, Trials(24), partial=path)
-    assert ran[0] == (16, "open-loop")
-    assert sum(number for number, _ in ran) == seen[-1][0] - 32
-    assert resumed.to_dict() == whole.to_dict()
-    for mode in MODES:
-        np.testing.assert_array_equal(resumed.fans[mode], whole.fans[mode])
-    ran.clear()
-    perturbed(arm, twin, Trials(20), partial=path)
-    assert not ran
-
-
-def test_other_rollouts_are_not_taken_for_these(arm, tmp_path):
-    twin, path = coarse(arm), tmp_path / "rollouts.npz"
-    perturbed(arm, twin, Trials(2, seed=1), partial=path)
-    other = perturbed(arm, twin, Trials(2, seed=2), partial=path)
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2))))
-    path.write_bytes(b"no archive")
-    np.testing.assert_array_equal(ends(other), ends(perturbed(arm, twin, Trials(2, seed=2), partial=path)))
-    with pytest.raises(FileError):
-        Partial(tmp_path, "mark")
-
-
-def test_a_budget_stops(arm):
-    none = perturbed(arm, CompiledTwin(arm.twin), Trials(16), budget=1e-6)
-    assert none.done == 0
-    assert "Stopped after" in none.section.not_applicable
-    assert not np.isfinite(none.margin["feedback"])
-    assert none.to_dict()["rollouts"] == {"asked": 16, "done": 0}
-    assert none.robustness == "counting"
-    assert none.section.passed
 
 
 def test_arguments_are_checked(arm):

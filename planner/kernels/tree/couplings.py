@@ -131,6 +131,18 @@ def invert_coupled(m, M, ld):
     expand(m, M, ld)
 
 
+@inline
+def hold_prescribed(m, M, ld):
+    """Rows and columns of prescribed coordinates become those of the identity."""
+    n, prescribed, zero = m[TREE.nv], integers(m, TREE.prescribed), spread(0.0)
+    for p in range(n):
+        if load(prescribed, p) >= 0:
+            for i in range(n):
+                store(M, i * ld + p, zero)
+                store(M, p * ld + i, zero)
+            store(M, p * ld + p, zero + 1.0)
+
+
 @part
 def accelerate_coupled(m, r, forces, a, ws, armature):
     """Accelerations a (nv) under forces (nv), of links that move_links has seen; armature (nv) is floats or lanes."""
@@ -140,12 +152,7 @@ def accelerate_coupled(m, r, forces, a, ws, armature):
         store(tau, i, load(forces, i))
     mass_and_rest(m, tau, a, ws, armature, M, ld)
     zero = spread(0.0)
-    for p in range(n):
-        if load(prescribed, p) >= 0:
-            for i in range(n):
-                store(M, i * ld + p, zero)
-                store(M, p * ld + i, zero)
-            store(M, p * ld + p, zero + 1.0)
+    hold_prescribed(m, M, ld)
     invert_coupled(m, M, ld)
     for i in range(n):
         if load(prescribed, i) < 0:

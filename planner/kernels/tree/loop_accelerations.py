@@ -11,7 +11,7 @@ from __future__ import annotations
 from planner.kernels.algebra.spatial import add, axpy, cross, load3, store3, sub
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import floats, integers, lanes, load, select, spread, store
-from planner.kernels.tree.couplings import invert_coupled, mass_and_rest
+from planner.kernels.tree.couplings import hold_prescribed, invert_coupled, mass_and_rest
 from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, projected
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
@@ -102,11 +102,8 @@ def accelerate_closed(m, r, q, v, forces, a, ws, armature, f):
     _lacks(m, q, v, ws, c)
     for p in range(n):
         if load(prescribed, p) >= 0:
-            for i in range(n):
-                store(M, i * ld + p, zero)
-                store(M, p * ld + i, zero)
-            store(M, p * ld + p, zero + 1.0)
             store(rest, p, zero)
+    hold_prescribed(m, M, ld)
     invert_coupled(m, M, ld)
     constraint_rows(m, q, ws, J, ld)
     projected(m, r, J, M, ld)
