@@ -1,5 +1,7 @@
 """Plans of trees for the tests of proof and pictures: rolled out, or of the acrobot."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import planner
@@ -8,6 +10,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import model_path
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness.rollouts import MODES
 
 LIMITED = """
 <mujoco model="limited">
@@ -105,3 +109,15 @@ TREE = """
   </actuator>
 </mujoco>
 """
+
+
+FAST = 'timestep="0.0005"', 'timestep="0.005"'
+
+
+def coarse(plan):
+    """The same plan with a simulator as coarse as its control steps: quick."""
+    return CompiledTwin(replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST)))
+
+
+def ends(result):
+    return np.array([result.end_error[mode] for mode in MODES])

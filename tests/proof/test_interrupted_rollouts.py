@@ -1,27 +1,16 @@
 """Step 5 of a proof: rollouts that were interrupted go on, and none is lost or taken for another's."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from rolled_out_plans import coarse, ends
 
 from planner.base.errors import FileError
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.partial import Partial
 from planner.proof.robustness.perturbed import Trials, perturbed
 from planner.proof.robustness.rollouts import MODES, Rollouts
-
-FAST = 'timestep="0.0005"', 'timestep="0.005"'
-
-
-def coarse(plan):
-    """The same plan with a simulator as coarse as its control steps: quick."""
-    return CompiledTwin(replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST)))
-
-
-def ends(result):
-    return np.array([result.end_error[mode] for mode in MODES])
 
 
 def test_an_interrupted_run_loses_nothing(arm, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rolled_out_plans import LIMITED, problem_of, rolled_out
+from rolled_out_plans import LIMITED, coarse, ends, problem_of, rolled_out
 
 import planner
 from planner.base.errors import PlannerError
@@ -26,21 +26,10 @@ NONE = Perturbation(**NOTHING)
 CONTROL_STEPS = 10  # a stage of 0.02 s at 500 Hz
 SLIGHT = Perturbation(mass=0.01, inertia=0.01)
 
-FAST = 'timestep="0.0005"', 'timestep="0.005"'
-
-
-def coarse(plan):
-    """The same plan with a simulator as coarse as its control steps: quick."""
-    return CompiledTwin(replace(plan.twin, mjcf=plan.twin.mjcf.replace(*FAST)))
-
 
 @pytest.fixture(scope="module")
 def acrobot():
     return planner.solve(planner.cases.acrobot())
-
-
-def ends(result):
-    return np.array([result.end_error[mode] for mode in MODES])
 
 
 def run(plan, twin, draws, threads=None):
