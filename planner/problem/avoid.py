@@ -73,8 +73,11 @@ class Avoid:
             more={name: number(f"more of {name}", value, least=0.0) for name, value in more.items()},
         )  # fmt: skip
 
-    def constraint(  # pyright: ignore[reportSelfClsParameterName]
-        a, mechanism: Mechanism, start: Any, goal: Any = None
+    def constraint(
+        a,  # pyright: ignore[reportSelfClsParameterName]
+        mechanism: Mechanism,
+        start: Any,
+        goal: Any = None,
     ) -> KeptApart:
         """The constraint for a motion of a mechanism from a start (nx,) to a goal (nx,), and what to know of it.
 
