@@ -5,12 +5,13 @@
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the chord between two unit vectors / turn_scale. Of many configurations the little
 weight of the way takes one near the start. The search begins at the start, then at random configurations. Closed chains
-are rows too, over CLOSED, and where the search ends they are put together.
+are rows too, over CLOSED, and where the search ends they are put together. A caller may want more of a configuration
+(`short`): of those that reach all targets, the one that falls least short of that is taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ LEAN = 0.1  # of a radian or metre, over a residual of 1: it moves the end by so
 REACHED = 0.1  # of the scales: a residual below it ends the search
 CLOSED = 1e-3  # m or rad that a closed chain misses weigh as a residual of 1: a tenth makes the search slow
 STARTS = 8
+MORE_STARTS = 40  # where reaching the targets is not all that is wanted
 
 
 class Target(NamedTuple):
@@ -45,11 +47,18 @@ class Found(NamedTuple):
 
     q: np.ndarray  # (nq,)
     residual: float  # the largest over the scales of its target
+    short: float = 0.0  # of what else is wanted
+
+    @property
+    def rank(self) -> tuple[float, float, float]:
+        """Less is better: first to reach the targets, then to fall short of nothing."""
+        return max(self.residual, 1.0), self.short, self.residual
 
 
 def inverse_kinematics(
     mechanism: Mechanism, targets: Sequence[Target], q: Any, *, ranges: np.ndarray | None = None,
-    free: np.ndarray | None = None, starts: int = STARTS, seed: int = 0,
+    free: np.ndarray | None = None, starts: int | None = None, seed: int = 0,
+    short: Callable[[np.ndarray], float] | None = None,
 ) -> Found:  # fmt: skip
     """A configuration with frames at targets, near q.
 
@@ -59,8 +68,10 @@ def inverse_kinematics(
         q: (nq,) where the search begins; on the couplings, where the machine has some.
         ranges: (nv, 2) of hinges and slides, rad or m; infinite where there are none. By default those of the model.
         free: (nv,) True for the degrees of freedom that may move; all by default.
-        starts: How many starts at most: q, then random configurations within the ranges.
+        starts: How many starts at most: q, then random configurations within the ranges. By default STARTS, or
+            MORE_STARTS with `short`.
         seed: Of the random configurations.
+        short: How far a configuration (nq,) falls short of what else is wanted, 0 where it does not.
 
     Returns:
         The best configuration, whether it reaches the targets or not.
@@ -69,18 +80,23 @@ def inverse_kinematics(
         PlannerError: A wrong shape, or no frame of that name.
     """
     q = array("q", q, (mechanism.nq,))
-    count("starts", starts)
+    starts = count("starts", starts if starts is not None else STARTS if short is None else MORE_STARTS)
     free = np.ones(mechanism.nv, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     B, dofs = _directions(mechanism, free)
     low, high = (mechanism.joint_range if ranges is None else ranges).T
     closed = np.flatnonzero(~free) if mechanism.loops or mechanism.cams else None
-    found = _from(mechanism, targets, q, q, B, dofs, (low, high), closed)
+
+    def reached(begin: np.ndarray) -> Found:
+        found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed)
+        return found if short is None else found._replace(short=short(found.q))
+
+    found = reached(q)
     rng = np.random.default_rng(count("seed", seed, least=0))
     for _ in range(starts - 1 if len(dofs) else 0):
-        if found.residual < REACHED:
+        if found.residual < REACHED and found.short <= 0.0:
             break
-        other = moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng))
-        found = min(found, _from(mechanism, targets, q, other, B, dofs, (low, high), closed), key=lambda f: f.residual)
+        other = reached(moved(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng)))
+        found = min(found, other, key=lambda one: one.rank)
     return found
 
 

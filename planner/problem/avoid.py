@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -16,24 +15,20 @@ import numpy as np
 
 from planner.base.arguments import number, set_fields, shown
 from planner.base.errors import PlannerError
-from planner.dynamics.clearances import Clearances
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.left_out import names_of, pairs_by_name
 from planner.model.mjcf.near_pairs import Near, near_pairs
 from planner.model.mjcf.survey import Survey, compile_model
 from planner.problem.constraints.apart import Apart
 from planner.problem.constraints.constraint import Constraint
+from planner.problem.free_poses import FreePoses
 from planner.problem.guess import follow
-from planner.problem.way_around import along, way_around
+from planner.problem.way_around import along
 
 EXACT = 0.02  # of the clearance: how far below it passes
 SOFT = 0.1  # of the clearance, see Apart.soft
-ROOM = 0.5  # of the clearance beyond which a first guess keeps apart, where it can
-CUT = 0.1  # of the clearance that it keeps where its corners are rounded
 
 _surveys: WeakKeyDictionary[Mechanism, Survey] = WeakKeyDictionary()
-_ways: WeakKeyDictionary[Mechanism, dict[Any, np.ndarray | None]] = WeakKeyDictionary()
-"""Ways that were found: a problem is built again for every finer step."""
 
 
 class KeptApart(NamedTuple):
@@ -127,7 +122,7 @@ def motion_around(
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
         return None
-    way = free_way(apart, mechanism, x0[:nq], goal[:nq], seed)
+    way = FreePoses(apart, mechanism).way(x0[:nq], goal[:nq], seed)
     if way is None:
         return None
     xs = np.tile(x0, (N + 1, 1))
@@ -136,34 +131,3 @@ def motion_around(
         return xs, follow(mechanism, *along(way, duration, (np.arange(N) + 0.5) / N))
     except PlannerError:  # the actuators do not reach every joint
         return None
-
-
-def free_way(
-    apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int = 0
-) -> np.ndarray | None:
-    """Poses (K, nq) from start to goal on which nothing is nearer than it may be, some room more if that can be."""
-    ways, key = _ways.setdefault(mechanism, {}), (start.tobytes(), goal.tobytes(), apart.least.tobytes(), seed)
-    if key not in ways:
-        ways[key] = _way(apart, mechanism, start, goal, seed)
-    return ways[key]
-
-
-def _way(apart: Apart, mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
-    clearances = Clearances(mechanism, [pair[:2] for pair in apart.pairs])
-    lift = np.array([pair.lift for pair in apart.pairs])
-    ends = (clearances.values(np.stack([start, goal])) + lift).min(axis=0)
-    low, high = mechanism.joint_range.T
-    low = np.where(np.isfinite(low), low, np.minimum(start, goal) - np.pi)
-    high = np.where(np.isfinite(high), high, np.maximum(start, goal) + np.pi)
-    for room in (ROOM, 0.0):
-        least = np.minimum(apart.least * (1.0 + room), ends - 1e-9)
-
-        def free(q: np.ndarray, least: np.ndarray = least) -> np.ndarray:
-            return np.all(clearances.values(q, least - lift) + lift >= least, axis=1)
-
-        way = way_around(free, start, goal, np.minimum(low, np.minimum(start, goal)),
-                         np.maximum(high, np.maximum(start, goal)), seed,
-                         partial(free, least=np.minimum(CUT * apart.least, least)))  # fmt: skip
-        if way is not None:
-            return way
-    return None

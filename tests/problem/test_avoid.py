@@ -6,8 +6,9 @@ from gantries import gantry
 
 import planner
 from planner.base.errors import PlannerError
-from planner.problem.avoid import Avoid, free_way
+from planner.problem.avoid import Avoid
 from planner.problem.constraints.apart import Apart, apart_of
+from planner.problem.free_poses import FreePoses
 from planner.problem.problem import Problem
 from planner.problem.way_around import way_around
 from planner.solvers import augmented
@@ -97,7 +98,7 @@ def test_python_says_the_same():
     assert isinstance(kept.of, Apart)
     problem = Problem(dynamics, planner.costs.default_cost(dynamics, start, goal, 40), start, constraints=[kept])
     assert problem.kept.first() is not None
-    way = free_way(kept.of, machine, start[:2], goal[:2])
+    way = FreePoses(kept.of, machine).way(start[:2], goal[:2])
     np.testing.assert_allclose(way[[0, -1]], [start[:2], goal[:2]], rtol=0, atol=1e-12)
     assert way[:, 1].max() > 0.38
 

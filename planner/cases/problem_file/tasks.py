@@ -16,13 +16,15 @@ from planner.model.mechanism import Mechanism
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.wanted import Wanted
 from planner.problem.default_weights import DefaultWeights, default_weights
+from planner.problem.free_poses import FreePoses
 from planner.problem.goals import ROUNDING, staying
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import task_cost, task_wanted
+from planner.problem.tasks.detours import with_detours
 from planner.problem.tasks.follow import Follow, follow_of, with_points
 from planner.problem.tasks.goal import Goal, goal_of
 from planner.problem.tasks.motion import controls, rows_of, way_of
-from planner.problem.tasks.poses import Poses, poses_of
+from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.timetable import Task, task_of
 
 MOST = 1000  # goals
@@ -81,7 +83,10 @@ def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     return table
 
 
-def made(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None) -> Made:
+def made(
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
+    free: FreePoses | None = None,
+) -> Made:  # fmt: skip
     """The task of a table and its poses; those of a stored plan are not refused again.
 
     Raises:
@@ -99,7 +104,9 @@ def made(table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: 
     ranges = np.tile([-np.inf, np.inf], (dynamics.mechanism.nv, 1))
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
-    poses = poses_of(task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table)
+    poses = poses_of(task, dynamics, x0, ranges, seed=table["seed"], check=RESOLVED not in table, free=free)
+    if free is not None and not _is_direct(task) and is_screws(task):
+        poses = with_detours(poses, free, table["seed"])
     return Made(task, poses, rows_of(task, poses, x0))
 
 
@@ -126,8 +133,12 @@ def cost_of(way: Made, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> 
 
 def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
     """What the first controls may be made of."""
-    direct = not way.task.follows and all(one.last for one in way.task.goals)
-    return Way(controls(way.task, way.poses, dynamics, x0), way.rows, direct)
+    return Way(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
+
+
+def _is_direct(task: Task) -> bool:
+    """Whether its end alone is asked for."""
+    return not task.follows and all(one.last for one in task.goals)
 
 
 def check_task_departure(x0: np.ndarray, wanted: tuple[Wanted, ...], task: Task) -> None:

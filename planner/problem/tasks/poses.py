@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from planner.dynamics.inverse_kinematics import Target, inverse_kinematics, resi
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import SCREW
 from planner.model.mjcf.driven import driven_dofs
+from planner.problem.free_poses import FreePoses
 from planner.problem.tasks.follow import Follow
 from planner.problem.tasks.timetable import Task, Timed
 
@@ -37,8 +38,9 @@ class _Asked(NamedTuple):
 
 
 def poses_of(
-    task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True
-) -> Poses:
+    task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
+    free: FreePoses | None = None,
+) -> Poses:  # fmt: skip
     """The configurations of a task, one after the other, each near the one before.
 
     Args:
@@ -48,9 +50,11 @@ def poses_of(
         ranges: (nv, 2) of hinges and slides.
         seed: Of the random starts of the search.
         check: Whether to refuse what cannot be reached.
+        free: Which poses touch nothing, where something is avoided.
 
     Raises:
-        PlannerError: A goal out of reach, goals that contradict each other, or a path that begins elsewhere.
+        PlannerError: A goal out of reach or in collision, goals that contradict each other, or a path that begins
+            elsewhere.
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
@@ -63,7 +67,7 @@ def poses_of(
         if check and stage < task.N:  # ends are judged by the limits
             _check_joints(task, here, ranges)
         asked = _asked(task, stage, here)
-        q = _pose(task, dynamics, q, asked, ranges, seed, stage if check else None, here)
+        q = _pose(task, dynamics, q, asked, ranges, seed, stage if check else None, here, free)
         stages.append(stage)
         found.append(q)
         stops.append(any(not one.goal.through for one in here) if stage < task.N else task.rests)
@@ -124,7 +128,7 @@ def _asked(task: Task, stage: int, here: Sequence[Timed]) -> _Asked:
 
 def _pose(
     task: Task, dynamics: RigidBodyDynamics, q: np.ndarray, asked: _Asked, ranges: np.ndarray, seed: int,
-    stage: int | None, here: Sequence[Timed],
+    stage: int | None, here: Sequence[Timed], free: FreePoses | None,
 ) -> np.ndarray:  # fmt: skip
     """The configuration (nq,) at a stage; a stage of None refuses nothing."""
     mechanism = task.mechanism
@@ -136,20 +140,27 @@ def _pose(
     if mechanism.loops or mechanism.cams:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
+    short = None if free is None else free.short
     if not asked.targets:
+        if free is not None and stage is not None:
+            _check_free(free, q, here)
         return q
 
-    def tried(targets: list[Target], joints: dict[int, float]) -> tuple[np.ndarray, float]:
+    def tried(
+        targets: list[Target], joints: dict[int, float], short: Callable[[np.ndarray], float] | None = None
+    ) -> tuple[np.ndarray, float]:
         found = None
-        for free in _masks(dynamics, joints):
-            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=free, seed=seed)
-            found = other if found is None or other.residual < found.residual else found
+        for mask in _masks(dynamics, joints):
+            other = inverse_kinematics(mechanism, targets, q, ranges=ranges, free=mask, seed=seed, short=short)
+            found = other if found is None or other.rank < found.rank else found
             if found.residual <= 1.0:
                 break
         assert found is not None
         return found.q, found.residual
 
-    best, residual = tried(asked.targets, asked.joints)
+    best, residual = tried(asked.targets, asked.joints, short)
+    if residual <= 1.0 and free is not None and stage is not None:
+        _check_free(free, best, here)
     if residual <= 1.0 or stage is None:
         return best
     within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
@@ -175,6 +186,17 @@ def _pose(
         f"{' and '.join([*asked.labels, *others])} contradict each other at {stage * task.dt:.4g} s{within}: together "
         f"they are missed by at least {residual:.2g} tolerances; move one, or give it another time."
     )
+
+
+def _check_free(free: FreePoses, q: np.ndarray, here: Sequence[Timed]) -> None:
+    """Refuse goals that no pose reaches without a collision. Points of a path are not goals."""
+    pair, distance = free.tightest(q)
+    if here and distance <= 0.0:
+        asked = " and ".join(one.label for one in here)
+        raise PlannerError(
+            f"{asked} leads to a collision: {pair} overlap by {-distance:.3g} m in the best pose that was found; "
+            "move the goal, or exclude the pair in the model (<contact><exclude>)."
+        )
 
 
 def _missed(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
