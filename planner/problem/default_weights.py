@@ -28,6 +28,7 @@ import numpy as np
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import directions
+from planner.dynamics.footing import inertia_on_feet
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.lying import lying_dofs
 from planner.model.mechanism import Mechanism
@@ -195,7 +196,9 @@ def _effort(
         Z, leading = directions(mechanism, x0[:nq])
         carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ swift)
         force[leading] = np.maximum(force[leading], carried)
-    corrects = np.full(mechanism.nv, np.inf) if kept is None else inertia * SWIFT**2 * kept
+    corrects = np.full(mechanism.nv, np.inf)
+    if kept is not None:
+        corrects = np.maximum(inertia, inertia_on_feet(mechanism, goal[:nq])) * SWIFT**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):
