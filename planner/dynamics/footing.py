@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.statics import along_ground, undriven
 from planner.model.mechanism import Mechanism
 
 TURNS = 5  # of taking J midway again; each is nearer by the square of the way
 SAME = 1e-9  # m or rad
+RANK = 1e-6  # of the largest: what feet leave free
 
 
 def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -58,3 +60,19 @@ def carried_along(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kep
         if np.abs(step).max() < SAME:
             break
     return goal
+
+
+def inertia_on_feet(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """The inertia (nv,) that each degree of freedom moves while what carries the machine at q (nq,) stays in place.
+
+    kg m^2 or kg: 1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0. An ankle in the air moves a
+    foot, and on the ground all that stands on it. 0 where nothing carries it, or where the feet leave it no motion.
+    """
+    still = np.zeros(mechanism.nv)
+    carry = np.flatnonzero(contact_forces(mechanism, q, still).forces.any(axis=1))
+    if not carry.size:
+        return still
+    _, sizes, rows = np.linalg.svd(contact_jacobians(mechanism, q, carry).reshape(-1, mechanism.nv))
+    Z = rows[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
+    A = np.diagonal(Z @ np.linalg.solve(Z.T @ mass_matrix(mechanism, q) @ Z, Z.T))
+    return np.divide(1.0, A, out=still, where=np.linalg.norm(Z, axis=1) > RANK)

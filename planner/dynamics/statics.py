@@ -23,6 +23,7 @@ from planner.dynamics.contacts import contact_forces, contact_jacobians, general
 from planner.dynamics.kinematics import jacobian
 from planner.dynamics.momentum import center_of_mass
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.lying import roots
 from planner.model.mechanism import Frame, Mechanism
 
 STEPS = 200
@@ -84,22 +85,22 @@ def lowered(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     Raises:
         PlannerError: No tree with contacts moves up and down as a whole.
     """
-    q, free, roots = x[: mechanism.nq], undriven(mechanism), _roots(mechanism)
+    q, free, root = x[: mechanism.nq], undriven(mechanism), roots(mechanism)
     g = float(np.linalg.norm(mechanism.gravity))
     normals = np.array([contact.plane.normal for contact in mechanism.contacts])
     up = -mechanism.gravity / g if g > 0.0 else np.zeros(3)
     links = np.array([contact.link for contact in mechanism.contacts])
     grounds = normals @ up > UPWARDS if np.any(normals @ up > UPWARDS) else np.ones(len(normals), dtype=bool)
     depths, moves = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths, 0
-    for root in np.unique(roots[links[grounds]]):
-        own, ways = np.flatnonzero(grounds & (roots[links] == root)), free[:, np.any(free[roots == root], axis=0)]
+    for first in np.unique(root[links[grounds]]):
+        own, ways = np.flatnonzero(grounds & (root[links] == first)), free[:, np.any(free[root == first], axis=0)]
         some = own[np.argsort(-depths[own])[:MANY]]
         rise = np.einsum("ka,kaj->kj", normals[some], contact_jacobians(mechanism, q, some)) @ ways
         along = np.linalg.lstsq(rise, np.ones(len(rise)), rcond=None)[0] if ways.shape[1] else np.zeros(0)
         if not np.allclose(rise @ along, 1.0, atol=1e-6):
             continue
         lowest = int(own[np.argmax(depths[own])])
-        weight = g * float(mechanism.mass[roots == root].sum())
+        weight = g * float(mechanism.mass[root == first].sum())
         way = depths[lowest] - weight / mechanism.contacts[lowest].law.stiffness
         x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
     if not moves:
@@ -170,14 +171,6 @@ def _weight(mechanism: Mechanism) -> float:
 
 def _extended(part: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([part, np.zeros(size - len(part))])
-
-
-def _roots(mechanism: Mechanism) -> np.ndarray:
-    """(nv,) the first link of the tree that each link is part of."""
-    roots = np.arange(mechanism.nv)
-    for i, above in enumerate(mechanism.parent):
-        roots[i] = roots[above] if above >= 0 else i
-    return roots
 
 
 def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, bool]:

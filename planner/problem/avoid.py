@@ -15,8 +15,9 @@ import numpy as np
 
 from planner.base.arguments import number, set_fields, shown
 from planner.base.errors import PlannerError
+from planner.model.lying import lying_bodies
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.left_out import names_of, pairs_by_name
+from planner.model.mjcf.left_out import pairs_by_name
 from planner.model.mjcf.near_pairs import Near, near_pairs
 from planner.model.mjcf.survey import Survey, compile_model
 from planner.problem.constraints.apart import Apart
@@ -98,11 +99,13 @@ def survey_of(mechanism: Mechanism) -> Survey:
 
 
 def _known(mechanism: Mechanism, survey: Survey) -> Collection[frozenset[int]]:
-    """The pairs whose contact the plan's own model has."""
-    if not (mechanism.contacts or mechanism.body_contacts):
-        return ()
-    own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
-    return {frozenset(pair) for pair in pairs_by_name(survey.model).values() if names_of(survey.model, pair) in own}
+    """The pairs whose contact the plan's own model has, and those of objects with what they lie on."""
+    model, named = survey.model, pairs_by_name(survey.model)
+    own = {}
+    if mechanism.contacts or mechanism.body_contacts:
+        own = pairs_by_name(compile_model(mechanism.mjcf, mechanism.assets))
+    beside = (lying_bodies(mechanism) | (model.body_weldid == 0))[model.geom_bodyid]
+    return {frozenset(pair) for name, pair in named.items() if name in own or np.all(beside[list(pair)])}
 
 
 def _constraint(near: Near, clearance: float, more: Mapping[str, float]) -> Constraint:

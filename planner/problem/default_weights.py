@@ -28,7 +28,9 @@ import numpy as np
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.assembly import directions
+from planner.dynamics.footing import inertia_on_feet
 from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.lying import lying_dofs
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
 from planner.problem.costs.tracking import TrackingCost
@@ -86,10 +88,12 @@ def default_weights(
     position, rate = _tolerances(mechanism, [share * LEAST[unit] for unit in units], tolerance)
     kept = KEPT * position if stands else None
     effort, control, known = _effort(dynamics, x0, goal, duration, way, kept, most)
+    stays_put = lying_dofs(mechanism) & (way == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
+    ends = (not stands) * ~stays_put
     weights = {
         "effort": effort, "control": control, "velocity": velocity,
-        "position": stands / (KEPT * position) ** 2,
-        "final_position": (not stands) * POSITION / position**2, "final_velocity": (not stands) * VELOCITY / rate**2,
+        "position": stands * ~stays_put / (KEPT * position) ** 2,
+        "final_position": ends * POSITION / position**2, "final_velocity": ends * VELOCITY / rate**2,
         "hold": np.array(HOLD * stands),
     }  # fmt: skip
     staying = "none: the weight is that of staying at the goal"
@@ -168,6 +172,7 @@ def reaches_all(dynamics: RigidBodyDynamics) -> bool:
     mechanism, driven = dynamics.mechanism, driven_dofs(dynamics)
     moment = mechanism.actuators.moment * (mechanism.actuators.gain[:, None] != 0.0)
     own, Z = np.eye(mechanism.nv)[driven], directions(mechanism, mechanism.qpos0)[0]
+    Z = Z[:, ~np.any(Z[lying_dofs(mechanism)], axis=0)]  # an object beside it need not be moved
     return bool(np.linalg.matrix_rank(np.vstack([moment, own]) @ Z) == Z.shape[1])
 
 
@@ -191,7 +196,9 @@ def _effort(
         Z, leading = directions(mechanism, x0[:nq])
         carried = np.abs(Z).T @ (held + np.abs(mass_matrix(mechanism, x0[:nq])) @ swift)
         force[leading] = np.maximum(force[leading], carried)
-    corrects = np.full(mechanism.nv, np.inf) if kept is None else inertia * SWIFT**2 * kept
+    corrects = np.full(mechanism.nv, np.inf)
+    if kept is not None:
+        corrects = np.maximum(inertia, inertia_on_feet(mechanism, goal[:nq])) * SWIFT**2 * kept
     limits, known = np.empty(dynamics.nu), []
     servo = actuators.bias[:, 1] != 0.0
     for a in range(mechanism.nu):

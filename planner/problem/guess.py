@@ -12,6 +12,7 @@ from planner.dynamics.assembly import directions
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
 from planner.model.actuators import DIRECT, INTEGRATOR
+from planner.model.lying import lying_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
 
@@ -41,32 +42,38 @@ def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
     """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
 
     The motion is q (N, nq), qd and qdd (N, nv), of hinges and slides; actuators have no activations and reach every
-    joint. Of coupled joints the motion keeps the couplings, and G' tau is what the actuators give.
+    joint but of objects that lie beside the machine. Of coupled joints the motion keeps the couplings, and G' tau is
+    what the actuators give.
     """
     actuators = mechanism.actuators
-    reach = actuators.moment.T * actuators.gain
-    G = None if mechanism.reduction is None else mechanism.reduction.G
-    reach = reach if G is None else G.T @ reach
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = G[:, ~np.any(G[lying_dofs(mechanism)], axis=0)]
+    reach = G.T @ (actuators.moment.T * actuators.gain)
     if np.any(actuators.dynamics != DIRECT) or np.linalg.matrix_rank(reach) < len(reach):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
     tau = rnea(mechanism, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
-    return np.linalg.lstsq(reach, tau.T if G is None else G.T @ tau.T, rcond=None)[0].T
+    return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
 
 
 def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
     """Controls (N, nu) along the straight line in joint space from x0 to goal, both (nx,); None where there is no way.
 
-    There is one for a fully actuated tree of hinges and slides without contacts, from rest to rest.
+    There is one for a fully actuated tree of hinges and slides without contacts, from rest to rest. Objects that lie
+    beside it stay.
     """
     nq, nv = mechanism.nq, mechanism.nv
     moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
     closed = mechanism.loops or mechanism.cams
-    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
+    lies = lying_dofs(mechanism)
+    if np.any(mechanism.kind[~lies] != SCREW) or np.any(mechanism.space.difference(goal, x0)[:nv][lies]):
         return None
+    if mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
+        return None
+    q, *rates = quintic(x0[:nq], goal[:nq], duration, N)
     try:
-        return follow(mechanism, *quintic(x0[:nq], goal[:nq], duration, N))
+        return follow(mechanism, q, *(np.where(lies, 0.0, rate[:, mechanism.q_address]) for rate in rates))
     except PlannerError:  # the actuators do not reach every joint
         return None
 

@@ -25,7 +25,8 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
-from planner.model.mechanism import Mechanism
+from planner.model.lying import lying_bodies, lying_dofs
+from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.driven import driven, in_order
 from planner.model.mjcf.left_out import names_of
 from planner.model.mjcf.overlaps import overlapping, without_pairs
@@ -122,7 +123,15 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Meas
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
     kept = replayed_violations(run, problem)
-    return [*judged, *_goals(run, problem, goals), *kept, *_path(run), *_forces(run, overlaps), step]
+    return [
+        *judged,
+        *_goals(run, problem, goals),
+        *kept,
+        *_path(run),
+        *_objects(run, problem),
+        *_forces(run, overlaps),
+        step,
+    ]
 
 
 def as_given(problem: Problem, twin: Twin, mjcf: str | Path | None = None) -> CompiledTwin:
@@ -189,12 +198,17 @@ def _same_model(one: Twin, other: Twin) -> bool:
 def _touches(run: Replay, problem: Problem) -> tuple[list[str], list[str]]:
     """Sentences about pairs that touch unknown to the plan, and about those that do at the start and go no deeper."""
     model, wrong, overlaps = run.compiled.model, [], []
-    if not isinstance(getattr(problem.dynamics, "mechanism", None), Mechanism):
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if not isinstance(mechanism, Mechanism):
         return wrong, overlaps  # nobody can tell what other dynamics know
+    beside = model.body_weldid == 0  # what the controls do not move: the world, and objects that lie on it
+    beside |= lying_bodies(mechanism) if len(mechanism.bodies) == model.nbody else False
     known = lacking(problem, run.compiled).known
     scale = min(1.0, float(model.stat.extent))
     rubs = RUBS * float(model.body_mass.sum()) * float(np.linalg.norm(model.opt.gravity) or 1.0)
     for touch in run.touches:
+        if np.all(beside[model.geom_bodyid[list(touch.geoms)]]):
+            continue
         grazes, presses = touch.deepest <= GRAZE * scale, touch.force > rubs
         if names_of(model, touch.geoms) in known or (grazes and not presses):
             continue
@@ -240,6 +254,18 @@ def _path(run: Replay) -> list[Measured]:
         Measured(f"largest_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan, at any step")
         for one in worst_by_unit(run.plan, run.error)
     ]
+
+
+def _objects(run: Replay, problem: Problem) -> list[Measured]:
+    """How far objects move in the file that the plan keeps at their start."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    lies = lying_dofs(mechanism) if isinstance(mechanism, Mechanism) else np.zeros(0, dtype=bool)
+    if not np.any(lies):
+        return []
+    assert isinstance(mechanism, Mechanism)
+    places = mechanism.q_address[lies & (mechanism.kind == SCREW)]
+    most = float(np.abs(run.xs[:, places] - run.xs[0, places]).max())
+    return [Measured("objects_moved", most, "m", None, "at most, by themselves: the plan keeps them at the start")]
 
 
 def _forces(run: Replay, overlaps: list[str]) -> list[Measured]:

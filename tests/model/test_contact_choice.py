@@ -87,6 +87,9 @@ def test_an_object_lies_on_what_is_under_it():
     assert {round(c.law.stiffness, 6) for c in m.contacts} == {round(ContactLaw.resting(0.2, sink=SINK).stiffness, 6)}
     beside, m = chosen(model(table, ARM, CUBE.format(z=0.2)))  # the table's top is above it: no ground
     assert beside == "avoid"
+    assert "body 'cube' stays at the start, since nothing drives it" in m.contacts_choice
+    alone, m = chosen(model(ARM, CUBE.format(z=0.2)))  # nothing is there on which it could lie
+    assert alone == "avoid"
     assert "body 'cube' falls in the plan: draw a plane or a box under it" in m.contacts_choice
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.model.lying import roots
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
@@ -60,9 +61,7 @@ def check_arrival(problem: Problem) -> None:
 def _loose(dynamics: RigidBodyDynamics) -> np.ndarray:
     """(nv,) the degrees of freedom of trees that no actuator, contact, coupling, tendon or closed chain reaches."""
     mechanism = dynamics.mechanism
-    root = np.arange(mechanism.nv)
-    for i, parent in enumerate(mechanism.parent):
-        root[i] = i if parent < 0 else root[parent]
+    root = roots(mechanism)
     reached = set(np.flatnonzero(np.any(mechanism.actuators.moment != 0.0, axis=0)).tolist())
     reached |= {*map(int, driven_dofs(dynamics)), *(contact.link for contact in mechanism.contacts)}
     reached |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}

@@ -6,7 +6,8 @@
     "avoid"   planned without contacts; a proof fails where shapes touch in the user's file
 
 A tree of bodies can fall if it begins with a free joint, or with slides of which one is not level, and neither an
-actuator nor a spring holds them. It is a machine if actuators drive some of its joints, else an object.
+actuator nor a spring nor gravity compensation holds them. It is a machine if actuators drive some of its joints, else
+an object. An object that lies on something of which the plan knows no contact is kept where it starts (`lying`).
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from planner.base.gl import load_mujoco
 from planner.model.contact.shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.ground_law import mass_of
+from planner.model.mjcf.refuse import no_compensation
 from planner.model.mjcf.survey import Pair, Survey, disabled, named
 
 MODES = ("auto", "avoid", "ground", "model", "off")
 LEVEL = 0.8  # of gravity, across a plane that carries
+MOST_NAMED = 3  # objects in a sentence
 _STEEP = 1e-6  # of gravity, along a slide that is not level
 
 
@@ -46,10 +49,11 @@ def chosen(survey: Survey, asked: str = "auto") -> Choice:
         )
     if asked == "model":
         return Choice(asked, f"contacts of {_pairs(len(survey.pairs))} are planned with the file's own law")
+    kept = lying(survey)
     if asked == "ground" and standing:
-        return Choice(asked, _of_ground(survey, standing))
-    phrase = "planned without contacts: shapes that touch in your file fail the proof"
-    unheld = [named(survey.model, "body", int(body)) for body in falling]
+        return Choice(asked, _of_ground(survey, standing) + _of_lying(survey, kept))
+    phrase = "planned without contacts: shapes that touch in your file fail the proof" + _of_lying(survey, kept)
+    unheld = [named(survey.model, "body", int(body)) for body in falling if body not in kept]
     if unheld:
         phrase += f"; {unheld[0]} falls in the plan: draw a plane or a box under it, or take its free joint out"
     return Choice("avoid", phrase)
@@ -76,6 +80,33 @@ def ground_pairs(survey: Survey) -> list[Pair]:
     return planes + [pair for root, pair in boxes if root not in on_planes or not falling[root]]
 
 
+def lying(survey: Survey) -> list[int]:
+    """The root bodies of objects that the plan keeps where they start.
+
+    Nothing drives them, they begin with a free joint, and they lie on something at rest that gets no law of the ground.
+    """
+    model, standing = survey.model, ground_pairs(survey)
+    carried = {int(model.body_rootid[model.geom_bodyid[geom]]) for pair in standing for geom in pair.geoms}
+    rests = model.body_weldid[model.geom_bodyid] == 0
+    may_lie = {
+        int(model.body_rootid[model.geom_bodyid[list(pair.geoms)].max()])
+        for pair in survey.pairs if rests[list(pair.geoms)].any()
+    }  # fmt: skip
+    free = model.jnt_type[model.body_jntadr] == int(load_mujoco().mjtJoint.mjJNT_FREE)
+    objects = [body for body, driven in falling_trees(survey).items() if not driven and free[body]]
+    return [body for body in objects if body in may_lie - carried]
+
+
+def _of_lying(survey: Survey, kept: Sequence[int]) -> str:
+    names = [named(survey.model, "body", body) for body in kept]
+    if not names:
+        return ""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    stays = "stays" if len(names) == 1 else "stay"
+    words = f"{', '.join(names[:MOST_NAMED])}{more} {stays} at the start, since nothing drives it and what it lies on"
+    return f"; {words} has no law in the plan"
+
+
 def _of_ground(survey: Survey, standing: Sequence[Pair]) -> str:
     masses = sorted({round(mass_of(survey, pair), 3) for pair in standing}, reverse=True)
     law = " and ".join(f"{mass:g} kg" for mass in masses[:3]) + (" and more" if len(masses) > 3 else "")
@@ -99,7 +130,7 @@ def falling_trees(survey: Survey) -> dict[int, bool]:
     found = {}
     for root in np.unique(model.body_rootid[model.dof_bodyid]):
         body = int(root)
-        falls = False
+        falls, tree = False, model.body_rootid == body
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             dof = int(model.jnt_dofadr[joint])
             if model.jnt_type[joint] == int(joints.mjJNT_FREE):
@@ -107,7 +138,8 @@ def falling_trees(survey: Survey) -> dict[int, bool]:
             elif model.jnt_type[joint] == int(joints.mjJNT_SLIDE):
                 slope = abs(float(home.xaxis[joint] @ gravity))
                 falls |= bool(slope > _STEEP * np.linalg.norm(gravity) and not held[dof])
-        if falls:
+        weighs = 1.0 if no_compensation(model) else 1.0 - model.body_gravcomp[tree]  # what floats does not fall
+        if falls and np.sum(model.body_mass[tree] * weighs) > _STEEP * model.body_mass[tree].sum():
             found[body] = bool(driven[model.body_rootid[model.dof_bodyid] == root].any())
     return found
 

@@ -10,7 +10,7 @@ law: `keep_law` writes them.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache
 from typing import Any
 from xml.etree import ElementTree
@@ -106,6 +106,18 @@ def _body_of(root: ElementTree.Element, element: ElementTree.Element) -> Element
     while element.tag not in ("body", "worldbody"):
         element = next(parent for parent in root.iter() if any(child is element for child in parent))
     return element
+
+
+def let_float(root: ElementTree.Element, model: Any, trees: Collection[int]) -> None:
+    """Edit the XML so that gravity compensation carries trees of bodies, which are given by their roots."""
+    bodies = [body for world in root.findall("worldbody") for body in _bodies(world)]
+    if [body.get("name", "") for body in bodies] != [model.body(i).name for i in range(1, model.nbody)]:
+        raise ModelError(
+            "the file has not all bodies of the model (<attach>, <replicate>), so no object is held still."
+        )
+    for i, body in enumerate(bodies, 1):
+        if int(model.body_rootid[i]) in trees:
+            body.set("gravcomp", "1")
 
 
 def keep_law(root: ElementTree.Element, survey: Survey, weights: np.ndarray, still: np.ndarray) -> None:

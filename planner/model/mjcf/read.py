@@ -24,8 +24,8 @@ from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
-from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs
-from planner.model.mjcf.contact_edits import give_law
+from planner.model.mjcf.contact_choice import MODES, Choice, chosen, ground_pairs, lying
+from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contacts import contact_refusals, phrase_of, read_contacts, read_stops
 from planner.model.mjcf.couplings import harden, read_couplings
 from planner.model.mjcf.custom import phrases_left_out, velocity_limits
@@ -91,6 +91,7 @@ def read_opened(
         raise ModelError(f'{words}: write contacts = "avoid".')
     found = [*unmodelled(survey.model), *contact_refusals(survey, all_of_them=mode in ("off", "avoid"))]
     left_out: list[Pair] = []
+    kept = lying(survey) if mode in ("avoid", "ground") else []
     if mode in ("law", "ground"):
         found = [one for one in found if one.kind != "contacts"]
         left_out = give_law(root, survey, *_laws(survey, law))
@@ -99,6 +100,8 @@ def read_opened(
     found += [one for one in modelled(survey.model) if one.kind in taken_out]
     if found:
         take_out(root, found, survey.model)
+    if kept:
+        let_float(root, survey.model, kept)
     phrases = ["contacts" if refusal.kind == "contacts" else refusal.phrase for refusal in found]
     if left_out:
         phrases.append(phrase_of(survey.model, left_out))

@@ -1,0 +1,79 @@
+"""Objects that lie beside a machine stay where they start in a plan, and are judged in the user's file."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.base.errors import PlannerError
+from planner.cases.problem_file.build import load
+from planner.model.lying import lying_bodies, lying_dofs
+from planner.model.mechanism import Mechanism
+from planner.problem.constraints.apart import apart_of
+
+TABLE = '<geom name="table" type="cylinder" size=".3 .1" pos="0 .5 .1"/>'  # its top is no ground that is planned
+CUBE = (
+    '<body name="cube" pos="{}"><freejoint name="cube"/>'
+    '<geom name="cube" type="box" size=".02 .02 .02" mass=".1"/></body>'
+)
+ARM = (
+    '<body name="arm" pos="0 0 .25"><joint name="arm" axis="0 0 1" damping=".1"/><geom name="arm" type="capsule" '
+    'fromto=".1 0 0 .5 0 0" size=".02" mass="1"/></body>'
+)
+BESIDE, IN_THE_WAY = "-.2 .5 .22", ".2 .4 .22"
+
+
+def text(*, at=BESIDE, table=TABLE, actuator='<motor joint="arm" ctrlrange="-9 9"/>'):
+    return f"<mujoco><worldbody>{table}{CUBE.format(at)}{ARM}</worldbody><actuator>{actuator}</actuator></mujoco>"
+
+
+def reach(tmp_path, goal="{ arm = 0.8 }", more="", **kind):
+    (tmp_path / "scene.xml").write_text(text(**kind))
+    lines = f'model = "scene.xml"\nstart = {{}}\ngoal = {goal}\nduration = 1.0\n{more}'
+    (tmp_path / "reach.toml").write_text(lines)
+    return load(tmp_path / "reach.toml")
+
+
+def test_an_object_on_a_thing_without_a_law_floats_in_the_plan():
+    m = Mechanism.from_mjcf(text())
+    assert m.contacts_mode == "avoid"
+    assert "body 'cube' stays at the start" in m.contacts_choice
+    np.testing.assert_array_equal(lying_dofs(m), [True] * 6 + [False])
+    np.testing.assert_array_equal(lying_bodies(m), [False, True, False])
+    dynamics = planner.RigidBodyDynamics(m, dt=0.01)
+    np.testing.assert_array_equal(dynamics.step(m.home[None], np.zeros((1, 1)))[0], m.home)  # nothing moves at all
+
+
+def test_what_is_driven_or_meets_nothing_does_not_lie():
+    driven = '<motor joint="arm"/><motor joint="cube" gear="0 0 1 0 0 0"/>'
+    assert not lying_dofs(Mechanism.from_mjcf(text(actuator=driven))).any()
+    assert not lying_dofs(Mechanism.from_mjcf(text(table=""))).any()
+
+
+def test_an_arm_beside_an_object_is_planned_along_a_line_and_passes(tmp_path):
+    problem = reach(tmp_path).problem
+    plan = planner.solve(problem)
+    assert plan.success
+    assert plan.nit < 10  # the line by inverse dynamics: the arm's motors reach all that is to move
+    proof = planner.prove(plan, rollouts=0)
+    assert proof.verdict == "PASS"
+    moved = next(one for one in proof.sections["your_file"].measured if one.name == "objects_moved")
+    assert 0.0 < moved.value < 1e-3  # m: it lies on the table, into which MuJoCo lets it sink
+
+
+def test_a_touch_of_the_object_fails(tmp_path):
+    proof = planner.prove(planner.solve(reach(tmp_path, at=IN_THE_WAY, goal="{ arm = 1.5 }").problem), rollouts=0)
+    assert proof.verdict == "FAIL"
+    assert "geom 'cube' and geom 'arm' touch" in proof.reason
+
+
+def test_an_object_is_kept_clear_of_but_its_table_is_not(tmp_path):
+    with_avoid = reach(tmp_path, more="[avoid]\n").problem
+    names = [pair.names for pair in apart_of(with_avoid.constraints).pairs]
+    assert any("cube" in name and "arm" in name for name in names)
+    assert not any("cube" in name and "table" in name for name in names)
+
+
+def test_an_object_that_is_to_move_is_refused(tmp_path):
+    goal = "{ cube = [0, 0.7, 0.22, 1, 0, 0, 0], arm = 0.8 }"
+    with pytest.raises(PlannerError, match="nothing drives or holds joint 'cube'"):
+        reach(tmp_path, goal=goal)
