@@ -1,8 +1,9 @@
 """Random people of the box that the human step is made for: `python benchmarks/people.py --phase cycle`.
 
-One JSON line each, then a summary. A person succeeds when the solve has converged within MOST iterations and heel and
-toe of every swinging foot clear the belt in the middle of the swing (planner.cases.human_step.measures.CLEAR); MuJoCo's
-distance from the plan is reported beside it. SEED is not the one that the default cost was tuned on.
+One JSON line each, then a summary; on the workers that are asked for, `--workers 8` or `--scheduler tcp://HOST:8786`. A
+person succeeds when the solve has converged within MOST iterations and heel and toe of every swinging foot clear the
+belt in the middle of the swing (planner.cases.human_step.measures.CLEAR); MuJoCo's distance from the plan is reported
+beside it. SEED is not the one that the default cost was tuned on.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ import argparse
 import json
 import math
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import planner
+from planner.base.executors import in_turn
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, measures
@@ -23,6 +26,7 @@ from planner.cases.human_step.phase import SWING, Step
 from planner.cases.human_step.tracking import judge_tracking
 from planner.cases.human_step.walker import SIDES, Walker
 from planner.proof.replays.replaying import replay
+from planner.sweeps.executors import executor_of
 
 BOX = {"mass": (45.0, 110.0), "height": (1.50, 1.95), "cycle_time": (1.0, 1.8)}  # kg, m, s
 SEED, MOST = 2026, 60
@@ -84,17 +88,21 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Everybody, one after the other."""
+    """Everybody, on the workers that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--phase", choices=("swing", "cycle"), default="cycle")
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--no-proof", action="store_true")
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--scheduler")
     given = parser.parse_args()
     rows = []
-    for person in people(given.count, given.seed):
-        rows.append(attempt(person, given.phase, not given.no_proof))
-        print(json.dumps(rows[-1]), flush=True)
+    work = partial(attempt, phase=given.phase, proof=not given.no_proof)
+    with executor_of(given.workers, given.scheduler) as executor:
+        for row in in_turn(executor, work, people(given.count, given.seed)):
+            rows.append(row)
+            print(json.dumps(row), flush=True)
     print(json.dumps(summary(rows)), flush=True)
 
 

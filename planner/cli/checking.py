@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from planner.cli.console import Console, shown
+from planner.sweeps.executors import executor_of
 from planner.sweeps.stored_plans import Checked, check
 
 
@@ -14,7 +15,10 @@ def check_plans(arguments: argparse.Namespace, console: Console) -> int:
     def show(one: Checked) -> None:
         console.note(f"{one.plan}: {'as stored' if one.passed else 'regressed'}")
 
-    done = check(*arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show)
+    with executor_of(arguments.workers, arguments.scheduler) as executor:
+        done = check(
+            *arguments.paths, tolerance=arguments.tolerance, update=arguments.update, callback=show, executor=executor
+        )  # fmt: skip
     for one in done:
         if one.problem:
             console.say(f"{one.plan} is not compared: {one.problem}")

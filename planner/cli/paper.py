@@ -8,7 +8,8 @@ import signal
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -16,10 +17,12 @@ from typing import Any
 from planner.base.errors import PlannerError
 from planner.base.files import read_text, staged_folder
 from planner.base.jsonable import json_text
+from planner.base.processors import processors
 from planner.cli.console import Console
 from planner.paper.studies.catalogue import STUDIES, chosen
 from planner.paper.studies.page import Finished, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
+from planner.sweeps.executors import executor_of
 
 PAGE, NUMBERS = "paper-results.md", "paper-results.json"
 
@@ -32,8 +35,12 @@ def paper(arguments: argparse.Namespace, console: Console) -> int:
         if arguments.proofs:
             return _proofs(Path(arguments.out or "renders/paper"), console)
         if arguments.studies:
-            return _some(arguments.studies, Path(arguments.out or "renders/paper"), console)
-        return _all(*_places(arguments.out), console)
+            few = executor_of(arguments.workers, arguments.scheduler)
+            return _some(arguments.studies, Path(arguments.out or "renders/paper"), few, console)
+        workers = arguments.workers
+        if workers is None and arguments.scheduler is None and processors() > 1:
+            workers = processors()
+        return _all(*_places(arguments.out), executor_of(workers, arguments.scheduler), console)
 
 
 def _places(out: str | None) -> tuple[Path, Path]:
@@ -54,13 +61,14 @@ def _in_checkout() -> bool:
     return isinstance(project, dict) and project.get("name") == "slq-planner"
 
 
-def _all(at: Path, pictures: Path, console: Console) -> int:
+def _all(at: Path, pictures: Path, executor: AbstractContextManager[Executor | None], console: Console) -> int:
     """The whole page."""
     files = [name for study in STUDIES for name in (f"{study.name}.json", *study.pictures)]
     stale = [f"{study.name}.md" for study in STUDIES]  # of single studies, which the page replaces
     with staged_folder(pictures, [*files, *stale, NUMBERS]) as shown, staged_folder(at, [PAGE]) as text:
         began = time.perf_counter()
-        done = run_studies(STUDIES, shown, console.note, os.cpu_count() or 1)
+        with executor as pool:
+            done = run_studies(STUDIES, shown, console.note, pool)
         rows = table_rows(done)
         way = "" if at == pictures else f"{Path(os.path.relpath(pictures, at)).as_posix()}/"
         (text / PAGE).write_text(page(done, rows, way, time.perf_counter() - began), encoding="utf-8")
@@ -76,12 +84,15 @@ def _all(at: Path, pictures: Path, console: Console) -> int:
     return console.finish("paper", code, **summary, files=names)
 
 
-def _some(names: list[str], folder: Path, console: Console) -> int:
+def _some(
+    names: list[str], folder: Path, executor: AbstractContextManager[Executor | None], console: Console
+) -> int:  # fmt: skip
     """Some studies, each with a page of its own."""
     studies = chosen(names)
     files = [name for study in studies for name in (f"{study.name}.md", f"{study.name}.json", *study.pictures)]
     with staged_folder(folder, files) as staged:
-        done = run_studies(studies, staged, console.note)
+        with executor as pool:
+            done = run_studies(studies, staged, console.note, pool)
         for one in done:
             _write_results(one, staged)
             if one.results is None:

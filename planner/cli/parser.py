@@ -165,14 +165,17 @@ _SWEEP: Flags = {
               "help": "Values of a parameter: START:STOP:COUNT, e.g. height=1:60:60, or a list, duration=0.8,1. Of a "
                       "problem file a key, e.g. weights.effort=0.1,1. Repeat it for others: all combinations."},
     "--out": _takes("DIR", "Folder of table, plans and page. Default: renders/sweep-CASE."),
-    "--workers": _takes("N", "Processes on this machine. Default: one a processor.", kind=_whole),
-    "--scheduler": _takes("ADDRESS", "Of a running Dask scheduler, tcp://HOST:8786, or local for a Dask cluster here."),
     "--continue": _takes("NAME", "Start each problem from its neighbour's controls along this parameter.")
                   | {"dest": "along"},
     "--timeout": _takes("S", "Longest time of one solve, s.", kind=_number),
     "--prove": _switch("Prove each plan."),
     "--rollouts": _takes("N", "Perturbed simulations of each proof.", 0, _whole),
     "--resume": _switch("Go on with the sweep that is in the folder."),
+}  # fmt: skip
+_WORKERS: Flags = {
+    "--workers": _takes("N", "Processes on this machine. Default: one a processor for sweep and paper, else threads of "
+                             "one process.", kind=_whole),
+    "--scheduler": _takes("ADDRESS", "Of a running Dask scheduler, tcp://HOST:8786, or local for a Dask cluster here."),
 }  # fmt: skip
 _PROOF: Flags = {
     "--rollouts": _takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, _whole),
@@ -238,7 +241,9 @@ def build() -> argparse.ArgumentParser:
          "--no-picture": _switch("Draw no picture, which needs OpenGL.")},
         _OUTPUT,
     )  # fmt: skip
-    with_case("run", "Plan, prove, plot and film a case or a problem file.", no_refine, _PROOF, _NO_VIDEO, folder)
+    with_case(
+        "run", "Plan, prove, plot and film a case or a problem file.", no_refine, _PROOF, _NO_VIDEO, folder, _WORKERS
+    )
     with_case(
         "drive", "Plan again and again in the loop with MuJoCo, and judge the loop.",
         {"--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
@@ -260,8 +265,9 @@ def build() -> argparse.ArgumentParser:
         "solve",
         "Plan a case or a problem file and save the plan.",
         {"--out": _takes("FILE", "The plan's file.", "plan.npz")},
+        _WORKERS,
     )
-    with_case("sweep", "Plan a case or a problem file at many parameters, into one table.", _SWEEP)
+    with_case("sweep", "Plan a case or a problem file at many parameters, into one table.", _SWEEP, _WORKERS)
     command(
         "prove", "Replay a stored plan in MuJoCo and judge it, or anybody's controls.",
         {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; none where --controls are given."},
@@ -274,7 +280,7 @@ def build() -> argparse.ArgumentParser:
         {"--mjcf": _takes("FILE", "Replay in this model instead of the plan's own."),
          "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
                       "help": f"Also repeat the plan in {' or '.join(ENGINES)}, where installed; repeat it for both."},
-         "--out": _takes("FILE", "Write the proof to this JSON file.")}, _PROOF, _ROLLOUT, _OUTPUT,
+         "--out": _takes("FILE", "Write the proof to this JSON file.")}, _PROOF, _ROLLOUT, _WORKERS, _OUTPUT,
     )  # fmt: skip
     command(
         "render", "Film the replay of a stored plan.", plan,
@@ -301,7 +307,7 @@ def build() -> argparse.ArgumentParser:
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
          "--update": _switch("Store the new numbers where they differ."),
          "--tolerance": _takes("X", "Relative change of a number that is reported.", 0.05, _number)},
-        _OUTPUT,
+        _WORKERS, _OUTPUT,
     )  # fmt: skip
     names = ", ".join(study.name for study in STUDIES)
     command(
@@ -311,7 +317,7 @@ def build() -> argparse.ArgumentParser:
          "--proofs": _switch("Write the table of proofs of all machines instead."),
          "--out": _takes("DIR", "Folder of the results. Default: paper, in a checkout docs and renders/gallery/paper; "
                                 "for single studies and for --proofs renders/paper.")},
-        _OUTPUT,
+        _WORKERS, _OUTPUT,
     )  # fmt: skip
     every = {"--all": _switch("Also compile the kernels that only --hessian exact needs.")}
     shell = {"choices": SHELLS, "metavar": "SHELL", "help": f"One of {', '.join(SHELLS)}."}

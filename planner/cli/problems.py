@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -101,7 +102,9 @@ def name_of(arguments: argparse.Namespace) -> str:
     return Path(arguments.problem).stem if arguments.case == PROBLEM_FILE else arguments.case
 
 
-def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) -> tuple[Plan, float]:
+def solved(
+    asked: ProblemOf, arguments: argparse.Namespace, console: Console, executor: Executor | None = None
+) -> tuple[Plan, float]:
     """The plan and the time of its solve, s."""
     problem = asked.problem
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
@@ -113,7 +116,7 @@ def solved(asked: ProblemOf, arguments: argparse.Namespace, console: Console) ->
     options = {
         "update": arguments.update, "line_search": arguments.line_search, "hessian": arguments.hessian,
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
-        "rank": RANKS[arguments.rank],
+        "rank": RANKS[arguments.rank], "executor": executor,
     }  # fmt: skip
     progress = console.iteration if asked.durations is None and asked.starts == 1 else console.row
     if problem.periodic is not None:

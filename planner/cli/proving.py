@@ -26,6 +26,7 @@ from planner.proof.robustness.case_replay import replay_case
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.success_rule import end_errors
 from planner.proof.scales import worst_by_unit
+from planner.sweeps.executors import executor_of
 
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
@@ -51,7 +52,10 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             plan, mjcf=None if arguments.mjcf is None else Path(arguments.mjcf), rollouts=0, seed=arguments.seed,
             hold_seconds=arguments.hold, optimal=not (arguments.feasible or arguments.controls),
         )  # fmt: skip
-        proof = completed(proof, arguments.rollouts, console, seed=arguments.seed, perturbation=perturbation)
+        with executor_of(arguments.workers, arguments.scheduler) as executor:
+            proof = completed(
+                proof, arguments.rollouts, console, seed=arguments.seed, perturbation=perturbation, executor=executor
+            )  # fmt: skip
         sections = {}
         for name in engines:
             console.note(f"the engine {name}")

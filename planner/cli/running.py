@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from planner.proof.cures import cures
 from planner.proof.hold import hold_gain
 from planner.proof.refinement import Refinement, refine
 from planner.proof.wider import kept_wider
+from planner.sweeps.executors import executor_of
 
 INTERRUPTED = 130
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
@@ -48,7 +50,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     place = Path(arguments.out or f"renders/{name_of(arguments)}")
     with run_folder(place, results.OUTPUTS, _identity(asked, arguments)) as folder:
         try:
-            code, document = _run(asked, arguments, folder, console)
+            with executor_of(arguments.workers, arguments.scheduler) as executor:
+                code, document = _run(asked, arguments, folder, console, executor)
         except KeyboardInterrupt:
             if not folder.began:
                 raise
@@ -69,7 +72,7 @@ def _identity(asked: ProblemOf, arguments: argparse.Namespace) -> dict[str, Any]
 
 
 def _run(
-    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console
+    asked: ProblemOf, arguments: argparse.Namespace, folder: RunFolder, console: Console, executor: Executor | None
 ) -> tuple[int, dict[str, Any]]:
     stored = load_plan(folder.path / "plan.npz") if "plan.npz" in folder.finished else None
     if stored is None or stored.status is Status.INTERRUPTED:
@@ -77,7 +80,7 @@ def _run(
         failures = parity(asked.problem).failures
         if failures:
             raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
-        plan, seconds = solved(asked, arguments, console)
+        plan, seconds = solved(asked, arguments, console, executor)
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
         console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
@@ -111,7 +114,7 @@ def _run(
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     if proof is not None:
         proof = results.completed(
-            proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS
+            proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS, executor=executor
         )  # fmt: skip
         results.write_proof(plan, proof, folder.path, digest, path)
         results.show_proof(proof, console)

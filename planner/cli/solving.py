@@ -9,14 +9,16 @@ from planner.cli.console import Console
 from planner.cli.problems import asked_problem, solved
 from planner.cli.results import plan_facts, show_cures, show_plan
 from planner.problem.archive import plan_name
+from planner.sweeps.executors import executor_of
 
 
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case and save the plan."""
     asked = asked_problem(arguments)
     out = plan_name(arguments.out)
-    with write_atomically(out) as unfinished:  # an unwritable file fails before the work
-        plan, seconds = solved(asked, arguments, console)
+    # an unwritable file fails before the work
+    with write_atomically(out) as unfinished, executor_of(arguments.workers, arguments.scheduler) as executor:
+        plan, seconds = solved(asked, arguments, console, executor)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
     show_cures(plan, None, console)

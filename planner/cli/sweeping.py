@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from planner.cli.console import Console
 from planner.cli.parser import PROBLEM_FILE
 from planner.cli.problems import durations_of, name_of, objective_of
 from planner.problem.limits import EXACT, Limits
-from planner.sweeps.dask import dask_executor
+from planner.sweeps.executors import executor_of
 from planner.sweeps.sweeping import sweep
 from planner.view.report.sweep_page import write_sweep_page
 
@@ -24,12 +23,10 @@ def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case or a problem file at every point of a grid."""
     if arguments.rank != "cost":
         raise PlannerError("--rank is for one problem, expected a sweep without it: its starts are ranked by cost.")
-    if arguments.workers is not None and arguments.scheduler is not None:
-        raise PlannerError("--workers and --scheduler are both given, expected one of them.")
     name = name_of(arguments)
     out = Path(arguments.out or f"renders/sweep-{name}")
-    address: str | None = arguments.scheduler
-    with nullcontext() if address is None else dask_executor(address) as executor:
+    local = arguments.scheduler is None  # sweep() starts processes of its own, which load the problem's kernels first
+    with executor_of(None if local else arguments.workers, arguments.scheduler) as executor:
         done = sweep(
             Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
             out=out, executor=executor, workers=arguments.workers, fixed=_fixed(arguments),

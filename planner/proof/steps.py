@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
+from planner.base.executors import checked_executor
 from planner.base.measured import Section
 from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
@@ -55,6 +57,7 @@ def prove(
     plan: Plan, *, mjcf: str | Path | None = None, twin: Twin | None = None, seed: int = 0, rollouts: int = ROLLOUTS,
     perturbation: Perturbation | None = None, hold_seconds: float = 0.0, optimal: bool = True,
     budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+    executor: Executor | None = None,
 ) -> Proof:  # fmt: skip
     """Replay a plan in MuJoCo at a refined step, open loop and with its gains, and judge it.
 
@@ -71,6 +74,8 @@ def prove(
         budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
         partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
         progress: Called with the rollouts done and their number.
+        executor: Where the rollouts run, any concurrent.futures.Executor; by default MuJoCo's threads. The numbers are
+            the same to the last bit.
 
     Raises:
         PlannerError: The plan cannot be replayed at all; a plan that replays badly gets FAIL.
@@ -90,6 +95,7 @@ def prove(
         raise PlannerError(f"optimal is {shown(optimal)}, expected True or False.")
     count("seed", seed, least=0)
     count("rollouts", rollouts, least=0)
+    checked_executor(executor)
     number("hold_seconds", hold_seconds, least=0.0)
     twin = twin or plan.twin
     if twin is None:
@@ -163,7 +169,7 @@ def prove(
         return proof
     return with_rollouts(
         with_shown(proof), rollouts, seed=seed, perturbation=perturbation, budget=budget, partial=partial,
-        progress=progress,
+        progress=progress, executor=executor,
     )  # fmt: skip
 
 
@@ -197,10 +203,13 @@ def with_shown(proof: Proof, note: Callable[[str], object] = lambda _: None) -> 
 def with_rollouts(
     proof: Proof, rollouts: int = ROLLOUTS, *, seed: int = 0, perturbation: Perturbation | None = None,
     budget: float | None = None, partial: Path | None = None, progress: Callable[[int, int], object] | None = None,
+    executor: Executor | None = None,
 ) -> Proof:  # fmt: skip
     """A proof with step 5 added; the arguments are those of prove()."""
     run, trials = proof.replay, Trials(rollouts, seed, perturbation)
-    found = perturbed(run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress)
+    found = perturbed(
+        run.plan, run.compiled, trials, budget=budget, partial=partial, progress=progress, executor=executor
+    )  # fmt: skip
     asked = proof.asked | {"rollouts": found.done, "perturbation": asdict(found.perturbation)}
     return replace(proof, sections=proof.sections | {"perturbed": found.section}, monte_carlo=found, asked=asked)
 

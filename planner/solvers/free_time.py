@@ -31,6 +31,7 @@ from planner.problem.motion import Motion
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.solvers.multistart import SEVERAL
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.warm_start import warm_start
 
@@ -130,7 +131,7 @@ def _exact(problem: Problem) -> Problem:
 
 def _single(options: dict[str, Any]) -> dict[str, Any]:
     """Options of solve() without those of several starts."""
-    return {name: value for name, value in options.items() if name not in ("starts", "rank", "seed", "spread")}
+    return {name: value for name, value in options.items() if name not in SEVERAL}
 
 
 class _Search:

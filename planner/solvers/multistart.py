@@ -6,8 +6,8 @@ Start 0 is the problem's own first guess; start k adds a smooth random change, d
 
 with an RMS of 1 expected of the sum, and a scale per control: the RMS of the guess, or of what five iterations from
 it have made of it, whichever is larger. So it is in the control's own units, also where the guess is zero.
-Starts run on threads, and which of them wins does not depend on when each ends. Plans are ranked one at a time, in
-the caller's thread.
+Starts run on threads, or on the executor that is given, and which of them wins does not depend on when each ends. Plans
+are ranked one at a time, in the caller's thread.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from threading import Event
 
 import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
+from planner.base.executors import answer, give_up
 from planner.base.processors import processors
 from planner.problem.plan import Iteration, Plan, Start, Status
 
 MOST_STARTS = 10_000  # by far more than any machine's local minima; each is a whole solve
+SEVERAL = ("starts", "rank", "seed", "spread", "executor")
+"""Options of solve() for several starts alone."""
 _MODES = 6  # cosines: from a constant to two and a half waves over the horizon
 _PILOT = 5  # iterations after which controls have their size
 
@@ -38,7 +43,7 @@ Descend = Callable[[np.ndarray, int, Callable[[Iteration], object] | None], Plan
 def best_of(
     guess: np.ndarray, descend: Descend, max_iterations: int, starts: int, seed: int, spread: float,
     callback: Callable[[Start], object] | None, rank: Callable[[Plan], float] | None = None,
-    sizing: Descend | None = None,
+    sizing: Descend | None = None, executor: Executor | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of least rank among the converged of several starts, else among all.
 
@@ -52,34 +57,28 @@ def best_of(
         callback: Called with each Start, in order, as soon as it and those before it have ended.
         rank: Of a Plan, the less the better; its cost by default.
         sizing: The solve whose first iterations give the controls their size; `descend` by default.
+        executor: Where starts are solved; by default threads, one a processor.
     """
     pilot = (sizing or descend)(guess, min(_PILOT, max_iterations), None)
     if pilot.status is Status.INTERRUPTED:
         return replace(pilot, starts=(_summary(0, pilot, pilot.cost),))
-    scale = spread * _sizes(guess, pilot.us)
-
-    stop = Event()
-
-    def heed(_: Iteration) -> None:
-        if stop.is_set():
-            raise StopIteration
-
-    def run(number: int) -> Plan:
-        first = guess if number == 0 else guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape)
-        return descend(first, max_iterations, heed)
-
+    stop = _Stop()
+    run = partial(_run, descend, guess, spread * _sizes(guess, pilot.us), seed, max_iterations, stop)
     ended: list[Start] = []
     best: Plan | None = None
     waiting: deque[tuple[int, Future[Plan]]] = deque()
     submitted, interrupted = 0, False
-    with ThreadPoolExecutor(min(starts, processors())) as pool:
+    own = ThreadPoolExecutor(min(starts, processors())) if executor is None else nullcontext(executor)
+    with own as pool:
         try:
             while waiting or (submitted < starts and not interrupted):
                 try:
                     while submitted < starts and not interrupted:
                         waiting.append((submitted, pool.submit(run, submitted)))
                         submitted += 1
-                    number, plan = waiting[0][0], waiting[0][1].result()
+                    number, plan = waiting[0][0], answer(pool, waiting[0][1], run, waiting[0][0])
+                    if executor is not None:  # what comes from another process has a copy of the problem
+                        plan = replace(plan, problem=pilot.problem)
                     summary = _summary(number, plan, _score(rank, plan))
                     waiting.popleft()
                     if best is None or summary.rank < min(start.rank for start in ended):
@@ -89,14 +88,37 @@ def best_of(
                         callback(ended[-1])
                 except (KeyboardInterrupt, StopIteration):
                     interrupted = True
-                    stop.set()  # those that run end with their next iteration; the others never begin
-                    waiting = deque((k, future) for k, future in waiting if not future.cancel())
+                    stop.event.set()  # those that run end with their next iteration; the others never begin
+                    waiting = deque((k, future) for k, future in waiting if not give_up(pool, future))
         finally:  # also on an error, the user's own for example
-            stop.set()
-            pool.shutdown(cancel_futures=True)
+            stop.event.set()
+            for _, future in waiting:
+                give_up(pool, future)
     if best is None:  # interrupted before any start began
         best, ended = pilot, [_summary(0, pilot, pilot.cost)]
     return replace(best, starts=tuple(ended), status=Status.INTERRUPTED if interrupted else best.status)
+
+
+class _Stop:
+    """A callback that ends all solves with their next iteration; in another process it does nothing."""
+
+    def __init__(self) -> None:
+        self.event = Event()
+
+    def __call__(self, _: Iteration) -> None:
+        if self.event.is_set():
+            raise StopIteration
+
+    def __reduce__(self) -> tuple[type[_Stop], tuple[()]]:
+        return _Stop, ()
+
+
+def _run(
+    descend: Descend, guess: np.ndarray, scale: np.ndarray, seed: int, max_iterations: int, stop: _Stop, number: int
+) -> Plan:
+    """One start."""
+    first = guess if number == 0 else guess + scale * smooth(np.random.default_rng([seed, number]), guess.shape)
+    return descend(first, max_iterations, stop)
 
 
 def smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:

@@ -28,13 +28,13 @@ from planner.problem.periodicity import STEPS
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers.ends import Ends, drawn, ends_of, moved, periodic_problem, response, tracking, with_ends
+from planner.solvers.multistart import SEVERAL
 from planner.solvers.slq import solve
 from planner.solvers.warm_start import warm_start
 
 LEFT = 1e-4
 """Newton passes end when the decrease that they promise is below this part of the cost, or the cost hardly changes."""
 _TO_CLOSE = 2  # passes kept for the end, which only close the gap
-_SEVERAL = ("starts", "rank", "seed", "spread")  # options of solve() for the first pass alone
 
 
 class Pass(NamedTuple):
@@ -133,7 +133,7 @@ class _Search:
     def go(self, problem: Problem) -> None:
         """One pass, and the problem of the next: None when there is nothing to gain, or nowhere to go."""
         plan = solve(problem, **self.options)
-        self.options = {name: value for name, value in self.options.items() if name not in _SEVERAL}
+        self.options = {name: value for name, value in self.options.items() if name not in SEVERAL}
         _, periodic = periodic_problem(plan)
         ran = bool(np.isfinite(plan.xs).all())
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf

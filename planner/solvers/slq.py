@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number, shown
 from planner.base.errors import PlannerError
+from planner.base.executors import checked_executor
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
 from planner.problem.criteria import solver_problem
@@ -71,6 +73,7 @@ def solve(
     seed: int = 0,
     spread: float = 1.0,
     rank: Callable[[Plan], float] | None = None,
+    executor: Executor | None = None,
 ) -> Plan:
     """Optimize a motion.
 
@@ -104,6 +107,8 @@ def solve(
             make of it where these are larger.
         rank: A function of a Plan; the start with the least value wins. By default its cost; proof.proven_cost is its
             cost in MuJoCo. A number that is not finite comes last.
+        executor: Where the starts are solved, any concurrent.futures.Executor; by default threads. The plan is the
+            same to the last bit.
 
     Returns:
         A Plan; of several starts the one of least rank among the converged, else of all, which lists the others in
@@ -130,6 +135,7 @@ def solve(
     count("starts", starts, most=MOST_STARTS)
     count("seed", seed, least=0)
     number("spread", spread, above=0.0)
+    checked_executor(executor)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {shown(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
@@ -162,7 +168,7 @@ def solve(
         if starts == 1:
             return descend(guess, max_iterations, callback)
         sizing = partial(_descend, core, descent, None, None)
-        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing)
+        return best_of(guess, descend, max_iterations, starts, seed, spread, callback, ranking, sizing, executor)
 
     best = solved(core.first_guess)
     if best.status is Status.NOT_FINITE and not best.history:  # it had no first rollout

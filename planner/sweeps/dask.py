@@ -50,6 +50,7 @@ class DaskExecutor(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function on some worker."""
         answer: Future[Any] = Future()
+        answer.set_running_or_notify_cancel()  # nothing says when a worker begins
         remote = self._client.submit(fn, *args, pure=False, retries=0, **kwargs)
         self._futures[answer] = remote
         remote.add_done_callback(lambda done: self._answer(answer, done))

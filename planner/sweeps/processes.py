@@ -1,7 +1,8 @@
 """Local processes: an executor whose workers may be ended one by one, and are replaced.
 
 Python's own pool of processes gives up all its work when one of them is killed. Here each worker is a pool of one, so a
-kill breaks one future, which is known. Each works with one thread: see planner.base.processors.
+kill breaks one future, which is known. Each works with one thread: see planner.base.processors. Where calls are short
+a process has the next before it has done the last, so it never waits for this process, which may be busy writing.
 """
 
 from __future__ import annotations
@@ -10,104 +11,193 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from multiprocessing import connection
+from queue import SimpleQueue
 from typing import Any
 
 from planner.base.errors import PlannerError
 from planner.base.processors import VARIABLE
 
 ONE_THREAD = (VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_SHORT = 2.0  # s: behind a call that takes longer none waits, which an idle process could do
 _environment = threading.Lock()
 
 
 class LocalProcesses(Executor):
-    """Some processes on this machine.
+    """Some processes on this machine. A context that is left by an error ends them in the middle of their work.
 
     Args:
         width: How many.
         first: Called in each before any work, to load what it needs.
 
     Attributes:
-        width: How many calls may be submitted before one has ended.
-        one_each: Each call begins at once.
+        width: How many calls are worked on at once.
+        tells_begin: A future is running() from the moment when a process begins with its call.
 
     Raises:
         PlannerError: No process can be started.
     """
 
-    one_each = True
+    tells_begin = True
 
-    def __init__(self, width: int, first: Callable[[], object]) -> None:
+    def __init__(self, width: int, first: Callable[[], object] = os.getpid) -> None:
         self.width = width
         self._first = first
+        self._waiting: deque[_Call] = deque()
         self._workers: list[_Worker] = []
+        self._ahead = 1  # calls that a process may have
+        self._stopping = self._at_once = False
+        # Pools answer in threads of their own, with locks held: one thread alone hands out, told by this queue.
+        self._events: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         try:
             self._workers += [_Worker(first) for _ in range(width)]
             for worker in self._workers:
                 worker.started()
         except BaseException:
-            self.shutdown(cancel_futures=True)
+            for worker in self._workers:
+                worker.end()
             raise
+        self._thread.start()
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        """End the processes."""
+        self.shutdown(cancel_futures=kind is not None)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call a function in an idle process; there must be one."""
-        k = next(k for k, worker in enumerate(self._workers) if worker.future is None or worker.future.done())
-        worker = self._workers[k]
-        if worker.broken():
-            worker.end()
-            worker = self._workers[k] = _Worker(self._first)
-            worker.started()
-        worker.future = worker.pool.submit(fn, *args, **kwargs)
-        return worker.future
+        """Call a function in a process, after those that were submitted before."""
+        call = _Call(partial(fn, *args, **kwargs), Future())
+        self._events.put(lambda: self._waiting.append(call))
+        return call.future
 
     def end(self, future: Future[Any]) -> None:
         """Kill the process that works on a call; its future raises BrokenExecutor."""
-        for worker in self._workers:
-            if worker.future is future:
-                worker.end()
+        self._events.put(lambda: [one.end() for one in self._workers if one.calls and one.calls[0].future is future])
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End all processes, with cancel_futures in the middle of their work."""
-        for worker in self._workers:
-            if cancel_futures:
+
+        def stop() -> None:
+            self._stopping, self._at_once = True, cancel_futures
+            for worker in self._workers if cancel_futures else ():
                 worker.end()
-            worker.pool.shutdown(wait=wait and not cancel_futures, cancel_futures=cancel_futures)
+
+        self._events.put(stop)
+        if wait:
+            self._thread.join()
+
+    def _serve(self) -> None:
+        while not (self._stopping and not self._waiting and not any(worker.calls for worker in self._workers)):
+            self._events.get()()
+            while self._at_once and self._waiting:
+                self._waiting.popleft().future.cancel()
+            self._hand_out()
+        for worker in self._workers:
+            worker.pool.shutdown()
+
+    def _hand_out(self) -> None:
+        """Give waiting calls to the processes that have the fewest."""
+        while self._waiting:
+            k = min(range(self.width), key=lambda k: len(self._workers[k].calls))
+            worker = self._workers[k]
+            if len(worker.calls) >= self._ahead:
+                return
+            call = self._waiting.popleft()
+            if call.future.cancelled():
+                continue
+            try:
+                if not worker.calls and not worker.lives():
+                    worker = self._workers[k] = _Worker(self._first)
+                    worker.ready.add_done_callback(lambda _, worker=worker: self._events.put(worker.begins))
+                done = worker.pool.submit(call.function)
+            except (OSError, RuntimeError) as error:  # no process can be started, or it has just ended
+                done = Future[Any]()
+                done.set_exception(BrokenExecutor(str(error)))
+            worker.calls.append(call)
+            worker.begins()
+            answered = partial(self._answered, worker, call, done)
+            done.add_done_callback(lambda _, answered=answered: self._events.put(answered))
+
+    def _answered(self, worker: _Worker, call: _Call, done: Future[Any]) -> None:
+        """Hand on what a call gave; one that stood behind a call that ended its process goes to another."""
+        worker.calls.remove(call)
+        error = done.exception()
+        if isinstance(error, BrokenExecutor):
+            behind, worker.ended = worker.ended, True
+            if behind:
+                self._waiting.appendleft(call)
+                return
+        worker.begins()
+        call.begins()  # unless it has, or was cancelled
+        self._ahead = 2 if time.monotonic() - call.began < _SHORT else 1
+        if call.future.cancelled():
+            return
+        if error is None:
+            call.future.set_result(done.result())
+        else:
+            call.future.set_exception(error)
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call, and the future that its caller has."""
+
+    function: Callable[[], Any]
+    future: Future[Any]
+    began: float = 0.0  # time.monotonic()
+
+    def begins(self) -> None:
+        """It is worked on."""
+        if not self.began:
+            self.began = time.monotonic()
+        if not (self.future.running() or self.future.done()):
+            self.future.set_running_or_notify_cancel()
 
 
 class _Worker:
-    """A pool of one process."""
+    """A pool of one process, and its calls in their order."""
 
     def __init__(self, first: Callable[[], object]) -> None:
+        self.calls: deque[_Call] = deque()
+        self.ended = False  # in the middle of a call
         self.pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepared)
         with _one_thread():
-            self._ready = self.pool.submit(_began, first)
-        self.pid = 0
-        self.future: Future[Any] | None = None
+            self.ready = self.pool.submit(_began, first)
 
     def started(self) -> None:
         """Wait until it has loaded what it needs."""
         try:
-            self.pid = self._ready.result()
+            self.ready.result()
         except BrokenExecutor:
             raise PlannerError(
-                "the processes of the sweep do not start, expected a script that sweeps only under "
+                "the processes of planner do not start, expected a script that starts them only under "
                 "if __name__ == '__main__', and memory for a process more."
             ) from None
 
-    def broken(self) -> bool:
-        """Whether its process has ended."""
-        if self.future is not None and self.future.done() and not self.future.cancelled():
-            return isinstance(self.future.exception(), BrokenExecutor) or not _alive(self.pid)
-        return not _alive(self.pid)
+    def begins(self) -> None:
+        """It works on its first call, once it has loaded what it needs."""
+        if self.calls and self.ready.done():
+            self.calls[0].begins()
+
+    def lives(self) -> bool:
+        """Whether its process has not ended."""
+        return not self.ended and all(process.is_alive() for process in self._processes())
 
     def end(self) -> None:
         """Kill its process, if it has begun."""
-        for process in list((getattr(self.pool, "_processes", None) or {}).values()):  # one that still loads, too
+        for process in self._processes():  # one that still loads, too
             with suppress(OSError, ValueError):
                 process.kill()
+
+    def _processes(self) -> list[Any]:
+        return list((getattr(self.pool, "_processes", None) or {}).values())
 
 
 def _began(first: Callable[[], object]) -> int:
@@ -126,14 +216,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
         os._exit(1)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except OSError:
-        return False
-    return True
 
 
 @contextmanager

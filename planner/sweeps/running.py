@@ -7,13 +7,16 @@ costs that task alone.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from planner.base.errors import PlannerError
+from planner.base.executors import width_of
 from planner.sweeps.queue import Next, Queue
 from planner.sweeps.store import Store
 from planner.sweeps.work import LOST, TIMEOUT, Batch, Work, do, failed, reason_of
@@ -25,11 +28,24 @@ _LATEST = 0.3  # weight of the last batch in the mean time of a task
 _LOOK = 0.2  # s between looks for tasks that take too long
 
 
-class _Flight(NamedTuple):
+@dataclass
+class _Flight:
     """A batch on its way."""
 
     batch: Next
-    latest: float  # time.monotonic() after which its worker is ended; infinite without a timeout
+    mean: float | None  # s of a task, as was known when it was sent
+    latest: float = math.inf  # time.monotonic() after which its worker is ended
+    ended: bool = False  # whether that was done
+
+    def late(self, work: Work, future: Future[Batch]) -> bool:
+        """Whether it takes longer than it may. A wrong guess for several tasks does no harm: they are done again."""
+        if work.timeout is None:
+            return False
+        if self.latest == math.inf and future.running():
+            usual = 0.0 if len(self.batch.tasks) == 1 or self.mean is None else 4.0 * self.mean * len(self.batch.tasks)
+            self.latest = time.monotonic() + work.timeout + GRACE + usual
+        self.ended |= time.monotonic() > self.latest
+        return self.ended
 
 
 def run(
@@ -40,9 +56,9 @@ def run(
     Args:
         work: How a task is done.
         queue: The tasks.
-        executor: Where they are done, of `width` calls at once. One with `end(future)`, as those of planner, loses no
-            more than a batch with a worker; another is given up when it is broken. With `one_each` a call begins as
-            soon as it is submitted.
+        executor: Where they are done. One with `end(future)`, as those of planner, loses no more than a batch with a
+            worker; another is given up when it is broken. With `tells_begin` a future is running() from the moment
+            when a worker begins with it.
         store: Where rows and plans go.
         progress: Called with the tasks done and their number.
 
@@ -51,16 +67,16 @@ def run(
         FileError: The store cannot be written.
         KeyboardInterrupt: Ctrl-C; what had ended by then is stored.
     """
-    width = int(getattr(executor, "width", getattr(executor, "_max_workers", None) or 1))
-    if work.timeout is None and not hasattr(executor, "one_each"):
-        width *= 2  # one batch waits while another is worked on; its time would run while it waits
+    width = width_of(executor)
+    if work.timeout is None or hasattr(executor, "tells_begin"):
+        width *= 2  # one batch waits while another is worked on; else its time would run while it waits
     flights: dict[Future[Batch], _Flight] = {}
     mean = None  # s of a task
     try:
         while True:
             size = 1 if mean is None else max(1, min(MOST, int(SECONDS / mean)))
             while len(flights) < width and (batch := queue.take(size)) is not None:
-                flights[_submitted(executor, work, queue, batch)] = _Flight(batch, _latest(work, batch, mean))
+                flights[_submitted(executor, work, queue, batch)] = _Flight(batch, mean)
             if not flights:
                 return
             done, _ = wait(flights, _LOOK if work.timeout is not None else None, FIRST_COMPLETED)
@@ -72,7 +88,7 @@ def run(
             if done and progress is not None:
                 progress(store.finished, len(store.places))
             for future, flight in flights.items():
-                if time.monotonic() > flight.latest and hasattr(executor, "end"):
+                if flight.late(work, future) and hasattr(executor, "end"):
                     executor.end(future)  # type: ignore[attr-defined]
     except KeyboardInterrupt:
         _store_what_ended(flights, store)
@@ -89,14 +105,6 @@ def _submitted(executor: Executor, work: Work, queue: Queue, batch: Next) -> Fut
         raise PlannerError(f"the executor takes no more work ({reason_of(error)}); resume goes on.") from None
 
 
-def _latest(work: Work, batch: Next, mean: float | None) -> float:
-    """When a batch's worker is ended: a wrong guess for several tasks does no harm, they are done again one by one."""
-    if work.timeout is None:
-        return float("inf")
-    usual = 0.0 if len(batch.tasks) == 1 or mean is None else 4.0 * mean * len(batch.tasks)
-    return time.monotonic() + work.timeout + GRACE + usual
-
-
 def _taken(
     work: Work, future: Future[Batch], flight: _Flight, queue: Queue, store: Store, executor: Executor
 ) -> float | None:
@@ -107,8 +115,8 @@ def _taken(
     except (BrokenExecutor, CancelledError) as error:
         if not hasattr(executor, "end"):
             raise PlannerError("a worker of the executor ended, which takes no more work; resume goes on.") from error
-        late = time.monotonic() > flight.latest
-        if len(batch.tasks) > 1 or not (batch.alone or (late and hasattr(executor, "one_each"))):
+        late = flight.ended
+        if len(batch.tasks) > 1 or not (batch.alone or (late and hasattr(executor, "tells_begin"))):
             queue.lost(batch)
             return None
         found = Batch([failed(work, batch.tasks[0], *_why(work, late))], None)

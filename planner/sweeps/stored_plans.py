@@ -15,12 +15,15 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from planner.base.arguments import count, number
 from planner.base.errors import FileError, PlannerError
+from planner.base.executors import checked_executor, in_turn
 from planner.base.files import printable, read_text
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
@@ -95,7 +98,7 @@ class Checked:
 
 def check(
     *paths: str | Path, tolerance: float = TOLERANCE, update: bool = False,
-    callback: Callable[[Checked], object] | None = None,
+    callback: Callable[[Checked], object] | None = None, executor: Executor | None = None,
 ) -> list[Checked]:  # fmt: skip
     """Prove stored plans again and compare.
 
@@ -104,6 +107,7 @@ def check(
         tolerance: Relative change that counts.
         update: Store the new numbers where they differ.
         callback: Called with each Checked.
+        executor: Where plans are proved, any concurrent.futures.Executor; by default this process.
 
     Returns:
         One Checked per plan, in the order of their names.
@@ -113,8 +117,9 @@ def check(
     """
     number("tolerance", tolerance, above=0.0)
     done = []
-    for plan in _plans(paths):
-        done.append(_checked(plan, tolerance, update))
+    work = partial(_checked, tolerance=tolerance, update=update)
+    for one in in_turn(checked_executor(executor), work, _plans(paths)):
+        done.append(one)
         if callback is not None:
             callback(done[-1])
     return done

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from planner import cases
-from planner.base.arguments import choice, count, number, shown
-from planner.base.errors import FileError, PlannerError
+from planner.base.arguments import choice, count, number
+from planner.base.errors import FileError
+from planner.base.executors import checked_executor
 from planner.base.files import file_error, held
 from planner.base.processors import processors
 from planner.base.versions import installed_versions
@@ -27,6 +28,7 @@ from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.sweeps.executors import MOST_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.queue import Chains, Loose, Queue
@@ -36,7 +38,6 @@ from planner.sweeps.store import HEAD, Store, read_head, write_head
 from planner.sweeps.table import write_tables
 from planner.sweeps.work import Work, warm
 
-MOST_WORKERS = 4096
 SOLVE = ("update", "line_search", "hessian", "states", "max_iterations", "gradient_tolerance", "decrease_tolerance",
          "gain_tolerance", "starts", "seed", "spread")  # fmt: skip
 """Arguments of solve() that a sweep passes on."""
@@ -135,8 +136,7 @@ def sweep(
     check_names(grid, *_known(work))
     if continued is not None:
         choice("the parameter to continue along", continued, tuple(grid.values))
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise PlannerError(f"executor is {shown(executor)}, expected a concurrent.futures.Executor.")
+    checked_executor(executor)
     width = processors() if workers is None else count("workers", workers, most=MOST_WORKERS)
     folder, head = Path(out), _head(work, continued)
     _claim(folder, head, resume)
@@ -153,7 +153,7 @@ def sweep(
             try:
                 if store.finished != len(grid):
                     warm(work)  # compiles, once on this machine
-                    pool = executor or stack.enter_context(_processes(min(width, len(grid)), work))
+                    pool = executor or stack.enter_context(LocalProcesses(min(width, len(grid)), partial(warm, work)))
                     prepare = getattr(pool, "prepare", None)
                     if prepare is not None:
                         prepare(partial(warm, work))
@@ -177,19 +177,6 @@ def read_sweep(folder: str | Path) -> Sweep:
     store = Store(Path(folder), len(grid))
     store.read()
     return Sweep(store, grid)
-
-
-class _processes:
-    """LocalProcesses that are ended at once where the work is given up."""
-
-    def __init__(self, width: int, work: Work) -> None:
-        self._pool = LocalProcesses(width, partial(warm, work))
-
-    def __enter__(self) -> LocalProcesses:
-        return self._pool
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=kind is not None)
 
 
 def _source(build: Any) -> Any:

@@ -21,6 +21,7 @@ from planner.paper.studies.theorem import STUDY as THEOREMS
 from planner.paper.studies.theorem import Family, identity_errors, random_identity
 from planner.paper.studies.watched import watched
 from planner.solvers import lq
+from planner.sweeps.processes import LocalProcesses
 from tests.solves import hopper, swing
 
 ROW = Row("2.1", "9.9", "10 | 11", "masses")
@@ -66,12 +67,13 @@ def test_studies_in_processes_of_their_own_come_in_the_order_of_the_page(tmp_pat
     short = Study("short", "about", seven, sentence, one_row, {"short.png": draw}, seconds=1.0)
     failed = Study("failed", "about", fails, sentence, one_row, seconds=2.0)
     lines = []
-    done = run_studies([short, failed], tmp_path, lines.append, processes=2)
+    with LocalProcesses(2) as executor:
+        done = run_studies([short, failed], tmp_path, lines.append, executor)
     assert [(one.study.name, one.results, one.problem) for one in done] == [
         ("short", {"number": 7}, ""), ("failed", None, "no data, expected some."),
     ]  # fmt: skip
     assert (tmp_path / "short.png").exists()
-    assert len(lines) == 3
+    assert [line.partition(":")[0] for line in lines] == ["1/2 failed", "2/2 short"]  # the longest begins first
 
 
 def test_page_has_headings_links_and_cells_in_order(tmp_path):
@@ -113,7 +115,7 @@ def small(monkeypatch):
     def use(*studies):
         for module in (command, catalogue):
             monkeypatch.setattr(module, "STUDIES", studies)
-        monkeypatch.setattr(command.os, "cpu_count", lambda: 1)  # lambdas cannot go to another process
+        monkeypatch.setattr(command, "processors", lambda: 1)  # lambdas cannot go to another process
 
     return use
 

@@ -7,7 +7,6 @@ of J over all controls has no negative eigenvalue, and the cost is still the sam
 
 from __future__ import annotations
 
-import os
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.processors import processors
 from planner.paper.methods.curvature import minimum_near
 from planner.paper.studies.study import timed
 from planner.problem.plan import Plan, Status
@@ -47,7 +47,7 @@ def from_many(
             decrease_tolerance=TOLERANCE, gain_tolerance=0.0, callback=heed,
         )  # fmt: skip
 
-    pool = ThreadPoolExecutor(os.cpu_count())
+    pool = ThreadPoolExecutor(processors())
     try:
         plans, took = timed(lambda: list(pool.map(run, range(starts))))
         done = [plan for plan in plans if plan.status is Status.CONVERGED]

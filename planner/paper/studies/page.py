@@ -5,18 +5,19 @@ Where a study raises PlannerError its row says so.
 
 from __future__ import annotations
 
-import multiprocessing
 import re
-import signal
+import tempfile
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from planner.base.errors import PlannerError
+from planner.base.executors import in_turn
 from planner.paper.studies.records import row_of
-from planner.paper.studies.study import Row, Study, timed
+from planner.paper.studies.study import Row, Study
 
 HEADS = ("where", "the paper says", "we get", "why it differs")
 
@@ -29,6 +30,7 @@ class Finished:
     seconds: float  # it took, pictures included
     results: dict[str, Any] | None = None  # None where it failed
     problem: str = ""  # why it failed
+    pictures: dict[str, bytes] = field(default_factory=dict)  # contents of their files by name
 
     @property
     def rows(self) -> list[Row]:
@@ -39,58 +41,36 @@ class Finished:
 
 
 def run_studies(
-    studies: Sequence[Study], pictures: Path, note: Callable[[str], object] = lambda _: None, processes: int = 1
-) -> list[Finished]:
-    """Run studies, so many processes at a time, and draw their pictures into a folder; the longest begin first.
+    studies: Sequence[Study], pictures: Path, note: Callable[[str], object] = lambda _: None,
+    executor: Executor | None = None,
+) -> list[Finished]:  # fmt: skip
+    """Run studies, here or on an executor, and write their pictures into a folder; the longest begin first.
 
-    `note` is called with a line before and after each study, or only after each where several run at once.
+    `note` is called with a line for each study that is done.
     """
-    if processes > 1 and len(studies) > 1:
-        return _run_together(studies, pictures, note, min(processes, len(studies)))
-    done = []
-    for number, study in enumerate(studies, 1):
-        note(f"{number}/{len(studies)} {study.name}: {study.title}")
-        done.append(run_study(study, pictures))
-        note(f"    {_told(done[-1])}")
-    return done
-
-
-def run_study(study: Study, pictures: Path) -> Finished:
-    """Run one study and draw its pictures."""
-
-    def work() -> tuple[dict[str, Any] | None, str]:
-        try:
-            results = study.run()
-            for name, draw in study.pictures.items():
-                draw(results, pictures / name)
-        except PlannerError as error:
-            return None, str(error)
-        return results, ""
-
-    (results, problem), seconds = timed(work)
-    return Finished(study, seconds, results, problem)
-
-
-def _run_together(
-    studies: Sequence[Study], pictures: Path, note: Callable[[str], object], processes: int
-) -> list[Finished]:
-    """Run studies in processes of their own, which end with this one on an interrupt."""
-    note(f"{len(studies)} studies, {processes} at a time: {', '.join(study.name for study in studies)}")
     done: dict[str, Finished] = {}
-    with multiprocessing.get_context("spawn").Pool(processes, _ignore_interrupts) as pool:
-        longest_first = sorted(studies, key=lambda study: -study.seconds)
-        for one in pool.imap_unordered(partial(run_study, pictures=pictures), longest_first):
-            done[one.study.name] = one
-            note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.title}: {_told(one)}")
+    for one in in_turn(executor, run_study, sorted(studies, key=lambda study: -study.seconds)):
+        for name, content in one.pictures.items():
+            (pictures / name).write_bytes(content)
+        done[one.study.name] = one
+        told = f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
+        note(f"{len(done)}/{len(studies)} {one.study.name}: {one.study.title}: {told}")
     return [done[study.name] for study in studies]
 
 
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's business: it ends its children
-
-
-def _told(one: Finished) -> str:
-    return f"{one.seconds:.1f} s{f': {one.problem}' if one.problem else ''}"
+def run_study(study: Study) -> Finished:
+    """Run one study and draw its pictures."""
+    began, pictures = time.perf_counter(), {}
+    results, problem = None, ""
+    try:
+        results = study.run()
+        with tempfile.TemporaryDirectory() as folder:
+            for name, draw in study.pictures.items():
+                draw(results, Path(folder, name))
+                pictures[name] = Path(folder, name).read_bytes()
+    except PlannerError as error:
+        results, problem = None, str(error)
+    return Finished(study, time.perf_counter() - began, results, problem, pictures)
 
 
 def table_rows(done: Sequence[Finished]) -> list[Row]:

@@ -38,10 +38,11 @@ class CompiledTwin:
     def __init__(self, twin: Twin, unused: Collection[int] = ()) -> None:
         self.twin = twin  # the text and the maps between its state and the plan's
         self.unused = frozenset(unused)  # actuators that the plan does not have: their controls stay 0
+        self.is_changed = False  # in ways that its text knows nothing of
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the model: a copy compiles the text when it is asked for it."""
-        return {name: part for name, part in vars(self).items() if name != "model"}
+        """All but a model that a copy can compile from the text when it is asked for it."""
+        return {name: part for name, part in vars(self).items() if name != "model" or self.is_changed}
 
     @cached_property
     def model(self) -> Any:
@@ -82,10 +83,11 @@ class CompiledTwin:
         return copy.copy(self.model)
 
     def changed(self, change: Callable[[Any], object]) -> CompiledTwin:
-        """The same twin with a model that `change` has changed, which its text knows nothing of."""
+        """The same twin with a model that `change` has changed."""
         other, model = CompiledTwin(self.twin, self.unused), self.copy()
         change(model)
         other.__dict__["model"] = model  # where the cached property keeps it
+        other.is_changed = True
         return other
 
     def stepping(self, timestep: float, integrator: str = "RK4") -> Any:

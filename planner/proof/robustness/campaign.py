@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 
+from planner.proof.robustness.batches import Batches
 from planner.proof.robustness.partial import Partial, fingerprint
 from planner.proof.robustness.perturbation import Draw, Perturbation, draw, draw_masses
 from planner.proof.robustness.rollouts import MODES, Rollouts
@@ -34,13 +36,13 @@ class Campaign:
     def __init__(
         self, simulator: Rollouts, rule: Rule, perturbation: Perturbation, seed: int, asked: int, *,
         partial: Path | None = None, most_at_once: int | None = None, deadline: float = math.inf,
-        progress: Callable[[int, int], object] | None = None,
+        progress: Callable[[int, int], object] | None = None, executor: Executor | None = None,
     ) -> None:  # fmt: skip
         self.simulator, self.rule, self.asked = simulator, rule, asked
         self.per_level = _PER_LEVEL if asked >= LOOKS[0] else _QUICK
         self.margin = dict.fromkeys(MODES, math.nan)  # see Perturbed
         self._perturbation, self._seed, self._deadline, self._progress = perturbation, seed, deadline, progress
-        self._size = min(simulator.batch_size, most_at_once or simulator.batch_size)
+        self._batches = Batches(simulator, min(simulator.batch_size, most_at_once or simulator.batch_size), executor)
         self._store = Partial(partial, fingerprint(simulator, perturbation, seed))
         self._finished = self._total = 0  # simulations run here, and how many these and those to come are at most
 
@@ -102,9 +104,8 @@ class Campaign:
         """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""
         simulator, plan, follows = self.simulator, self.simulator.plan, self.rule.follows
         done = len(self._store.arrays.get(f"{part} {mode} end", ()))
-        while done < wanted:
-            batch = simulator.batch([draw_one(k) for k in range(done, min(done + self._size, wanted))])
-            xs = simulator.run(batch, mode, self._deadline)
+        draws = [draw_one(k) for k in range(done, wanted)]
+        for xs in self._batches.run(draws, mode, self._deadline):
             more = {"end": xs[:, -1]}
             if follows is not None:
                 more["won"] = _following(follows, xs, plan.xs[simulator.knots], simulator.knots)

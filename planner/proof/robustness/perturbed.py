@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,13 +141,15 @@ class Trials:
 def perturbed(
     plan: Plan, compiled: CompiledTwin, trials: Trials | None = None, *, budget: float | None = None,
     partial: Path | None = None, progress: Callable[[int, int], object] | None = None, threads: int | None = None,
+    executor: Executor | None = None,
 ) -> Perturbed:  # fmt: skip
     """Simulate a plan many times with errors drawn at random, with its gains and open loop.
 
     Rollouts are drawn until the 95 % interval of their rate of success with gains is within 7 %, or below 80 %, at most
     as many as the trials say. After a budget (s) it ends with what is finished. An .npz `partial` keeps finished
     rollouts: those of this plan, seed and perturbation are not run again. `progress` is called with the simulations
-    finished and the most that all may be, those behind the margin included. No result depends on the number of threads.
+    finished and the most that all may be, those behind the margin included. Without an executor they run on MuJoCo's
+    threads. No result depends on the number of threads or workers.
     """
     trials = trials or Trials()
     perturbation = trials.perturbation or Perturbation.usual(plan.problem)
@@ -157,7 +160,7 @@ def perturbed(
             notes.append("Dry friction does nothing here: the model's flags switch it off.")
         campaign = Campaign(
             simulator, trials.rule or rule_of(plan), perturbation, trials.seed, trials.rollouts,
-            partial=None if partial is None else Path(partial), deadline=deadline, progress=progress,
+            partial=None if partial is None else Path(partial), deadline=deadline, progress=progress, executor=executor,
             most_at_once=None if budget is None else max(4, int(budget / _PIECES / simulator.seconds)),
         )  # fmt: skip
         try:

@@ -68,7 +68,7 @@ class Rollouts:
         self._problem = problem_of(plan)
         compiled.check(plan.us.shape[1])
         mujoco, model, twin = load_mujoco(), compiled.model, compiled.twin
-        self.plan, self.twin = plan, twin
+        self.plan, self.twin, self.compiled = plan, twin, compiled
         self.control_steps = max(1, round(self._problem.dynamics.dt * CONTROL_RATE))  # per stage
         self.control_step = self._problem.dynamics.dt / self.control_steps  # s
         own = number("the model's timestep", model.opt.timestep, above=0.0)

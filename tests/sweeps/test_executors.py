@@ -1,0 +1,151 @@
+"""Several starts, perturbed rollouts and stored plans on an executor: the same bits, and what goes wrong."""
+
+import json
+import os
+import signal
+import time
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planner
+from planner.base.executors import in_turn
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.robustness import batches
+from planner.proof.robustness.perturbed import Trials, perturbed
+from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import LocalProcesses
+from planner.sweeps.stored_plans import check, stored_proof
+
+
+@pytest.fixture(scope="module")
+def processes():
+    with LocalProcesses(2) as executor:
+        yield executor
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return planner.solve(planner.cases.hopper(horizon=50))
+
+
+def square(value):
+    time.sleep(0.001 * (value % 3))
+    return value * value
+
+
+def killed(value, bad, once=None):
+    """A value; at the bad one the process is killed, with a file `once` only the first time."""
+    if value == bad and not (once and Path(once).exists()):
+        if once:
+            Path(once).touch()
+        time.sleep(0.2)  # until another call stands behind it
+        os.kill(os.getpid(), signal.SIGKILL)
+    return value
+
+
+def test_results_come_in_the_order_of_the_items(processes):
+    assert list(in_turn(processes, square, range(50))) == [value * value for value in range(50)]
+    assert list(in_turn(None, square, range(3))) == [0, 1, 4]
+
+
+def test_few_calls_are_on_their_way_at_a_time():
+    taken = []
+    with ThreadPoolExecutor(2) as executor:
+        for value in in_turn(executor, square, (taken.append(k) or k for k in range(100))):
+            assert len(taken) <= value**0.5 + 9
+
+
+def test_a_call_whose_process_is_killed_is_made_once_more(processes, tmp_path):
+    work = partial(killed, bad=7, once=str(tmp_path / "killed"))
+    assert list(in_turn(processes, work, range(20))) == list(range(20))
+    assert (tmp_path / "killed").exists()
+
+
+def test_a_call_that_always_kills_is_a_sentence_and_costs_no_other(processes):
+    futures = [processes.submit(killed, value, 3) for value in range(12)]
+    found = [None if isinstance(future.exception(), BrokenExecutor) else future.result() for future in futures]
+    assert found == [0, 1, 2, None, *range(4, 12)]
+    with pytest.raises(planner.PlannerError, match="ended twice in the middle of the same work"):
+        list(in_turn(processes, partial(killed, bad=1), range(4)))
+
+
+def test_what_cannot_be_sent_is_a_sentence(processes):
+    with pytest.raises(planner.PlannerError, match="cannot be sent to processes"):
+        list(in_turn(processes, lambda value: value, range(3)))
+
+
+def test_a_context_left_by_an_error_ends_its_processes_at_once():
+    began = time.monotonic()
+    executor = LocalProcesses(1)
+    futures = [executor.submit(time.sleep, 60.0) for _ in range(3)]
+    executor.__exit__(ZeroDivisionError)
+    assert time.monotonic() - began < 30.0
+    assert all(future.done() for future in futures)
+
+
+def test_several_starts_are_the_same_to_the_last_bit(processes):
+    problem = planner.cases.build("two-link", horizon=60)
+    here = planner.solve(problem, starts=5, seed=2)
+    there = planner.solve(problem, starts=5, seed=2, executor=processes)
+    assert np.array_equal(here.us, there.us)
+    assert here.starts == there.starts
+    assert there.problem is problem
+
+
+def test_ctrl_c_between_starts_keeps_the_best_so_far(processes):
+    seen = []
+
+    def interrupt(start):
+        seen.append(start)
+        raise KeyboardInterrupt
+
+    plan = planner.solve(planner.cases.build("two-link", horizon=60), starts=40, executor=processes, callback=interrupt)
+    assert plan.status is planner.Status.INTERRUPTED
+    assert len(seen) == 1
+    assert np.isfinite(plan.cost)
+    assert list(in_turn(processes, square, range(3))) == [0, 1, 4]  # the executor goes on
+
+
+def test_rollouts_are_the_same_to_the_last_bit(processes, plan, monkeypatch):
+    """Whatever the batches and the workers; threads of one process have a simulator each."""
+    trials, compiled = Trials(12), CompiledTwin(plan.twin)
+    here = perturbed(plan, compiled, trials)
+    monkeypatch.setattr(batches, "_FEWEST", 3)
+    with ThreadPoolExecutor(3) as threads:
+        for executor in (processes, threads):
+            there = perturbed(plan, compiled, trials, executor=executor)
+            assert there.to_dict() == here.to_dict()
+            for mode, fan in here.fans.items():
+                assert np.array_equal(fan, there.fans[mode], equal_nan=True)
+
+
+def test_rollouts_stop_after_their_budget(processes, plan):
+    found = perturbed(plan, CompiledTwin(plan.twin), budget=1e-6, executor=processes)
+    assert found.done == 0
+    assert "Stopped after" in found.notes[0]
+
+
+def test_plans_are_checked_as_in_one_process(processes, plan, tmp_path):
+    for name in ("a", "b", "c"):
+        path = plan.save(tmp_path / f"{name}.npz")
+        proof = planner.prove(plan, rollouts=0).to_dict()
+        stored_proof(path).write_text("[]" if name == "b" else json.dumps(proof))
+    here, there = check(tmp_path), check(tmp_path, executor=processes)
+    assert [str(one) for one in here] == [str(one) for one in there]
+    assert [one.passed for one in there] == [True, False, True]
+
+
+def test_an_executor_is_asked_for_by_workers_or_by_an_address():
+    with executor_of(None, None) as executor:
+        assert executor is None
+    for workers, scheduler, words in ((2, "local", "expected one of them"), (0, None, "workers is 0")):
+        with pytest.raises(planner.PlannerError, match=words):
+            executor_of(workers, scheduler).__enter__()
+    for wrong in (planner.solve, planner.prove):
+        with pytest.raises(planner.PlannerError, match=r"executor is 3, expected a concurrent\.futures\.Executor"):
+            wrong(planner.cases.hopper(horizon=20) if wrong is planner.solve else planner.solve(
+                planner.cases.hopper(horizon=20)), executor=3)  # fmt: skip
