@@ -144,7 +144,7 @@ def _appearance(height: float) -> Appearance:
         goal_line=((-12.0, 0.0, goal), (42.0, 0.0, goal)), goal_label=f"goal {height:g} in",
         look_at=(13.0, 0.0, 0.5 * (top - follow * height)), follow=(0, follow),
         distance=1.75 * top + 15.0, azimuth=103.0, elevation=-13.0,
-        force_scale=0.01, force_unit="in/s^2, per mass", force_offset=(-11.0, 0.0, 0.0),
+        force_scale=0.01, force_unit="in/s^2, per mass", length_unit="in", force_offset=(-11.0, 0.0, 0.0),
         plots=(
             Panel("Height", "height, in", states=((0, "height"),), difference=True),
             Panel("Piston and control", "piston, in", states=((2, "piston"),), controls=((0, "flow, in/s"),)),

@@ -286,7 +286,7 @@ def build() -> argparse.ArgumentParser:
         "render", "Film the replay of a stored plan.", plan,
         {"--out": _takes("FILE", "A name.mp4 for a video, a name.png for a strip of poses.", "video.mp4"),
          "--size": _takes("WxH", "Pixels. Default: 1280x720, of a strip 1920x540.", kind=_size),
-         "--fps": _takes("N", "Frames per second.", 60, _whole),
+         "--fps": _takes("N", "Frames per second.", 30, _whole),
          "--speed": _takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=_number)},
         _ROLLOUT, _OUTPUT,
     )  # fmt: skip

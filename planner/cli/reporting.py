@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
 
 from planner.base.files import staged_folder
 from planner.cases.plan_file import load_plan
 from planner.cli.console import Console
+from planner.cli.filming import Filming
 from planner.cli.results import OUTPUTS, completed, draw_results, is_finite, show_proof, write_proof
 from planner.problem.archive import plan_digest
 from planner.proof import prove
@@ -16,14 +18,16 @@ from planner.proof import prove
 def report_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Prove a stored plan again and write all its files."""
     plan = load_plan(arguments.plan)
-    with staged_folder(arguments.out, OUTPUTS) as staged:
-        proof = None
+    with staged_folder(arguments.out, OUTPUTS) as staged, ExitStack() as drawing:
+        proof, films = None, None
         if is_finite(plan):
             proof = prove(plan, rollouts=0, hold_seconds=arguments.hold)
+            if not arguments.no_video:
+                films = drawing.enter_context(Filming(proof, staged, (), console))
             proof = completed(proof, arguments.rollouts, console)
         plan.save(staged / "plan.npz")
         write_proof(plan, proof, staged, plan_digest(staged / "plan.npz"))
-        draw_results(plan, proof, staged, not arguments.no_video, console)
+        draw_results(plan, proof, staged, not arguments.no_video, console, films=films)
     if proof is not None:
         show_proof(proof, console)
     console.say(f"\n{Path(arguments.out) / 'report.html'}")

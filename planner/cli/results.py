@@ -13,6 +13,7 @@ from planner.base.errors import RenderingUnavailable
 from planner.base.files import file_error
 from planner.base.jsonable import write_json
 from planner.cli.console import Console
+from planner.cli.filming import Filming
 from planner.problem.plan import Plan, Status
 from planner.proof import Proof
 from planner.proof.cures import cures
@@ -60,14 +61,17 @@ def draw_results(
     path: Sequence[Refinement] = (),
     keep: Collection[str] = frozenset(),
     options: Mapping[str, Any] | None = None,
+    films: Filming | None = None,
 ) -> str:
     """Draw the pictures and the report into a folder; returns why there is no video, or "".
 
     Files named in `keep` are of this plan and stay; other pictures are removed first. An interruption leaves the
     finished pictures and a report of them. `path` (the refinements) and `options` (the flags) are for the report.
+    `films` are on their way into this folder already.
     """
+    coming = films.names if films is not None else ()
     wanted = {name: draw for name, draw in _pictures(plan, proof, video, console).items() if name not in keep}
-    for name in set(PICTURES) - set(keep):
+    for name in set(PICTURES) - set(keep) - set(coming):
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
@@ -77,7 +81,10 @@ def draw_results(
         note = "There is nothing to film: the plan was not replayed."
     try:
         for name, draw in wanted.items():
-            draw(folder / name)
+            if name not in coming:
+                draw(folder / name)
+        if films is not None:
+            films.finish()
     except RenderingUnavailable as error:
         note = str(error)
     except KeyboardInterrupt:  # the plan and its proof are worth keeping without pictures

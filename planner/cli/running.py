@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.console import Console
 from planner.cli.curing import cured
+from planner.cli.filming import Filming
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
@@ -112,18 +114,22 @@ def _run(
             digest = plan_digest(folder.path / "plan.npz")
             results.show_plan(plan, None, console)
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
-    if proof is not None:
-        proof = results.completed(
-            proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS, executor=executor
+    films = None
+    with ExitStack() as drawing:
+        if proof is not None:
+            if not arguments.no_video:  # beside the rollouts, which know nothing of it
+                films = drawing.enter_context(Filming(proof, folder.path, folder.finished, console))
+            proof = results.completed(
+                proof, arguments.rollouts, console, budget=BUDGET, partial=folder.path / ROLLOUTS, executor=executor,
+            )  # fmt: skip
+            results.write_proof(plan, proof, folder.path, digest, path)
+            results.show_proof(proof, console)
+        else:
+            results.show_cures(plan, None, console)
+        note = results.draw_results(
+            plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
+            options=_flags(arguments), films=films,
         )  # fmt: skip
-        results.write_proof(plan, proof, folder.path, digest, path)
-        results.show_proof(proof, console)
-    else:
-        results.show_cures(plan, None, console)
-    note = results.draw_results(
-        plan, proof, folder.path, not arguments.no_video, console, path=path, keep=folder.finished,
-        options=_flags(arguments),
-    )  # fmt: skip
     if note == results.INTERRUPTED:
         raise KeyboardInterrupt
     folder.end()

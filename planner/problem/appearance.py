@@ -90,6 +90,7 @@ class Appearance:
     # From a contact's point to where its arrow begins, so that the machine does not hide it.
     force_offset: Point = (0.0, 0.0, 0.0)
     force_unit: str = ""  # Of the contact force, for plots
+    length_unit: str = "m"  # Of the model's lengths
     speed: float = 1.0  # Playback speed; 0.25 is four times slow motion
     plots: tuple[Panel, ...] = field(default=())  # Panels of the report
     # (Plan, the judged planner.Replay or None) -> more pictures of the case, at most one of a kind.

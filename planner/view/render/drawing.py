@@ -2,30 +2,29 @@
 
 The pictures of one film from several cameras stand in a row; of two films, each has a column of them.
 
-If this process cannot draw, because mujoco was imported without an OpenGL library, the films are drawn in a child
-process (python -m planner.view.render.drawing JOBFILE).
+Several child processes draw a long film; one draws where this process cannot, because mujoco was imported without an
+OpenGL library (children.py). Where both films show the same, to half a pixel, it is drawn once.
 """
 
 from __future__ import annotations
 
-import json
+import copy
 import math
 import os
 import pickle
-import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from planner.base import errors, gl
-from planner.base.errors import PlannerError, RenderingUnavailable
+from planner.base import gl
+from planner.base.errors import PlannerError
 from planner.view.render import overlay
+from planner.view.render.children import answer, drawn_by_children, usable_processors
 from planner.view.render.encode import Encoder
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene, best_rows
@@ -34,7 +33,10 @@ from planner.view.render.setting import visible_model
 Progress = Callable[[int, int], object]
 
 _HOLD = 1.0  # s, how long the last frame stays
-_VIDEO_OVERSIZE = 1.5  # two thirds of the time that 2 takes, and in motion nobody sees the difference
+_VIDEO_OVERSIZE = 1.25  # a third of the time that 2 takes, and in motion nobody sees the difference
+_MOST_CHILDREN = 8  # beyond, they wait for the process that encodes
+_NICE = 5
+_WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
 
 
 @dataclass(frozen=True)
@@ -51,34 +53,54 @@ class Job:
 
 
 def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None) -> np.ndarray:
-    """Do the job, here or in a child process. Returns the picture; of a video, the last frame.
+    """Do the job, here or in child processes. Returns the picture; of a video, the last frame.
 
     `films` is one, or for a video or a still two of the same plan and times, shown side by side. `progress` is called
     with (frames done, frames in all) of a video.
     """
-    return (_draw if gl.can_render_here() else _draw_in_child)(films, job, progress)
-
-
-def _draw(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndarray:
+    if job.kind == "video":
+        with closing(_frames(films, job)) as frames:
+            return _encode(frames, len(films[0]), job, progress)
+    if not gl.can_render_here():
+        with closing(drawn_by_children(films, job, 1)) as pictures:
+            return next(pictures)
     if job.kind == "strip":
         return _draw_strip(films[0], job)
+    with closing(draw_frames(films, job)) as pictures:
+        return next(pictures)
+
+
+def _frames(films: Sequence[Film], job: Job) -> Iterator[np.ndarray]:
+    """All frames of a video: by several processes where there are many, or here."""
+    children = min(usable_processors(), _MOST_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
+    if children > 1 or not gl.can_render_here():
+        return drawn_by_children(films, job, max(1, children))
+    return draw_frames(films, job)
+
+
+def draw_frames(films: Sequence[Film], job: Job, first: int = 0, stride: int = 1) -> Iterator[np.ndarray]:
+    """Frames first, first + stride, ... of films side by side, drawn in this process: (height, width, 3), uint8."""
     with ExitStack() as scenes:
         rows = _tiles(films, job, scenes)
-
-        def picture(frame: int) -> np.ndarray:
-            parts = [np.concatenate([tile.draw(frame) for tile in row], axis=1) for row in rows]
-            return _parted(np.concatenate(parts), rows)
-
-        return picture(0) if job.kind == "frame" else _draw_video(picture, len(films[0]), job, progress)
+        for frame in range(first, len(films[0]), stride):
+            pictures = [_draw_row(row, frame, alike=len(films) > 1) for row in rows]
+            yield _parted(np.concatenate(pictures), rows)
 
 
-def _draw_video(picture: Callable[[int], np.ndarray], frames: int, job: Job, progress: Progress | None) -> np.ndarray:
-    total = frames + round(_HOLD * job.fps)
+def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
+    """The pictures of one row; `alike` says that one camera sees films of one plan, so that one may do for all."""
+    first, *others = row
+    pictures = [first.draw(frame), *(tile.draw(frame, first.scene if alike else None) for tile in others)]
+    return np.concatenate(pictures, axis=1)
+
+
+def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
+    """Write the frames of a video, the last of them for a second."""
+    total = drawn + round(_HOLD * job.fps)
     with Encoder(Path(job.output), job.width, job.height, job.fps, job.shown) as encoder:
         image = np.empty(0)
         for done in range(total):
-            if done < frames:
-                image = picture(done)
+            image = next(frames, image)
             encoder.write(image)
             if progress is not None:
                 progress(done + 1, total)
@@ -91,7 +113,7 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
     if len(films) > 1:
         seen = [list(row) for row in zip(*seen, strict=True)]
     widths, heights = _shares(job.width, len(seen[0])), _shares(job.height, len(seen))
-    largest = np.max([film.largest for film in films], axis=0)
+    largest, model = np.max([film.largest for film in films], axis=0), visible_model(films[0])
     tiles: list[list[_Tile]] = []
     for i, row in enumerate(seen):
         tiles.append([])
@@ -105,11 +127,11 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
                 largest, numbers=first, legend=last_row and j == 0,
                 speed=job.speed if last_row and last_column else None,
                 caption=film.caption if captioned else None, unstable=film.unstable if captioned else math.inf,
-                label=views[0].label if views else "",
+                apart=captioned, label=views[0].label if views else "",
             )  # fmt: skip
             scene = Scene(
                 film, widths[j], heights[i], oversize=_VIDEO_OVERSIZE if job.kind == "video" else 2.0, beside=beside,
-                narrow=len(row) > 1 or len(seen) > 1,
+                narrow=len(row) > 1 or len(seen) > 1, quick=job.kind == "video", model=copy.copy(model),
             )  # fmt: skip
             written = overlay.Overlay(film.appearance, widths[j], heights[i], words)
             tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
@@ -142,15 +164,15 @@ class _Tile(NamedTuple):
     words: overlay.Overlay
     scene: Scene
 
-    def draw(self, frame: int) -> np.ndarray:
-        """Frame number `frame`: (height, width, 3), uint8."""
-        drawn, film = self.scene.draw(frame), self.film
+    def draw(self, frame: int, like: Scene | None = None) -> np.ndarray:
+        """Frame number `frame`: (height, width, 3), uint8; see Scene.draw()."""
+        drawn, film = self.scene.draw(frame, like), self.film
         ends = [self.scene.project(np.asarray(end)) for end in film.appearance.goal_line or ()]
         seen = [end for end in ends if end is not None]
         marks = [overlay.beside(label) for label in self.scene.labels(frame)]
         if seen:  # at the right end of the line
             marks.append(overlay.Mark(max(seen), f" {film.appearance.goal_label}"))
-        return self.words.write(drawn, film.t[frame], film.readings[frame], marks)
+        return self.words.write(drawn, film.t[frame], film.readings[frame], marks, self.scene.apart)
 
 
 def _draw_strip(film: Film, job: Job) -> np.ndarray:
@@ -185,57 +207,22 @@ def _draw_poses(film: Film, width: int, height: int) -> np.ndarray:
     return strip
 
 
-def _draw_in_child(films: Sequence[Film], job: Job, progress: Progress | None) -> np.ndarray:
-    with tempfile.TemporaryDirectory(prefix="planner-") as folder:
-        file = Path(folder) / "job"
-        file.write_bytes(pickle.dumps((films, job)))
-        # The child must find this very package, whatever folder it is started in.
-        places = [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
-        child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "planner.view.render.drawing", str(file)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
-        )  # fmt: skip
-        try:
-            return _follow(child, file, progress)
-        finally:
-            child.kill()  # does nothing to a finished process
-            child.communicate()
-
-
-def _follow(child: subprocess.Popen[str], file: Path, progress: Progress | None) -> np.ndarray:
-    """Read what the child reports, one JSON line at a time, until it is done."""
-    assert child.stdout is not None
-    assert child.stderr is not None
-    for line in child.stdout:
-        report: dict[str, Any] = json.loads(line)
-        if "error" in report:
-            raise getattr(errors, report["error"])(report["message"])
-        if progress is not None:
-            progress(report["done"], report["total"])
-    said = child.stderr.read().strip().splitlines()
-    if child.wait() != 0:
-        reason = said[-1] if said else f"exit code {child.returncode}"
-        raise RenderingUnavailable(f"The process that draws failed: {reason}.")
-    return np.load(file.with_suffix(".npy"), allow_pickle=False)
-
-
-def _child(file: Path) -> int:
-    """The child's side: do the job in the file, report on stdout, leave the picture beside it."""
-    films, job = pickle.loads(file.read_bytes())
+def main(words: Sequence[str]) -> int:
+    """The side of a child process of children.py: JOBFILE FIRST STRIDE; pictures go to stdout."""
+    films, job = pickle.loads(Path(words[0]).read_bytes())
+    if hasattr(os, "nice"):  # rollouts beside it come first: they have a limited time
+        os.nice(_NICE)
     try:
-        image = _draw(films, job, lambda done, total: _report(done=done, total=total))
+        if job.kind == "strip":
+            answer(_draw_strip(films[0], job))
+        else:
+            for picture in draw_frames(films, job, int(words[1]), int(words[2])):
+                answer(picture)
     except PlannerError as error:
-        _report(error=type(error).__name__, message=str(error))
+        answer(error)
         return 1
-    np.save(file.with_suffix(".npy"), image)
     return 0
 
 
-def _report(**values: Any) -> None:
-    sys.stdout.write(json.dumps(values) + "\n")
-    sys.stdout.flush()
-
-
 if __name__ == "__main__":
-    sys.exit(_child(Path(sys.argv[1])))
+    sys.exit(main(sys.argv[1:]))

@@ -32,7 +32,6 @@ class Caption(NamedTuple):
 
     mode: str  # open loop or with gains
     verdict: str  # "PASS", "FAIL" or ""
-    detail: str  # how it ended
 
 
 @dataclass(frozen=True, eq=False)

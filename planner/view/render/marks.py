@@ -14,6 +14,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import GoalMark
+from planner.view.render.apart import apart
 from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
 from planner.view.render.shapes import Paint, Rod, Shapes
@@ -23,6 +24,7 @@ GOAL = (0.84, 0.06, 0.50, 1.0)
 PATH = (0.16, 0.17, 0.20, 1.0)
 _GHOST_TRAIL = 0.8  # opacity
 _THINNER = 0.7  # a ghost's trail, so that it shows only where the two part
+_BEHIND = 2e-3  # of its distance from the camera: how far a ghost's trail is drawn behind, or the two would flicker
 _PATH_LINE = 0.5  # thickness of a path that is to be followed, of a trail's
 _PASSED = 0.28  # opacity of a goal that was passed
 
@@ -48,6 +50,12 @@ class _Trail(NamedTuple):
     path: np.ndarray  # (P, 3)
     paint: Paint
     part: float  # of a trail's thickness
+    behind: float  # of its distance from the camera
+
+    def until(self, t: float) -> np.ndarray:
+        """(K, 3) its points until time t, s."""
+        now = [[np.interp(t, self.t, column) for column in self.path.T]]
+        return np.concatenate([self.path[self.t < t], now])
 
 
 class Marks:
@@ -77,8 +85,7 @@ class Marks:
         for path in self._appearance.paths:
             shapes.trail(path, PATH, _PATH_LINE)
         for trail in self._trails:
-            now = [[np.interp(t, trail.t, column) for column in trail.path.T]]
-            shapes.trail(np.concatenate([trail.path[trail.t < t], now]), trail.paint, trail.part)
+            shapes.trail(trail.until(t), trail.paint, trail.part, trail.behind)
         for frame in self._frames:
             shapes.axes(*_pose(data, frame), _FRAME_AXES.of(self._size))
         for mark, position in self._goals:
@@ -88,6 +95,12 @@ class Marks:
             shapes.ball(position, _BALL * self._size, (*GOAL[:3], opacity))
             if mark.direction is not None:
                 shapes.arrow(position, _ARROW * self._size * np.asarray(mark.direction), (*GOAL[:3], opacity))
+
+    def apart(self, other: Marks, t: float) -> float:
+        """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""
+        return max(
+            (apart(a.until(t), b.until(t)) for a, b in zip(self._trails, other._trails, strict=True)), default=0.0
+        )
 
     def passed(self, mark: GoalMark, t: float) -> bool:
         """Whether a goal on the way is behind; one at the end never is."""
@@ -110,21 +123,20 @@ class Marks:
     def _of_trails(self, frames: list[tuple[str, int]], ghost: Paint | None) -> list[_Trail]:
         """Of each frame in the simulation and in the ghost.
 
-        A piece takes a third of a millisecond to draw in software: several trails, and paths beside them, share the
-        pieces that one would have.
+        Several trails, and paths beside them, share the pieces that one would have.
         """
         if not frames:
             return []
         film, offset = self._film, np.asarray(self._appearance.ghost_offset)
         few = slice(None, None, len(frames) + len(self._appearance.paths))
         t = np.append(film.path_t[few], film.path_t[-1])
-        kinds = [(film.path_qpos, TRAIL, 1.0, np.zeros(3))]
+        kinds = [(film.path_qpos, TRAIL, 1.0, np.zeros(3), 0.0)]
         if ghost is not None:
-            kinds.append((film.path_ghost_qpos, (*ghost[:3], _GHOST_TRAIL), _THINNER, offset))
+            kinds.append((film.path_ghost_qpos, (*ghost[:3], _GHOST_TRAIL), _THINNER, offset, _BEHIND))
         trails = []
-        for poses, paint, part, aside in kinds:
+        for poses, paint, part, aside, behind in kinds:
             points = self._points(np.concatenate([poses[few], poses[-1:]]), frames) + aside
-            trails += [_Trail(t, points[:, k], paint, part) for k in range(len(frames))]
+            trails += [_Trail(t, points[:, k], paint, part, behind) for k in range(len(frames))]
         return trails
 
     def _place(self, mark: GoalMark, frame: tuple[str, int]) -> np.ndarray:

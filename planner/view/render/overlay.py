@@ -30,6 +30,8 @@ _SOLID = (24, 84, 176)
 _GOOD, _BAD = (20, 113, 58), (179, 38, 30)
 _MINUS = "\N{MINUS SIGN}"
 _LONG = 1e7
+_BAND = 40.0  # height of a caption, in units
+_WIDEST = "  000.0 mm"
 
 
 class Mark(NamedTuple):
@@ -56,6 +58,7 @@ class Words:
     legend: bool = True  # which machine is solid and which is a ghost
     speed: float | None = None  # playback speed; None writes none
     caption: Caption | None = None  # at the bottom
+    apart: bool = False  # how far the machine is from its ghost, at the bottom
     unstable: float = math.inf  # s, when the simulation ran away: a warning from then on
     label: str = ""  # the camera's name, in the upper right corner
 
@@ -81,19 +84,20 @@ class Overlay:
         self._panels = [*([self._readout_panel()] if words.numbers else []), *self._legend_panels(words)]
         if words.label:
             self._panels.append(self._right_panel(words.label, round(self._margin)))
-        self._unstable, caption = words.unstable, words.caption
+        self._unstable, self._captioned = words.unstable, words.caption is not None or words.apart
         warning = [(f"unstable at t = {words.unstable:.2f} s", self._title, _BAD)]
-        self._warning = self._bottom_panel(warning, 1.0 if caption is None else 2.3)
-        if caption is not None:
-            parts: list[_Part] = [(f"{caption.mode}  ", self._title, _INK), (caption.detail, self._text, _INK)]
-            if caption.verdict:
-                parts.insert(1, (f"{caption.verdict}  ", self._title, _GOOD if caption.verdict == "PASS" else _BAD))
-            self._panels.append(self._bottom_panel(parts, 1.0))
+        self._warning = self._bottom_panel(warning, 2.3 if self._captioned else 1.0)
+        self._apart: tuple[float, float] | None = None  # right end and line of the distance to the ghost
+        if self._captioned:
+            self._panels.append(self._caption_panel(words))
 
-    def write(self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark]) -> np.ndarray:
+    def write(
+        self, picture: np.ndarray, t: float, readings: np.ndarray, marks: Sequence[Mark], apart: float = 0.0
+    ) -> np.ndarray:
         """A copy of the picture (height, width, 3), uint8, at time t, s, with everything written on it.
 
-        `readings` (R, 2) are the readouts in the simulation and in the plan.
+        `readings` (R, 2) are the readouts in the simulation and in the plan, `apart` how far the two machines are
+        from each other, in the model's unit of length.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image)
@@ -105,6 +109,9 @@ class Overlay:
             _write_mark(draw, mark._replace(at=(x, y)), font, self._unit)
         for panel, corner in [*self._panels, *([self._warning] if t >= self._unstable else [])]:
             image.paste(panel, corner, panel)
+        if self._apart is not None:
+            away = "ran away" if t >= self._unstable else distance_words(apart, self._appearance.length_unit)
+            draw.text(self._apart, away, _INK, self._text, anchor="rs")
         if not self._numbers:
             return np.asarray(image)
         x, y = self._margin + self._padding, self._margin + self._padding
@@ -151,10 +158,30 @@ class Overlay:
             draw.text((units - m, y), readout.unit, _QUIET, self._text, anchor="ls")
         return panel, (round(m), round(m))
 
-    def _bottom_panel(self, parts: Sequence[_Part], above: float) -> _Placed:
-        """Words in a row in the middle, so many lines above the legend."""
-        p, height = self._padding, 40 * self._unit
-        panel, draw = _panel(2 * p + sum(font.getlength(words) for words, font, _ in parts), height, 8 * self._unit)
+    def _caption_panel(self, words: Words) -> _Placed:
+        """Mode and verdict, and room for the distance to the ghost, which differs from frame to frame."""
+        parts: list[_Part] = []
+        if words.caption is not None:
+            parts.append((f"{words.caption.mode}  ", self._title, _INK))
+            if words.caption.verdict:
+                ink = _GOOD if words.caption.verdict == "PASS" else _BAD
+                parts.append((f"{words.caption.verdict}  ", self._title, ink))
+        if words.apart:
+            parts.append((f"from the {self._ghost_name()}", self._text, _QUIET))
+        panel, (left, top) = self._bottom_panel(parts, 1.0, self._text.getlength(_WIDEST) if words.apart else 0.0)
+        if words.apart:
+            self._apart = (left + panel.width - self._padding, top + 0.67 * _BAND * self._unit)
+        return panel, (left, top)
+
+    def _ghost_name(self) -> str:
+        return "plan" if self._appearance.ghost is None else self._appearance.ghost.label
+
+    def _bottom_panel(self, parts: Sequence[_Part], above: float, free: float = 0.0) -> _Placed:
+        """Words in a row in the middle, so many lines above the legend, with so many pixels free behind them."""
+        p, height = self._padding, _BAND * self._unit
+        panel, draw = _panel(
+            2 * p + sum(font.getlength(words) for words, font, _ in parts) + free, height, 8 * self._unit
+        )
         x = p
         for words, font, ink in parts:
             draw.text((x, 0.67 * height), words, ink, font, anchor="ls")
@@ -164,7 +191,7 @@ class Overlay:
 
     def _legend_panels(self, words: Words) -> list[_Placed]:
         """Legend of solid and ghost, bottom left; playback speed, bottom right."""
-        ghost = "plan" if self._appearance.ghost is None else self._appearance.ghost.label
+        ghost = self._ghost_name()
         paint = _bytes(ghost_paint(self._appearance))
         entries: list[tuple[str, tuple[int, ...]]] = [("solid: MuJoCo", _SOLID), (f"ghost: {ghost}", paint)]
         if self._appearance.force_scale > 0:
@@ -216,6 +243,15 @@ def speed_words(speed: float) -> str:
     if ratio.numerator == 1 and math.isclose(ratio, speed):
         return f"1/{ratio.denominator} speed"
     return f"{speed:.3g}\N{MULTIPLICATION SIGN} speed"
+
+
+def distance_words(distance: float, unit: str) -> str:
+    """A distance in the model's unit; metres as millimetres or centimetres where they are few, to three digits."""
+    if unit != "m":
+        return f"{distance:.3f} {unit}"
+    if distance < 0.1:
+        return f"{1e3 * distance:.2f} mm" if distance < 0.01 else f"{1e3 * distance:.1f} mm"
+    return f"{1e2 * distance:.1f} cm" if distance < 1.0 else f"{distance:.2f} m"
 
 
 def time_words(t: float, *, unstable: bool) -> str:

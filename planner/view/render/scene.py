@@ -16,6 +16,7 @@ from PIL import Image
 from planner.base import gl
 from planner.base.errors import RenderingUnavailable
 from planner.problem.appearance import Appearance
+from planner.view.render.apart import SAME, Outline, apart, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks
@@ -28,10 +29,10 @@ _ASIDE = 0.34  # opacity of a ghost beside the machine
 _IN_PLACE = 0.16  # of one that stands in the machine, which must be seen through it
 FORCE = (0.89, 0.12, 0.14, 1.0)
 GOAL = (0.16, 0.17, 0.20, 1.0)
-_BEHIND = 2e-3  # of its distance from the camera: a ghost in the machine is so much behind it, or they would flicker
-
 _FLOOR = 2.0  # camera distances: a shape as large as that is a floor
-_SHADOWS = 1024  # pixels of the shadow map of a picture beside another
+# Of a film, where the picture is large and where it is small: pixels of the shadow map, and slices and stacks of a ball
+# or capsule. MuJoCo's own 4096, 28 and 16 take as long as all the rest of the picture and look the same.
+_LARGE, _SMALL, _FEW = (1024, 20, 12), (512, 14, 8), 400  # rows
 _ROOM = 0.7  # of the height of a picture beside another is free of words
 
 
@@ -48,14 +49,14 @@ class Scene:
 
     def __init__(
         self, film: Film, width: int, height: int, *, ghost: bool = True, oversize: float = 2.0,
-        beside: Sequence[Film] = (), narrow: bool = False, model: Any = None,
+        beside: Sequence[Film] = (), narrow: bool = False, quick: bool = False, model: Any = None,
     ) -> None:  # fmt: skip
         """Open the model and an OpenGL context for a picture of width x height pixels.
 
         The picture is drawn `oversize` times larger in both directions, then shrunk: in software this costs no more
         than OpenGL's own multisampling, and smooths the edges of shadows too. The camera must also suit the films
-        `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one. `model` is the
-        film's visible_model(), where there is one already; it is changed.
+        `beside` this one, of the same plan. `narrow` says that the picture is a part of a larger one, `quick` that it
+        is one of many. `model` is the film's visible_model(), where there is one already; it is changed.
 
         Raises:
             ModelError: MuJoCo refuses the model's text.
@@ -71,8 +72,11 @@ class Scene:
         columns, rows = round(oversize * width), round(oversize * height)
         model.vis.quality.offsamples = 0
         narrow = narrow or bool(beside)
-        if narrow:  # in software, the shadows of a picture half as wide would cost as much as all the rest
-            model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOWS)
+        if quick:
+            quality = model.vis.quality
+            most = _LARGE if height > _FEW else _SMALL
+            for name, value in zip(("shadowsize", "numslices", "numstacks"), most, strict=True):
+                setattr(quality, name, min(getattr(quality, name), value))
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, columns)
         model.vis.global_.offheight = max(model.vis.global_.offheight, rows)
         self._model = model
@@ -95,6 +99,12 @@ class Scene:
         except (mujoco.FatalError, RuntimeError, ImportError) as error:
             raise RenderingUnavailable(f"OpenGL refuses to draw: {str(error).splitlines()[0]}.") from error
         self._pixels = np.empty((rows, columns, 3), np.uint8)
+        self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._sticks)
+        self._pixel = (
+            2.0 * self._camera.distance * np.tan(0.5 * np.radians(model.vis.global_.fovy)) / height
+        )  # in space
+        self._points = self._ghost_points = np.empty((0, 3))  # of the frame drawn last
+        self._picture, self._eyes = np.empty(0), self._renderer.scene.camera
 
     def __enter__(self) -> Scene:
         return self
@@ -104,12 +114,22 @@ class Scene:
     ) -> None:
         self._renderer.close()
 
-    def draw(self, frame: int) -> np.ndarray:
-        """Frame number `frame` of the film: (height, width, 3) uint8."""
+    def draw(self, frame: int, like: Scene | None = None) -> np.ndarray:
+        """Frame number `frame` of the film: (height, width, 3) uint8.
+
+        `like` is a scene of a film of the same plan, seen by the same camera, that has just drawn this frame. Where
+        nothing in the two pictures would be as much as half a pixel apart, its picture is taken.
+        """
         self._pose(self._model, self._data, self._film.qpos[frame])
+        self._pose(self._ghost_model, self._ghost_data, self._film.ghost_qpos[frame])
+        self._points = self._outline.points(self._data)
+        self._ghost_points = self._outline.points(self._ghost_data)
         self._camera.lookat[:] = self._look_at
         if self._fixed:
             self._camera.lookat[:] += self._film.shift[frame]
+        if like is not None and self._is_like(like, frame):
+            self._picture, self._eyes = like._picture, like._eyes
+            return self._picture
         self._renderer.update_scene(self._data, self._camera, self._option)
         scene = self._renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
@@ -117,17 +137,48 @@ class Scene:
                 without_shadow(geom)
         self._sticks.add(self._data, scene)
         if self._ghost:
-            self._add_ghost(self._film.ghost_qpos[frame])
-        shapes = Shapes(scene, self._camera.distance)
+            self._add_ghost()
+        shapes = Shapes(scene, self._eye(), self._camera.distance, self._pixel * self._height / len(self._pixels))
         self._marks.add(shapes, self._data, float(self._film.t[frame]))
-        for force, point in zip(self._film.forces[frame], self._film.points[frame], strict=True):
-            vector = self._appearance.force_scale * force
-            shapes.arrow(point + np.asarray(self._appearance.force_offset), vector, FORCE)
+        for point, vector in zip(*self._arrows(frame), strict=True):
+            shapes.arrow(point, vector, FORCE)
         if self._appearance.goal_line is not None:
             start, end = np.asarray(self._appearance.goal_line, dtype=float)
             shapes.dashes(start, end, GOAL)
+        self._eyes = scene.camera
         large = Image.fromarray(self._renderer.render(out=self._pixels))
-        return np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
+        self._picture = np.asarray(large.resize((self._width, self._height), Image.Resampling.BOX))
+        return self._picture
+
+    @property
+    def apart(self) -> float:
+        """How far the machine is from its ghost in the frame drawn last, in the model's unit of length."""
+        return apart(self._points, self._ghost_points)
+
+    def _eye(self) -> np.ndarray:
+        """(3,) where the camera is."""
+        ahead = directions(self._camera.azimuth, self._camera.elevation)[0]
+        return self._camera.lookat - self._camera.distance * ahead
+
+    def _arrows(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Feet and vectors (C, 3) of the arrows of contact forces."""
+        foot = self._film.points[frame] + np.asarray(self._appearance.force_offset)
+        return foot, self._appearance.force_scale * self._film.forces[frame]
+
+    def _is_like(self, other: Scene, frame: int) -> bool:
+        """Whether the other scene's picture of this frame would do for this one."""
+        least = SAME * self._pixel
+        feet, arrows = self._arrows(frame)
+        other_feet, others = other._arrows(frame)
+        return (
+            (self._width, self._height) == (other._width, other._height)
+            and apart(self._points, other._points) < least
+            and apart(self._ghost_points, other._ghost_points) < least
+            and apart(np.asarray(self._camera.lookat)[None], np.asarray(other._camera.lookat)[None]) < least
+            and apart(arrows, others) < least
+            and (not self._appearance.force_scale or apart(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least)
+            and self._marks.apart(other._marks, float(self._film.t[frame])) < least
+        )
 
     def labels(self, frame: int) -> list[Label]:
         """The numbers of goals in the picture just drawn, frame number `frame`."""
@@ -136,7 +187,7 @@ class Scene:
 
     def project(self, point: np.ndarray) -> tuple[float, float] | None:
         """(column, row) of a point of the scene in the last drawn picture, None for one behind the camera."""
-        camera, other = self._renderer.scene.camera  # two eyes; the picture is seen from their middle
+        camera, other = self._eyes  # two eyes; the picture is seen from their middle
         eye = 0.5 * (np.asarray(camera.pos) + np.asarray(other.pos))
         ahead, up = np.asarray(camera.forward), np.asarray(camera.up)
         x, y, depth = np.stack([np.cross(ahead, up), up, ahead]) @ (np.asarray(point, dtype=float) - eye)
@@ -167,19 +218,23 @@ class Scene:
         planes.znear = min(planes.znear, 0.05 * distance / extent)
         return look_at, distance
 
-    def _add_ghost(self, qpos: np.ndarray) -> None:
+    def _add_ghost(self) -> None:
+        """Add the ghost: beside the machine as it is, in the machine the fainter the less of it can be told apart."""
         mujoco, scene, paint = self._mujoco, self._renderer.scene, ghost_paint(self._appearance)
-        self._pose(self._ghost_model, self._ghost_data, qpos)
+        offset = np.asarray(self._appearance.ghost_offset)
+        eye, back = self._eye(), 0.0
+        if not np.any(offset):
+            seen, back = visibility(self.apart / self._pixel), behind(self.apart, self._camera.distance)
+            paint = (*paint[:3], seen * paint[3])
+        if paint[3] == 0.0:
+            return
         first = scene.ngeom
         mujoco.mjv_addGeoms(
             self._ghost_model, self._ghost_data, self._option, self._perturb, mujoco.mjtCatBit.mjCAT_DYNAMIC, scene
         )
         self._sticks.add(self._ghost_data, scene)
-        offset = np.asarray(self._appearance.ghost_offset)
-        ahead = directions(self._camera.azimuth, self._camera.elevation)[0]
-        eye, behind = self._camera.lookat - self._camera.distance * ahead, 0.0 if np.any(offset) else _BEHIND
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.pos[:] += offset + behind * (geom.pos - eye)
+            geom.pos[:] += offset + back * (geom.pos - eye)
             geom.matid = -1
             geom.rgba[:] = paint if geom.rgba[3] > 0.0 else 0.0  # MuJoCo adds tendons that cannot be seen
             geom.specular, geom.shininess, geom.reflectance, geom.emission = 0.0, 0.0, 0.0, 0.25

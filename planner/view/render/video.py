@@ -34,7 +34,7 @@ def render_video(
     *,
     width: int = 1280,
     height: int = 720,
-    fps: float = 60,
+    fps: float = 30,
     speed: float | None = None,
     progress: Progress | None = None,
 ) -> Path:
@@ -89,8 +89,7 @@ def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     for mode, words in MODE_WORDS.items():
         replay = proof.replays[mode]
         verdict = "PASS" if mode == proof.mode else "" if sections[mode].passed else "FAIL"
-        error = float(np.abs(replay.error[-1]).max())
-        captioned[replay] = Caption(words, verdict, f"end error {error:.3g}" if math.isfinite(error) else "ran away")
+        captioned[replay] = Caption(words, verdict)
     return captioned
 
 

@@ -1,0 +1,82 @@
+"""Draw a proof's strip of poses and its film in the background, beside its rollouts.
+
+Child processes draw, so that a thread of this one has little to do. What comes in its way is raised by finish().
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from planner.base.gl import backend
+from planner.cli.console import Console
+from planner.proof import Proof
+
+NAMES = ("strip.png", "video.mp4")
+_PATIENCE = 0.1  # s between two looks at the progress
+
+
+class _Stopped(Exception):
+    """The film is no longer wanted."""
+
+
+class Filming:
+    """Strip and film of a proof on their way into a folder; a context manager, at whose end nothing draws any more."""
+
+    def __init__(self, proof: Proof, folder: Path, keep: Collection[str], console: Console) -> None:
+        """Begin with the files that are not named in `keep`. Without an OpenGL library there is nothing to do."""
+        self.names = tuple(name for name in NAMES if name not in keep) if backend() is not None else ()
+        self._proof, self._folder, self._console = proof, folder, console
+        self._stop, self._error = threading.Event(), None
+        self._done = (0, 0)  # frames, and frames in all
+        self._thread = threading.Thread(target=self._draw, name="film", daemon=True)
+        if self.names:
+            self._thread.start()
+
+    def finish(self) -> None:
+        """Wait for the files and show how far they are.
+
+        Raises:
+            RenderingUnavailable: The OpenGL library is there but does not work.
+            FileError: A file cannot be written.
+        """
+        show = self._console.progress("video")
+        while self._thread.is_alive():
+            self._thread.join(_PATIENCE)
+            if 0 < self._done[0] < self._done[1]:
+                show(*self._done)
+        if self._error is not None:
+            raise self._error
+        if self._done[1]:
+            show(*self._done)
+
+    def __enter__(self) -> Filming:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        with suppress(RuntimeError):  # it was never started
+            self._thread.join()
+
+    def _draw(self) -> None:
+        from planner.view.render.video import render_strip, render_video
+
+        try:
+            if "strip.png" in self.names:
+                render_strip(self._proof.replay, self._folder / "strip.png")
+            if "video.mp4" in self.names:
+                render_video(self._proof, self._folder / "video.mp4", progress=self._count)
+        except _Stopped:
+            pass
+        except BaseException as error:
+            self._error = error
+
+    def _count(self, done: int, total: int) -> None:
+        if self._stop.is_set():
+            raise _Stopped
+        self._done = (done, total)
