@@ -4,7 +4,8 @@
               file that says no unit of angles and whose ranges are radians gets that unit: its package merges it into
               a file that says so
     start     the first keyframe, else the pose of the file; put within the ranges where it is outside, and joints that
-              their motors cannot hold there go to the nearest angle at which they can
+              their motors cannot hold there go to the nearest angle at which they can; legs that topple there with
+              stiff joints lean at the ankles, as little as makes them stand
     goal      the start with the driven joints moved, to the side of more room: by 15 % of the range for arms and hands,
               3 % for machines with legs, 0.5 rad where there is no range; the cart of an underactuated machine by 0.5 m
     duration  1.5 s for arms, 2 s for underactuated machines, 1 s for the others
@@ -40,6 +41,8 @@ MIDDLE = 1e-3  # of a range
 ACROSS = 0.7  # of an axis along y: it bends a leg forwards
 STIFF = 2.0, 3000.0, 100.0  # kg m^2, N m/rad, N m s/rad
 UPRIGHT = 2.0, 0.3  # s; rad: a machine that has turned as far has toppled
+LEANS = [sign * 0.02 * (k + 1) for k in range(5) for sign in (1.0, -1.0)]  # rad
+SOLE = 0.02  # m above the lowest shape
 POSES = 20  # to try between the ends of a range
 SMOOTH = 8.0  # times way / duration^2: the acceleration of a smooth motion, 5.8, with some to spare
 SLIGHT = 0.02  # of the largest torque that holds a machine: less falls by little in a second
@@ -73,6 +76,7 @@ def _of_model(model: mujoco.MjModel, kind: str) -> tuple[str, str]:
             start[i] = np.clip(start[i], *model.jnt_range[j])
     driven = _driven(model, start)
     start = _tied(model, start, driven)
+    start = _leaned(model, start, driven) if kind == "legged" else start
     held = kind != "legged" and bool(driven.all() or kind in ("arm", "hand"))  # the ground holds legs, nothing a pole
     start = _held(model, start, driven, place) if held else start
     way = np.zeros_like(start)
@@ -112,6 +116,44 @@ def _stands(model: mujoco.MjModel, qpos: np.ndarray) -> bool:
         mujoco.mj_step(stiff, data)
     first = int(model.jnt_qposadr[free[0]]) + 3
     return abs(float(data.qpos[first : first + 4] @ qpos[first : first + 4])) > np.cos(0.5 * UPRIGHT[1])
+
+
+def _leaned(model: mujoco.MjModel, start: np.ndarray, driven: np.ndarray) -> np.ndarray:
+    """The start, or where that topples the nearest lean of its ankles at which it stands with some room, if any.
+
+    An ankle is the last joint above the lowest shapes that bends forwards.
+    """
+    if not np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE) or not _has_floor(model) or _stands(model, start):
+        return start
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(model, data)
+    soles = _bottoms(model, data)
+    ankles = set()
+    for geom in np.flatnonzero(soles < soles.min() + SOLE):
+        body = int(model.geom_bodyid[geom])
+        while body:
+            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            bends = [
+                j for j in range(first, first + count) if model.jnt_type[j] >= 2 and abs(data.xaxis[j, 1]) > ACROSS
+            ]
+            bends = [j for j in bends if driven[model.jnt_dofadr[j]]]
+            if bends:
+                ankles.add(bends[-1])
+                break
+            body = int(model.body_parentid[body])
+    for lean in LEANS:
+        poses = []
+        for share in (1.0, 1.5):  # some room
+            pose = start.copy()
+            for j in ankles:
+                pose[model.jnt_qposadr[j]] += share * lean * np.sign(data.xaxis[j, 1])
+                if model.jnt_limited[j]:
+                    pose[model.jnt_qposadr[j]] = np.clip(pose[model.jnt_qposadr[j]], *model.jnt_range[j])
+            poses.append(_tied(model, pose, driven))
+        if all(_stands(model, pose) for pose in poses):
+            return poses[0]
+    return start
 
 
 def _leans(model: mujoco.MjModel, joint: int, start: np.ndarray, limits: np.ndarray | None) -> bool:
@@ -369,10 +411,18 @@ def _lowest(file: Path) -> float:
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0] if model.nkey else model.qpos0
     mujoco.mj_forward(model, data)
-    lowest = np.inf
+    return float(_bottoms(model, data).min())
+
+
+def _bottoms(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Height of the lowest point of each shape (ngeom,), m; infinite for those at rest or that touch nothing."""
+    lowest = np.full(model.ngeom, np.inf)
     for geom in np.flatnonzero(
         (model.geom_contype | model.geom_conaffinity) & (model.body_weldid[model.geom_bodyid] > 0)
     ):
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            lowest[geom] = data.geom_xpos[geom, 2] - model.geom_size[geom, 0]
+            continue
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = model.geom_dataid[geom]
             first = model.mesh_vertadr[mesh]
@@ -381,11 +431,8 @@ def _lowest(file: Path) -> float:
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
             points = centre + corners * half
-            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
-                lowest = min(lowest, data.geom_xpos[geom, 2] - model.geom_size[geom, 0])
-                continue
-        lowest = min(lowest, (points @ data.geom_xmat[geom].reshape(3, 3)[2] + data.geom_xpos[geom, 2]).min())
-    return float(lowest)
+        lowest[geom] = (points @ data.geom_xmat[geom].reshape(3, 3)[2] + data.geom_xpos[geom, 2]).min()
+    return lowest
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -66,7 +66,7 @@ def inertia_on_feet(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """The inertia (nv,) that each degree of freedom moves while what carries the machine at q (nq,) stays in place.
 
     kg m^2 or kg: 1 / A_ii of A = Z (Z' M Z)^-1 Z', Z a basis of the velocities with J Z = 0. An ankle in the air moves
-    a foot, and on the ground all that stands on it. 0 where nothing carries it, or where the feet leave it no motion.
+    a foot, and on the ground all that stands on it. 0 where nothing carries it, or the feet leave it no motion.
     """
     still = np.zeros(mechanism.nv)
     carry = np.flatnonzero(contact_forces(mechanism, q, still).forces.any(axis=1))

@@ -4,7 +4,8 @@ Every weight makes its term a number without unit that is about 1:
 
     effort          1 / limit^2 of each control, the limit being what the model says; where it says none, what holds the
                     machine and moves its inertia over the way in half of the time; of machines that stand no more
-                    than what corrects an error that is kept to within 1 / SWIFT
+                    than what corrects an error that is kept to within 1 / SWIFT, of what a joint moves in the air or,
+                    if that is more, of what it moves while the feet stay: an ankle carries the machine
     velocity        1 / v^2 of each joint, v = 2 way / duration (a triangle's peak) but never less than LEAST_SPEED;
                     only of machines whose actuators reach every joint: another one needs its swing
     position        1 / (KEPT tolerances)^2 beside the straight line to the goal, of machines that stand on the ground:

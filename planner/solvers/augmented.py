@@ -27,6 +27,8 @@ MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
 DEAREST = 1e6  # a first guess by whose cost hinges are weighed
+MOST_IN_VAIN = 6  # rounds, each with dearer hinges, after which a violation must be less than LESS of the first one
+LESS = 0.5
 MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
 
@@ -56,7 +58,7 @@ def within_ranges(
     hinges, before = first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
-    raised = 0
+    raised, worst, since = 0, np.inf, 0
     for round_ in range(MOST_ROUNDS):
         error = _error(kept, hinges, plan)
         if plan.status is Status.INTERRUPTED:
@@ -74,6 +76,10 @@ def within_ranges(
             else:
                 hinges = hinges._replace(lower=hinges.lower + more)
             error, before = _error(kept, hinges, plan), np.full(kept.size, np.inf)
+            worst, since = np.inf, round_
+        worst = min(worst, error.max()) if round_ == since else worst
+        if round_ - since >= MOST_IN_VAIN and not error.max() < LESS * worst:
+            break
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
         hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
