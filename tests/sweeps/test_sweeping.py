@@ -1,6 +1,7 @@
 """Sweeps in threads of this process: what comes out, and what goes on after an interruption."""
 
 import csv
+import json
 import os
 import resource
 import zipfile
@@ -107,6 +108,45 @@ def test_resume_does_what_is_missing_and_nothing_twice(done, tmp_path):
     with zipfile.ZipFile(archive) as file:
         assert sorted(file.namelist()) == [f"{k:06d}.npz" for k in range(10)]
     assert read_sweep(tmp_path / "out").plan(9).cost == done.plan(9).cost
+
+
+def changed_rows(folder, status, tasks):
+    """Rows as they are after a worker was lost, or too little time."""
+    rows = [json.loads(line) for line in (folder / "rows.jsonl").read_text().splitlines()]
+    made = [row | {"status": status, "cost": 1.0} if row["task"] in tasks else row for row in rows]
+    (folder / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in made))
+
+
+def test_resume_does_again_what_was_not_the_problems_fault(done, tmp_path):
+    out = tmp_path / "out"
+    swept(out)
+    changed_rows(out, "WORKER_LOST", {2, 7})
+    changed_rows(out, "FAILED", {4})
+    again = swept(out, resume=True)
+    assert again.statuses == {"CONVERGED": 9, "FAILED": 1}
+    assert [row for row in table(out) if row["task"] != "4"] == [
+        row for row in table(done.folder) if row["task"] != "4"
+    ]
+    with zipfile.ZipFile(out / "plans/000.zip") as file:
+        assert sorted(file.namelist()) == [f"{k:06d}.npz" for k in range(10)]
+    assert len((out / "rows.jsonl").read_bytes().splitlines()) == 10
+
+
+def test_resume_does_again_what_took_too_long_only_with_a_longer_timeout(done, tmp_path):
+    out = tmp_path / "out"
+    assert swept(out, timeout=1e-9).statuses == {"TIMEOUT": 10}
+    assert swept(out, timeout=1e-9, resume=True).statuses == {"TIMEOUT": 10}
+    assert swept(out, timeout=60.0, resume=True).statuses == {"CONVERGED": 10}
+    assert table(out) == table(done.folder)
+    assert swept(out, timeout=1e-9, resume=True).statuses == {"CONVERGED": 10}
+
+
+def test_what_continued_from_a_lost_task_is_done_again_with_it(tmp_path):
+    whole = swept(tmp_path / "whole", continued="height")
+    swept(tmp_path / "out", continued="height")
+    changed_rows(tmp_path / "out", "WORKER_LOST", {4})
+    swept(tmp_path / "out", continued="height", resume=True)
+    assert table(tmp_path / "out") == table(whole.folder)
 
 
 def test_archives_without_a_directory_keep_their_whole_entries(tmp_path):
