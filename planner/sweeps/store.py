@@ -74,14 +74,11 @@ class Store:
             FileError: The folder cannot be written.
         """
         kept = np.sort([place for task, place in enumerate(self.places) if place >= 0 and task not in tasks])
-        with (
-            write_atomically(self.folder / ROWS) as hidden,
-            open(hidden, "wb") as to,
-            open(self.folder / ROWS, "rb") as file,
-        ):
+        path = self.folder / ROWS
+        with write_atomically(path) as hidden, open(hidden, "wb") as fewer, open(path, "rb") as file:
             for place in kept:
                 file.seek(int(place))
-                to.write(file.readline())
+                fewer.write(file.readline())
         self._begin()
         self.read()
 

@@ -28,6 +28,8 @@ from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.solvers.multistart import MOST_STARTS
+from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 from planner.sweeps.executors import MOST_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
@@ -38,9 +40,14 @@ from planner.sweeps.store import HEAD, Store, read_head, write_head
 from planner.sweeps.table import write_tables
 from planner.sweeps.work import LOST, TIMEOUT, Work, warm
 
-SOLVE = ("update", "line_search", "hessian", "states", "max_iterations", "gradient_tolerance", "decrease_tolerance",
-         "gain_tolerance", "starts", "seed", "spread")  # fmt: skip
-"""Arguments of solve() that a sweep passes on."""
+_TOLERANCE = partial(number, least=0.0)
+SOLVE: dict[str, Callable[[str, Any], Any]] = {
+    "update": partial(choice, choices=UPDATES), "line_search": partial(choice, choices=LINE_SEARCHES),
+    "hessian": partial(choice, choices=HESSIANS), "states": lambda _, value: value, "max_iterations": count,
+    "gradient_tolerance": _TOLERANCE, "decrease_tolerance": _TOLERANCE, "gain_tolerance": _TOLERANCE,
+    "starts": partial(count, most=MOST_STARTS), "seed": partial(count, least=0), "spread": partial(number, above=0.0),
+}  # fmt: skip
+"""Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
 
 class Sweep:
@@ -217,7 +224,7 @@ def _known(work: Work) -> tuple[list[str], str]:
 def _checked(options: dict[str, Any]) -> dict[str, Any]:
     for name in options:
         choice("an option", name, SOLVE)
-    return {name: value for name, value in options.items() if value is not None}
+    return {name: SOLVE[name](name, value) for name, value in options.items() if value is not None}
 
 
 def _proved(asked: Mapping[str, Any] | bool) -> dict[str, Any] | None:
