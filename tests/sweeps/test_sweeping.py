@@ -213,6 +213,20 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     assert swept(tmp_path / "out", resume=True).complete
 
 
+def test_a_second_ctrl_c_says_what_is_there(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.sweeps.sweeping.write_tables", interrupted)
+    words = ("sweep", "hopper", "--set", "height=4,5", "--set", "horizon=50", "--workers", 1, "--out", "out")
+    done = run(*words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.endswith("what is done is in out, and --resume goes on with it and writes its tables.\n")
+    monkeypatch.undo()
+    assert run(*words, "--resume", cwd=tmp_path).returncode == 0
+    assert len(table(tmp_path / "out")) == 2
+
+
 def test_a_full_disk_keeps_what_is_finished(done, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))  # the archive outgrows it
