@@ -70,10 +70,9 @@ def test_replays_with_times_of_their_own_are_drawn_beside_each_other(plan, proof
     """A controller's periods need not divide a stage, so the replay with gains may have other steps."""
     openly, fed = (proof.replays[mode] for mode in MODES)
     every = slice(None, None, 2)
-    fewer = replace(
-        fed, **{name: getattr(fed, name)[every] for name in ("t", "qpos", "qvel", "act", "xs", "plan_xs", "contact_force", "contact_point")},
-        ctrl=fed.ctrl[: (len(fed.t) - 1) // 2],
-    )  # fmt: skip
+    names = ("t", "qpos", "qvel", "act", "xs", "plan_xs", "contact_force", "contact_point")
+    parts = {name: getattr(fed, name)[::2] for name in names}
+    fewer = replace(fed, **parts, ctrl=fed.ctrl[: (len(fed.t) - 1) // 2])
     proof.replays["feedback"] = fewer
     figure = draw_plan(plan, proof)
     lines = panel(figure, "height, replay").get_lines()
