@@ -69,7 +69,6 @@ def test_the_difference_is_replay_minus_plan_in_the_unit_it_names(plan, replay):
 def test_replays_with_times_of_their_own_are_drawn_beside_each_other(plan, proof):
     """A controller's periods need not divide a stage, so the replay with gains may have other steps."""
     openly, fed = (proof.replays[mode] for mode in MODES)
-    every = slice(None, None, 2)
     names = ("t", "qpos", "qvel", "act", "xs", "plan_xs", "contact_force", "contact_point")
     parts = {name: getattr(fed, name)[::2] for name in names}
     fewer = replace(fed, **parts, ctrl=fed.ctrl[: (len(fed.t) - 1) // 2])
