@@ -170,7 +170,8 @@ _SWEEP: Flags = {
     "--timeout": _takes("S", "Longest time of one solve, s.", kind=_number),
     "--prove": _switch("Prove each plan."),
     "--rollouts": _takes("N", "Perturbed simulations of each proof.", 0, _whole),
-    "--resume": _switch("Go on with the sweep that is in the folder."),
+    "--resume": _switch("Go on with the sweep that is in the folder: do what has no row, what lost its worker, and "
+                        "with a longer --timeout what took too long; keep the rest."),
 }  # fmt: skip
 _WORKERS: Flags = {
     "--workers": _takes("N", "Processes on this machine. Default: one a processor for sweep and paper, else threads of "

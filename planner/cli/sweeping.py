@@ -13,6 +13,7 @@ from planner.cli.parser import PROBLEM_FILE
 from planner.cli.problems import durations_of, name_of, objective_of
 from planner.problem.limits import EXACT, Limits
 from planner.sweeps.executors import executor_of
+from planner.sweeps.store import read_head
 from planner.sweeps.sweeping import sweep
 from planner.view.report.sweep_page import write_sweep_page
 
@@ -21,10 +22,20 @@ INTERRUPTED = 130
 
 def sweep_case(arguments: argparse.Namespace, console: Console) -> int:
     """Plan a case or a problem file at every point of a grid."""
+    out = Path(arguments.out or f"renders/sweep-{name_of(arguments)}")
+    try:
+        return _swept(arguments, out, console)
+    except KeyboardInterrupt:  # a second time, while processes ended or tables were written
+        if read_head(out) is None:
+            raise
+        console.complain(f"interrupted; what is done is in {out}, and --resume goes on with it and writes its tables.")
+        return INTERRUPTED
+
+
+def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
     if arguments.rank != "cost":
         raise PlannerError("--rank is for one problem, expected a sweep without it: its starts are ranked by cost.")
     name = name_of(arguments)
-    out = Path(arguments.out or f"renders/sweep-{name}")
     local = arguments.scheduler is None  # sweep() starts processes of its own, which load the problem's kernels first
     with executor_of(None if local else arguments.workers, arguments.scheduler) as executor:
         done = sweep(

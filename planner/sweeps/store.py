@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from planner.base.errors import FileError
-from planner.base.files import file_error, read_text
+from planner.base.files import file_error, read_text, write_atomically
 from planner.base.jsonable import write_json
 from planner.cases.plan_file import load_plan
 from planner.problem.plan import Plan, Status
@@ -42,12 +42,10 @@ class Store:
 
     def __init__(self, folder: Path, tasks: int) -> None:
         self.folder = folder
-        self.places = np.full(tasks, -1, np.int64)  # bytes in rows.jsonl where a task's line begins
-        self.kinds: dict[str, set[str]] = {}  # names of the types in each column
-        self.statuses: dict[str, int] = {}
+        self.places = np.empty(tasks, np.int64)  # bytes in rows.jsonl where a task's line begins, -1 for none
         self._shards = Shards(folder / PLANS)
         self._rows: IO[bytes] | None = None
-        self._end = 0
+        self._begin()
 
     @property
     def finished(self) -> int:
@@ -68,6 +66,21 @@ class Store:
                     self._count(row)
                     self.places[row["task"]] = self._end
                 self._end += len(line)
+
+    def forget(self, tasks: Collection[int]) -> None:
+        """Remove rows, so that their tasks are done again; open() removes the plans.
+
+        Raises:
+            FileError: The folder cannot be written.
+        """
+        kept = np.sort([place for task, place in enumerate(self.places) if place >= 0 and task not in tasks])
+        path = self.folder / ROWS
+        with write_atomically(path) as hidden, open(hidden, "wb") as fewer, open(path, "rb") as file:
+            for place in kept:
+                file.seek(int(place))
+                fewer.write(file.readline())
+        self._begin()
+        self.read()
 
     def open(self) -> None:
         """Begin to append, after whatever read() found.
@@ -161,6 +174,13 @@ class Store:
         """The controls (N, nu) of a finished task that converged, else None."""
         row = self.row(task)
         return self.plan(task).us if row is not None and row["status"] == Status.CONVERGED.name else None
+
+    def _begin(self) -> None:
+        """Nothing is read."""
+        self.places[:] = -1
+        self.kinds: dict[str, set[str]] = {}  # names of the types in each column
+        self.statuses: dict[str, int] = {}
+        self._end = 0
 
     def _count(self, row: dict[str, Any]) -> None:
         self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1

@@ -28,6 +28,8 @@ from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.solvers.multistart import MOST_STARTS
+from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
 from planner.sweeps.executors import MOST_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
@@ -36,11 +38,16 @@ from planner.sweeps.running import run
 from planner.sweeps.shards import plan_place
 from planner.sweeps.store import HEAD, Store, read_head, write_head
 from planner.sweeps.table import write_tables
-from planner.sweeps.work import Work, warm
+from planner.sweeps.work import LOST, TIMEOUT, Work, warm
 
-SOLVE = ("update", "line_search", "hessian", "states", "max_iterations", "gradient_tolerance", "decrease_tolerance",
-         "gain_tolerance", "starts", "seed", "spread")  # fmt: skip
-"""Arguments of solve() that a sweep passes on."""
+_TOLERANCE = partial(number, least=0.0)
+SOLVE: dict[str, Callable[[str, Any], Any]] = {
+    "update": partial(choice, choices=UPDATES), "line_search": partial(choice, choices=LINE_SEARCHES),
+    "hessian": partial(choice, choices=HESSIANS), "states": lambda _, value: value, "max_iterations": count,
+    "gradient_tolerance": _TOLERANCE, "decrease_tolerance": _TOLERANCE, "gain_tolerance": _TOLERANCE,
+    "starts": partial(count, most=MOST_STARTS), "seed": partial(count, least=0), "spread": partial(number, above=0.0),
+}  # fmt: skip
+"""Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
 
 class Sweep:
@@ -114,7 +121,8 @@ def sweep(
             converged. Which one that is depends on the grid alone.
         timeout: s for each solve. It ends between two iterations; a process that does not even come so far is ended 5 s
             later. Executors that are not planner's own end no process.
-        resume: Go on with what is in the folder.
+        resume: Go on with what is in the folder. Tasks that lost their worker are done again, and those that took too
+            long where the timeout is longer now; all others that have a row are kept, FAILED ones too.
         objective: Weights of criteria, as of solve_for.
         durations: The shortest and the longest, s, as of solve_for.
         limits: In place of the problem's own.
@@ -139,12 +147,14 @@ def sweep(
     checked_executor(executor)
     width = processors() if workers is None else count("workers", workers, most=MOST_WORKERS)
     folder, head = Path(out), _head(work, continued)
-    _claim(folder, head, resume)
+    before = _claim(folder, head, resume)
     with held(folder):
-        if read_head(folder) is None:
+        if before != head:
             write_head(folder, head)
         store = Store(folder, len(grid))
         store.read()
+        if before is not None and (again := _again(store, grid, continued, _is_longer(timeout, before["timeout"]))):
+            store.forget(again)
         interrupted = False
         with ExitStack() as stack:
             stack.callback(store.close)
@@ -214,7 +224,7 @@ def _known(work: Work) -> tuple[list[str], str]:
 def _checked(options: dict[str, Any]) -> dict[str, Any]:
     for name in options:
         choice("an option", name, SOLVE)
-    return {name: value for name, value in options.items() if value is not None}
+    return {name: SOLVE[name](name, value) for name, value in options.items() if value is not None}
 
 
 def _proved(asked: Mapping[str, Any] | bool) -> dict[str, Any] | None:
@@ -234,13 +244,13 @@ def _head(work: Work, continued: str | None) -> dict[str, Any]:
     }, default=str))  # fmt: skip
 
 
-def _claim(folder: Path, head: dict[str, Any], resume: bool) -> None:
-    """Make the folder, and refuse one with another sweep."""
+def _claim(folder: Path, head: dict[str, Any], resume: bool) -> dict[str, Any] | None:
+    """Make the folder, and refuse one with another sweep; what its sweep is, or None. Its timeout may be another."""
     there = read_head(folder)
     if there is not None and not resume:
         raise FileError(f"{folder} holds a sweep already, expected --resume to go on with it or another folder.")
     if there is not None:
-        other = [name for name in head if there.get(name) != head[name]]
+        other = [name for name in head if name != "timeout" and there.get(name) != head[name]]
         if other:
             raise FileError(f"{folder} holds another sweep (its {other[0]} differs), expected another folder.")
     try:
@@ -249,6 +259,23 @@ def _claim(folder: Path, head: dict[str, Any], resume: bool) -> None:
         raise file_error(error, folder, expected="folder") from error
     if there is None and any(folder.glob("*")):
         raise FileError(f"{folder} holds other files, expected an empty or a new folder ({HEAD} is missing).")
+    return there
+
+
+def _is_longer(timeout: float | None, before: float | None) -> bool:
+    return before is not None and (timeout is None or timeout > before)
+
+
+def _again(store: Store, grid: Grid, continued: str | None, longer: bool) -> set[int]:
+    """Tasks to be done again, for what was not their problem's fault; with them those that continued from them."""
+    outside = {LOST, TIMEOUT} if longer else {LOST}
+    if outside.isdisjoint(store.statuses):
+        return set()
+    again = {row["task"] for row in store.rows() if row["status"] in outside}
+    for chain in () if continued is None else grid.chains(continued):
+        first = next((k for k, task in enumerate(chain) if task in again), len(chain))
+        again.update(chain[first:])
+    return again
 
 
 def _queue(store: Store, grid: Grid, continued: str | None) -> Queue:

@@ -13,6 +13,7 @@ from carts import CART
 import planner
 from planner import cases
 from planner.costs import EnergyCost, FrameCost, Height, JerkCost, PenaltyCost, Point, TrackingCost, with_objective
+from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.case_replay import replay_case
 
 WAYS = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy, "copy": copy.copy}
@@ -88,6 +89,17 @@ def test_plan_proof_and_replays_are_copied(way):
     assert again.to_dict() == proof.to_dict()
     run, other = (replay_case(of.replay.plan, of.replay.compiled, 1) for of in (proof, copied))
     assert run.xs.tobytes() == other.xs.tobytes()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_twin_whose_model_was_changed_is_copied_with_the_change(way):
+    """Its text knows nothing of it, so a copy must not compile the text again."""
+
+    def heavier(model):
+        model.body_mass[1] += 1.0
+
+    changed = CompiledTwin(cases.two_link().twin).changed(heavier)
+    assert WAYS[way](changed).model.body_mass[1] == changed.model.body_mass[1]
 
 
 def test_another_process_solves_a_problem_to_the_same_bits():

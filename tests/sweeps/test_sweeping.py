@@ -1,6 +1,7 @@
 """Sweeps in threads of this process: what comes out, and what goes on after an interruption."""
 
 import csv
+import json
 import os
 import resource
 import zipfile
@@ -109,6 +110,44 @@ def test_resume_does_what_is_missing_and_nothing_twice(done, tmp_path):
     assert read_sweep(tmp_path / "out").plan(9).cost == done.plan(9).cost
 
 
+def changed_rows(folder, status, tasks):
+    """Rows as they are after a worker was lost, or too little time."""
+    rows = [json.loads(line) for line in (folder / "rows.jsonl").read_text().splitlines()]
+    made = [row | {"status": status, "cost": 1.0} if row["task"] in tasks else row for row in rows]
+    (folder / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in made))
+
+
+def test_resume_does_again_what_was_not_the_problems_fault(done, tmp_path):
+    out = tmp_path / "out"
+    swept(out)
+    changed_rows(out, "WORKER_LOST", {2, 7})
+    changed_rows(out, "FAILED", {4})
+    again = swept(out, resume=True)
+    assert again.statuses == {"CONVERGED": 9, "FAILED": 1}
+    now, then = table(out), table(done.folder)
+    assert now[:4] + now[5:] == then[:4] + then[5:]
+    with zipfile.ZipFile(out / "plans/000.zip") as file:
+        assert sorted(file.namelist()) == [f"{k:06d}.npz" for k in range(10)]
+    assert len((out / "rows.jsonl").read_bytes().splitlines()) == 10
+
+
+def test_resume_does_again_what_took_too_long_only_with_a_longer_timeout(done, tmp_path):
+    out = tmp_path / "out"
+    assert swept(out, timeout=1e-9).statuses == {"TIMEOUT": 10}
+    assert swept(out, timeout=1e-9, resume=True).statuses == {"TIMEOUT": 10}
+    assert swept(out, timeout=60.0, resume=True).statuses == {"CONVERGED": 10}
+    assert table(out) == table(done.folder)
+    assert swept(out, timeout=1e-9, resume=True).statuses == {"CONVERGED": 10}
+
+
+def test_what_continued_from_a_lost_task_is_done_again_with_it(tmp_path):
+    whole = swept(tmp_path / "whole", continued="height")
+    swept(tmp_path / "out", continued="height")
+    changed_rows(tmp_path / "out", "WORKER_LOST", {4})
+    swept(tmp_path / "out", continued="height", resume=True)
+    assert table(tmp_path / "out") == table(whole.folder)
+
+
 def test_archives_without_a_directory_keep_their_whole_entries(tmp_path):
     shards = Shards(tmp_path)
     for task in (0, 1, 2):
@@ -174,6 +213,20 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     assert swept(tmp_path / "out", resume=True).complete
 
 
+def test_a_second_ctrl_c_says_what_is_there(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.sweeps.sweeping.write_tables", interrupted)
+    words = ("sweep", "hopper", "--set", "height=4,5", "--set", "horizon=50", "--workers", 1, "--out", "out")
+    done = run(*words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.endswith("what is done is in out, and --resume goes on with it and writes its tables.\n")
+    monkeypatch.undo()
+    assert run(*words, "--resume", cwd=tmp_path).returncode == 0
+    assert len(table(tmp_path / "out")) == 2
+
+
 def test_a_full_disk_keeps_what_is_finished(done, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))  # the archive outgrows it
@@ -193,4 +246,7 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     both = ("--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
     refused(run("sweep", "hopper", "--set", "height=1", *both, cwd=tmp_path), "one of them")
     refused(run("sweep", "hopper", "--set", "height=1", "--continue", "mass", cwd=tmp_path), "expected one of: height")
+    refused(run("sweep", "hopper", "--set", "height=1", "--starts", 0, cwd=tmp_path), "starts is 0")
+    refused(run("sweep", "hopper", "--set", "height=1:2", cwd=tmp_path), "START:STOP:COUNT")
+    refused(run("sweep", "hopper", "--set", "height=", cwd=tmp_path), "no part of a grid")
     assert list(tmp_path.iterdir()) == []

@@ -66,6 +66,18 @@ def test_the_difference_is_replay_minus_plan_in_the_unit_it_names(plan, replay):
     np.testing.assert_allclose(axes.get_lines()[0].get_ydata() * 1e-3, 1e-3 * replay.t, atol=1e-12)
 
 
+def test_replays_with_times_of_their_own_are_drawn_beside_each_other(plan, proof):
+    """A controller's periods need not divide a stage, so the replay with gains may have other steps."""
+    openly, fed = (proof.replays[mode] for mode in MODES)
+    names = ("t", "qpos", "qvel", "act", "xs", "plan_xs", "contact_force", "contact_point")
+    parts = {name: getattr(fed, name)[::2] for name in names}
+    fewer = replace(fed, **parts, ctrl=fed.ctrl[: (len(fed.t) - 1) // 2])
+    proof.replays["feedback"] = fewer
+    figure = draw_plan(plan, proof)
+    lines = panel(figure, "height, replay").get_lines()
+    assert [len(line.get_xdata()) for line in lines[:2]] == [len(openly.t), len(fewer.t)]
+
+
 def test_controls_are_steps_on_an_axis_of_their_own(plan, replay):
     figure = draw_plan(plan, replay)
     (right,) = [axes for axes in figure.axes if axes.get_ylabel() == "flow (in/s)"]

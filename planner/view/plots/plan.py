@@ -206,13 +206,14 @@ def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
 def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: str) -> None:
     """Draw replays minus plan, in a power of a thousand of the unit."""
     t, planned = curve.plan
-    differences = [drawable(values) - drawable(planned) for _, values in curve.replays]
+    # Replays of a plan whose stages are no whole number of periods of a controller have times of their own.
+    differences = [drawable(values) - np.interp(at, t, drawable(planned)) for at, values in curve.replays]
     power = _power_of_thousand(np.concatenate(differences))
     dress(axes, "", "")
-    for replay, difference in zip(replays, differences, strict=True):
+    for replay, (at, _), difference in zip(replays, curve.replays, differences, strict=True):
         style = line_of(replay, HUES[5])
         color = RED if replay.feedback or len(replays) == 1 else style["color"]
-        axes.plot(t, difference / 1000.0**power, color=color, lw=0.5 * style["lw"], zorder=3)
+        axes.plot(at, difference / 1000.0**power, color=color, lw=0.5 * style["lw"], zorder=3)
     axes.axhline(0.0, color=INK, lw=0.6, zorder=1)
     axes.locator_params(axis="y", nbins=3)
     axes.margins(y=0.25)

@@ -8,26 +8,18 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from planner.base.files import write_atomically
 from planner.base.jsonable import finite
 from planner.sweeps.sweeping import Sweep
+from planner.sweeps.table import CSV, PARQUET
 from planner.view.report.style import STYLE
 from planner.view.report.sweep_maps import Map, maps_of, mark_jumps
+from planner.view.report.sweep_picture import CSS, WIDE, bar, colour, picture, word
 from planner.view.report.tables import number, table
 
 NAME = "index.html"
-_WIDTH = 560.0  # of a map, in its own units
-_LARGEST, _TALLEST = 26.0, 320.0
-_GOOD, _UNPROVEN, _BAD, _NONE = "#2a9d5c", "#8fbf5f", "#d1495b", "#c9ced3"
-_LOW, _HIGH = np.array([253.0, 231.0, 37.0]), np.array([59.0, 15.0, 112.0])  # light to dark
+_GOOD, _UNPROVEN, _BAD = "#2a9d5c", "#8fbf5f", "#d1495b"
 _SHOWN = 14  # columns of the row that a click shows, beside the parameters
-_CSS = """
-svg { width: 100%; height: auto; display: block; } svg rect { cursor: pointer; } svg rect:hover { opacity: .65; }
-.three { display: grid; grid-template-columns: repeat(auto-fit, minmax(17rem, 1fr)); gap: 1rem; }
-.jump { stroke: #e2007a; stroke-width: 2.5; } svg text { font: 12px system-ui, sans-serif; fill: var(--soft); }
-"""
 _SCRIPT = """
 const rows = JSON.parse(document.getElementById("rows").textContent), told = document.getElementById("told");
 function cell(text, kind) { const one = document.createElement(kind); one.textContent = text; return one; }
@@ -68,12 +60,14 @@ def write_sweep_page(sweep: Sweep) -> Path:
     more = f'<p class="soft">{left} more tasks are in the table alone.</p>' if left else ""
     counts = {"Tasks": f"{sweep.finished} of {len(sweep.grid)}", **sweep.statuses}
     data = json.dumps(finite({task: _told(row, sweep) for task, row in rows.items()})).replace("<", "\\u003c")
+    written = [name for name in (CSV, PARQUET) if (sweep.folder / name).exists()]
+    tables = ", ".join(f'<a href="{name}">{name}</a>' for name in written)
     title = f"Sweep over {', '.join(sweep.grid.values)}"
     page = (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}{_CSS}</style>\n</head>\n<body>\n<h1>{escape(title)}</h1>\n"
-        f'{table(counts)}\n<p>Tables: <a href="table.csv">table.csv</a>. A click on a task shows it below. '
+        f"<title>{escape(title)}</title>\n<style>{STYLE}{CSS}</style>\n</head>\n<body>\n<h1>{escape(title)}</h1>\n"
+        f"{table(counts)}\n<p>Tables: {tables}. A click on a task shows it below, with the commands for its plan. "
         "Neighbours with a line between them are in different minima, to judge by their cost and motion.</p>\n"
         + "\n".join(parts)
         + f'\n{more}\n<div id="told"></div>\n<script type="application/json" id="rows">{data}</script>\n'
@@ -85,15 +79,17 @@ def write_sweep_page(sweep: Sweep) -> Path:
 
 
 def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
-    held = ", ".join(f"{name} = {_word(value)}" for name, value in one.held.items())
+    held = ", ".join(f"{name} = {word(value)}" for name, value in one.held.items())
     pictures = [
-        _picture("Success", _success_legend(sweep), one, sweep, {t: _success(row) for t, row in rows.items()}),
+        picture("Success", _success_legend(sweep), one, sweep.grid, {t: _success(row) for t, row in rows.items()}),
         _scale("Cost", "cost", one, sweep, rows),
         _scale("Iterations", "iterations", one, sweep, rows),
     ]
     head = f"<h2>{escape(held)}</h2>\n" if held else ""
-    jumps = f"<p>{len(one.jumps)} pairs of neighbours are in different minima.</p>" if one.jumps else ""
-    return f'{head}<div class="three">{"".join(pictures)}</div>{jumps}'
+    pairs = "pair of neighbours is" if len(one.jumps) == 1 else "pairs of neighbours are"
+    jumps = f"<p>{len(one.jumps)} {pairs} in different minima.</p>" if one.jumps else ""
+    few = " few" if one.tasks.shape[1] <= WIDE else ""
+    return f'{head}<div class="three{few}">{"".join(pictures)}</div>{jumps}'
 
 
 def _success(row: dict[str, Any]) -> str:
@@ -103,7 +99,9 @@ def _success(row: dict[str, Any]) -> str:
 
 
 def _success_legend(sweep: Sweep) -> str:
-    return "green: proven" if any("verdict" in row for row in sweep.rows()) else "green: converged, red: not"
+    if any("verdict" in row for row in sweep.rows()):
+        return "green: proven, light green: converged and not proven, red: FAIL or not converged"
+    return "green: converged, red: not"
 
 
 def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
@@ -114,45 +112,15 @@ def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[s
         if int(task) in rows and rows[int(task)]["status"] == "CONVERGED" and math.isfinite(rows[int(task)][name])
     }
     if not found:
-        return _picture(title, "no task converged", one, sweep, {})
+        return picture(title, "no task converged", one, sweep.grid, {})
     low, high = min(found.values()), max(found.values())
     scaled = math.log if low > 0.0 and high > 10.0 * low else float
     first, last = scaled(low), scaled(high)
     colours = {
-        task: _between((scaled(value) - first) / (last - first) if last > first else 0.0)
-        for task, value in found.items()
+        task: colour((scaled(value) - first) / (last - first) if last > first else 0.0) for task, value in found.items()
     }
     how = ", logarithmic" if scaled is math.log else ""
-    return _picture(title, f"yellow {number(low)} to purple {number(high)}{how}", one, sweep, colours)
-
-
-def _picture(title: str, legend: str, one: Map, sweep: Sweep, colours: dict[int, str]) -> str:
-    count, columns = one.tasks.shape
-    wide = _WIDTH / columns
-    tall = min(_TALLEST / count, max(wide, 4.0), _LARGEST * 2 if count > 1 else 3 * _LARGEST)
-    height = tall * count
-    lines = []
-    places = {}
-    for (i, j), task in np.ndenumerate(one.tasks):
-        x, y = j * wide, height - (i + 1) * tall
-        places[int(task)] = x, y
-        label = ", ".join(f"{name} {_word(value)}" for name, value in sweep.grid.point(int(task)).items())
-        lines.append(
-            f'<rect x="{x:.2f}" y="{y:.2f}" width="{wide:.2f}" height="{tall:.2f}" data-t="{task}" '
-            f'fill="{colours.get(int(task), _NONE)}"><title>{escape(label)}</title></rect>'
-        )
-    for a, b in one.jumps:
-        (xa, ya), (xb, yb) = places[a], places[b]
-        ends = (xb, yb, xb, yb + tall) if ya == yb else (xa, ya, xa + wide, ya)
-        lines.append('<line class="jump" x1="{:.2f}" y1="{:.2f}" x2="{:.2f}" y2="{:.2f}"/>'.format(*ends))
-    values = sweep.grid.values[one.across]
-    up = "" if not one.up else f"; {one.up} {_ends(sweep.grid.values[one.up])} upwards"
-    words = escape(f"{one.across} {_ends(values)}{up}")
-    return (
-        f"<figure><figcaption><b>{escape(title)}</b>, {escape(legend)}</figcaption>"
-        f'<svg viewBox="0 0 {_WIDTH:.0f} {height + 18:.0f}" role="img" aria-label="{escape(title)}">{"".join(lines)}'
-        f'<text x="0" y="{height + 14:.0f}">{words}</text></svg></figure>'
-    )
+    return picture(title, bar(number(low), number(high)) + how, one, sweep.grid, colours)
 
 
 def _told(row: dict[str, Any], sweep: Sweep) -> dict[str, Any]:
@@ -160,16 +128,3 @@ def _told(row: dict[str, Any], sweep: Sweep) -> dict[str, Any]:
     kept = [name for name in row if name not in ("task", "print", "start", "guess")][: len(sweep.grid.values) + _SHOWN]
     names = dict.fromkeys([*kept, *(name for name in ("reason", "plan") if row.get(name))])
     return {name: row[name] for name in names}
-
-
-def _between(part: float) -> str:
-    red, green, blue = (_LOW + part * (_HIGH - _LOW)).round().astype(int)
-    return f"#{red:02x}{green:02x}{blue:02x}"
-
-
-def _ends(values: tuple[Any, ...]) -> str:
-    return f"{_word(values[0])} to {_word(values[-1])}"
-
-
-def _word(value: Any) -> str:
-    return number(value) if isinstance(value, float) else str(value)
