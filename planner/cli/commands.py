@@ -28,6 +28,7 @@ from planner.cli import (
     running,
     solving,
     sweeping,
+    viewing,
 )
 from planner.cli.console import Console
 
@@ -38,7 +39,8 @@ TRACEBACK = "PLANNER_TRACEBACK"
 _COMMANDS = {
     "list": listing.list_cases, "model": describing.describe_model,
     "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
-    "render": rendering.render_plan, "report": reporting.report_plan, "check": checking.check_plans,
+    "render": rendering.render_plan, "view": viewing.view_plan, "report": reporting.report_plan,
+    "check": checking.check_plans,
     "sweep": sweeping.sweep_case, "completion": completing.print_completion, "export": exporting.export_plan,
     "paper": paper.paper, "warmup": compiling.warmup,
 }  # fmt: skip

@@ -292,6 +292,12 @@ def build() -> argparse.ArgumentParser:
         _ROLLOUT, _OUTPUT,
     )  # fmt: skip
     command(
+        "view", "Look at a stored plan in MuJoCo's viewer.",
+        {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
+         "--rollouts": _takes("N", "Number of perturbed simulations that key 7 shows.", 8, _whole),
+         "--speed": _takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=_number)}, _OUTPUT,
+    )  # fmt: skip
+    command(
         "report", "Prove a stored plan again and write report.html with all its pictures.", plan, _NO_VIDEO,
         {"--out": _takes("DIR", "Folder of the results.", "report")}, _PROOF, _OUTPUT,
     )  # fmt: skip

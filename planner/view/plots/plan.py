@@ -7,25 +7,20 @@ can still be seen. A replay that runs away ends at the edge. Time with contact i
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics, constraint_forces, constraint_names
-from planner.model.coordinates import Coordinate, coordinates_of
 from planner.problem.appearance import Panel
-from planner.problem.default_appearance import appearance_of, small_multiples
-from planner.problem.over_time import task_panels
-from planner.problem.pictures import Bounded
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
-from planner.problem.problem import Problem
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.bounded import draw_bounded
 from planner.view.plots.limits import LABEL, SHADE, draw_control_bounds, draw_state_range, limited
 from planner.view.plots.motions import ASTRAY, BESIDE, line_of, name_curves, range_of, until_astray
+from planner.view.plots.over_time import Curve, curves_of, panels_of, replays_of, tasks_of, to_the_end, unit_of
 from planner.view.plots.solver import draw_convergence
 from planner.view.plots.style import (
     DASHED,
@@ -55,25 +50,14 @@ STANCE = "#ece7dc"
 _PAST_AXIS = 1.17  # where names stand beside a right-hand axis, in widths of the panel
 
 
-@dataclass(frozen=True)
-class _Curve:
-    """One quantity over time: (t, values) of the plan and of each replay."""
-
-    label: str
-    plan: tuple[np.ndarray, np.ndarray]
-    replays: tuple[tuple[np.ndarray, np.ndarray], ...]
-    held: bool  # constant over a stage: drawn as steps
-    index: int  # of the state or control
-
-
 def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     """The figure of a plan and its replays: both of a proof, one replay, or none.
 
     Goals and constraints come first. The appearance of the plan's problem lists the panels of states and controls;
     without any, all of them are drawn.
     """
-    replays = _replays(shown)
-    tasks, panels = _tasks(plan, replays), _panels(plan)
+    replays = replays_of(shown)
+    tasks, panels = tasks_of(plan, replays), panels_of(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
     chains = _chains(plan)
     figure, cells = figure_of(len(tasks) + len(panels) + bool(touched) + len(chains) + 1)
@@ -101,55 +85,9 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     return figure
 
 
-def _replays(shown: Proof | Replay | None) -> list[Replay]:
-    """The replays to draw, the widest line first."""
-    if shown is None:
-        return []
-    return [shown] if isinstance(shown, Replay) else sorted(shown.replays.values(), key=lambda replay: replay.feedback)
-
-
-def _tasks(plan: Plan, replays: list[Replay]) -> list[Bounded]:
-    """Goals and constraints over time, at the knots; none for a problem without."""
-    if not isinstance(plan.problem, Problem):
-        return []
-    motions = [(plan.xs, plan.us)]
-    for replay in replays:
-        us = replay.stage_controls if replay.ctrl.shape[1] == plan.us.shape[1] else plan.us
-        motions.append((replay.xs[:: replay.substeps], us))
-    return task_panels(plan.problem, plan.t, motions)
-
-
-def _panels(plan: Plan) -> tuple[Panel, ...]:
-    """The panels that the plan's appearance lists; for a plan without any, its states by unit and its controls."""
-    if own := appearance_of(plan.problem).plots:
-        return own
-    nx, nu = plan.xs.shape[1], plan.us.shape[1]
-    known = coordinates_of(plan.problem.dynamics) if plan.problem is not None else ()
-    states = known if len(known) == nx else tuple(Coordinate(f"x[{index}]", "") for index in range(nx))
-    panels = []
-    for unit in dict.fromkeys(one.unit for one in states):
-        of_unit = [(index, one.name) for index, one in enumerate(states) if one.unit == unit]
-        for title, curves in small_multiples(f"States, {unit}" if unit else "States", of_unit):
-            panels.append(Panel(title, unit or "x", states=curves))
-    inputs = small_multiples("Controls", [(index, f"u[{index}]") for index in range(nu)])
-    return (*panels, *(Panel(title, "u", controls=curves) for title, curves in inputs))
-
-
-def _curves(panel: Panel, plan: Plan, replays: list[Replay]) -> list[_Curve]:
-    curves = []
-    for index, label in panel.states:
-        planned = (replays[0].t, replays[0].plan_xs[:, index]) if replays else (plan.t, plan.xs[:, index])
-        simulated = tuple((replay.t, replay.xs[:, index]) for replay in replays)
-        curves.append(_Curve(label, planned, simulated, held=False, index=index))
-    for index, label in panel.controls:
-        simulated = tuple((replay.t, _to_the_end(replay.ctrl[:, index])) for replay in replays)
-        curves.append(_Curve(label, (plan.t, _to_the_end(plan.us[:, index])), simulated, held=True, index=index))
-    return curves
-
-
 def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, replays: list[Replay]) -> list[Axes]:
     """One panel; with `difference`, replays minus plan on an axis of its own beneath."""
-    curves = _curves(panel, plan, replays)
+    curves = curves_of(panel, plan, replays)
     first = next((curve for curve in curves if not curve.held), None)
     beneath = None
     if panel.difference and first is not None and replays:
@@ -189,7 +127,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     return [axes, beneath]
 
 
-def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
+def _keep_in_view(axes: Axes, curves: list[Curve], room: float) -> None:
     """Set limits of the axis; a replay that runs away widens them by ASTRAY at most."""
     planned = [curve.plan[1] for curve in curves]
     low, high = range_of(planned)
@@ -203,7 +141,7 @@ def _keep_in_view(axes: Axes, curves: list[_Curve], room: float) -> None:
     axes.set_ylim(bottom - room * (top - bottom), top + room * (top - bottom))
 
 
-def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: str) -> None:
+def _draw_difference(axes: Axes, curve: Curve, replays: list[Replay], ylabel: str) -> None:
     """Draw replays minus plan, in a power of a thousand of the unit."""
     t, planned = curve.plan
     # Replays of a plan whose stages are no whole number of periods of a controller have times of their own.
@@ -217,9 +155,8 @@ def _draw_difference(axes: Axes, curve: _Curve, replays: list[Replay], ylabel: s
     axes.axhline(0.0, color=INK, lw=0.6, zorder=1)
     axes.locator_params(axis="y", nbins=3)
     axes.margins(y=0.25)
-    unit = re.search(r"[(\[,]\s*([^()\[\],]+?)\s*[)\]]?$", ylabel)
     scale = f"$10^{{{3 * power}}}$" if power else ""
-    shown = " ".join(part for part in (scale, unit[1] if unit else "") if part)
+    shown = " ".join(part for part in (scale, unit_of(ylabel)) if part)
     axes.set_title(
         f"{curve.label}, replay {MINUS} plan" + (f" ({shown})" if shown else ""), fontsize=8, loc="left",
         color=RED, pad=3,
@@ -261,7 +198,7 @@ def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str,
     axes = figure.add_subplot(cell)
     dress(axes, "What holds closed chains together, in the plan", f"{'force' if unit == 'N' else 'moment'}, {unit}")
     for values, hue in zip(curves.values(), cycle(HUES), strict=False):
-        axes.plot(plan.t, drawable(_to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
+        axes.plot(plan.t, drawable(to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
     name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (s)")
@@ -289,8 +226,3 @@ def _power_of_thousand(values: np.ndarray) -> int:
     """The k for which values / 1000**k are numbers of one to three digits."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     return math.floor(math.log10(largest) / 3) if largest > 0 else 0
-
-
-def _to_the_end(us: np.ndarray) -> np.ndarray:
-    """Controls (N,) with the last one repeated, so that its stage is drawn too: (N+1,)."""
-    return np.append(us, us[-1:])

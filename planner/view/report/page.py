@@ -20,7 +20,9 @@ from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.view.plots import case_pictures
 from planner.view.report.assessment import assessment
+from planner.view.report.curves import interactive
 from planner.view.report.reproduce import command, problem_text, typed
+from planner.view.report.script import SCRIPT
 from planner.view.report.style import STYLE
 from planner.view.report.tables import number, table
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from planner.proof.refinement import Refinement
 
 NAME = "report.html"
+_EMBEDDED = 16e6  # bytes of the largest film within the page
 
 _PICTURES = (
     ("strip.png", "Poses over the motion"),
@@ -50,7 +53,9 @@ def write_report(
 ) -> Path:
     """Write report.html into `folder` and return its path.
 
-    The page embeds strip.png, plots.png, proof.png and video.mp4 as far as they lie in `folder`, which must exist.
+    The page embeds strip.png, plots.png, proof.png and video.mp4 as far as they lie in `folder`, which must exist; a
+    film of more than 16 MB stays beside it. Hovering over its curves shows values, clicking moves the film; without
+    scripts the curves are pictures.
     `video_note` says why there is no video, `path` lists the plan's refinements, `options` holds the flags that were
     given: {"starts": 8, "no_refine": True}. `cures` say what to write so that a plan that failed passes.
 
@@ -63,6 +68,7 @@ def write_report(
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof, cures),
         _film(plan, folder, video_note),  # people look before they read
+        interactive(plan, proof),
         _pictures(plan, proof, folder),
         _refinement(path),
         "" if proof is None else assessment(plan, proof),
@@ -78,7 +84,7 @@ def write_report(
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(_word(proof))}: {escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n"
-        f"<body>\n{body}\n</body>\n</html>\n"
+        f"<body>\n{body}\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
     )
     with write_atomically(folder / NAME) as hidden:
         hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
@@ -118,7 +124,9 @@ def _unchecked(proof: Proof | None) -> str:
 
 
 def _film(plan: Plan, folder: Path, note: str) -> str:
-    video = embedded(folder / "video.mp4", "video/mp4")
+    file = folder / "video.mp4"
+    beside = file.is_file() and file.stat().st_size > _EMBEDDED
+    video = "video.mp4" if beside else embedded(file, "video/mp4")
     if video:
         player = (
             f'<video controls loop muted playsinline preload="metadata" src="{video}">'
@@ -129,6 +137,8 @@ def _film(plan: Plan, folder: Path, note: str) -> str:
         goals = "; goals as balls, axes and arrows" if seen.goals else ""
         sides = "at the left open loop, at the right with the plan's gains"
         caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
+        if beside:
+            caption += "; the film is the file video.mp4 beside this page"
         return f"<h2>Video</h2>\n<figure>{player}<figcaption>{escape(caption)}</figcaption></figure>"
     return f'<h2>Video</h2>\n<p class="soft">{escape(note or "No video was made.")}</p>'
 

@@ -42,4 +42,23 @@ img, video { display: block; max-width: 100%; height: auto; border-radius: .4rem
 details { margin-top: 1.2rem; }
 summary { cursor: pointer; font-weight: 600; }
 pre { overflow-x: auto; background: var(--card); padding: .8rem; border-radius: .4rem; font-size: .8rem; }
+.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: .4rem 1rem; }
+.charts figure { margin: 0; }
+.charts figcaption span { margin-left: .6rem; background: #fff; padding: 0 .25rem; border-radius: .2rem; }
+.charts output { display: block; font-size: .78rem; color: var(--soft); min-height: 1.2rem;
+  font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
+svg[data-chart] { display: block; width: 100%; height: auto; background: #fff; border-radius: .4rem; cursor: crosshair;
+  touch-action: pan-y; }
+svg[data-chart] text { font: 11px system-ui, sans-serif; fill: #444; }
+svg polyline { fill: none; stroke-linejoin: round; stroke-linecap: round; }
+svg .open { stroke-width: 4; } svg .gains { stroke-width: 2.2; }
+svg .plan { stroke-width: 1.3; stroke-dasharray: 4 2; } svg .bound { stroke-width: 1; stroke-dasharray: 1 3; }
+svg .grid { stroke: #ddd; stroke-width: .6; }
+svg .cursor { stroke: #d0021b; stroke-width: 1; visibility: hidden; }
+.keys { font-size: .85rem; color: var(--soft); }
+.key { display: inline-block; width: 1.6rem; vertical-align: middle; border-top: 4px solid #ccc; }
+.key.gains { border-top: 3px solid #8a8a8a; } .key.plan { border-top: 2px dashed currentColor; }
+.key.bound { border-top: 2px dotted #b2182b; }
+.bar { display: flex; gap: .8rem; align-items: center; position: sticky; top: 0; background: var(--paper); z-index: 1; }
+.bar input { flex: 1; } #now { min-width: 7rem; font-variant-numeric: tabular-nums; }
 """

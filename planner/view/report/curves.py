@@ -1,0 +1,206 @@
+"""Curves of the page: SVG that can be read as it is, and numbers from which a script shows values and moves the film.
+
+Every chart has one unit. A curve keeps the extremes of each piece of time: the page stays small and no peak is lost.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from html import escape
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from planner.problem.default_appearance import appearance_of
+from planner.view.plots.motions import ASTRAY, range_of, until_astray
+from planner.view.plots.over_time import curves_of, panels_of, replays_of, tasks_of, unit_of
+from planner.view.plots.style import HUES, MINUS, MODE_WORDS, RED, drawable
+
+if TYPE_CHECKING:
+    from planner.problem.plan import Plan
+    from planner.proof import Proof
+    from planner.proof.replays.replaying import Replay
+
+WIDTH, HEIGHT = 470, 230  # of a chart, in its own units
+LEFT, RIGHT, TOP, BOTTOM = 56, 10, 10, 36  # around the curves
+_PIECES = 120  # of time: two samples of a curve are kept in each
+_DIGITS = 5
+_ROOM = 0.06
+_TICKS = 5
+
+
+class Line(NamedTuple):
+    """A curve of a chart."""
+
+    label: str
+    kind: str  # "plan", "gains", "open" or "bound"
+    t: np.ndarray  # (K,) s
+    values: np.ndarray  # (K,)
+    colour: str
+    held: bool  # constant over a stage
+
+
+class Chart(NamedTuple):
+    """Curves with one unit."""
+
+    title: str
+    ylabel: str
+    lines: tuple[Line, ...]
+
+
+def interactive(plan: Plan, proof: Proof | None) -> str:
+    """The charts of a plan and its replays as HTML with one data block; "" where there are none."""
+    replays = replays_of(proof)
+    charts = [chart for chart in _charts(plan, replays) if any(len(line.t) for line in chart.lines)]
+    if not charts:
+        return ""
+    start, end = float(plan.t[0]), float(plan.t[-1])
+    drawn = [_figure(i, chart, start, end) for i, chart in enumerate(charts)]
+    data = {
+        "start": start, "end": end, "speed": appearance_of(plan.problem).speed,
+        "box": [LEFT, TOP, WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM], "width": WIDTH,
+        "charts": [[_numbers(line) for line in chart.lines if line.kind != "bound"] for chart in charts],
+        "units": [unit_of(chart.ylabel) or chart.ylabel for chart in charts],
+    }  # fmt: skip
+    keys = ['<span class="key plan"></span> plan']
+    words = {False: ("open", MODE_WORDS["open-loop"]), True: ("gains", MODE_WORDS["feedback"])}
+    for kind, mode in (words[replay.feedback] for replay in replays):
+        keys.append(f'<span class="key {kind}"></span> MuJoCo, {mode}')
+    if any(line.kind == "bound" for chart in charts for line in chart.lines):
+        keys.append('<span class="key bound"></span> bound')
+    block = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no name can end the block
+    return (
+        f'<h2>Curves</h2>\n<p class="keys">{" &nbsp; ".join(keys)}</p>\n<div class="charts">\n'
+        + "\n".join(drawn)
+        + f'\n</div>\n<script type="application/json" id="curves">{block}</script>'
+    )
+
+
+def _charts(plan: Plan, replays: Sequence[Replay]) -> list[Chart]:
+    kinds = ["gains" if replay.feedback else "open" for replay in replays]
+    charts = []
+    for task in tasks_of(plan, list(replays)):
+        lines = []
+        for k, (name, hue) in enumerate(zip(task.names, cycle(HUES), strict=False)):
+            motions = zip(["plan", *kinds], task.motions, strict=False)
+            lines += [Line(name, kind, task.t, motion[:, k], _colour(kind, hue), False) for kind, motion in motions]
+            for side in (task.least, task.most):
+                if np.isfinite(side[:, k]).any():
+                    lines.append(Line(name, "bound", task.t, side[:, k], RED, False))
+        charts.append(Chart(task.title, task.ylabel, tuple(lines)))
+    for panel in panels_of(plan):
+        curves = curves_of(panel, plan, list(replays))
+        mixed = bool(panel.states and panel.controls)
+        for held in (False, True):
+            lines = []
+            for curve, hue in zip([one for one in curves if one.held == held], cycle(HUES), strict=False):
+                for kind, (t, values) in zip(["plan", *kinds], (curve.plan, *curve.replays), strict=False):
+                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), held))
+            ylabel = ", ".join(label for _, label in panel.controls) if mixed and held else panel.ylabel
+            if lines:
+                charts.append(Chart(panel.title, ylabel, tuple(lines)))
+    return charts
+
+
+def _colour(kind: str, hue: tuple[str, str, str]) -> str:
+    return hue[("plan", "gains", "open").index(kind)]
+
+
+def thinned(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Indices of the samples (K,) to keep: the ends, and the least and the largest of each piece of time."""
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) <= 2 * _PIECES:
+        return finite
+    kept = {int(finite[0]), int(finite[-1])}
+    for piece in np.array_split(finite, _PIECES):
+        kept |= {int(piece[np.argmin(values[piece])]), int(piece[np.argmax(values[piece])])}
+    return np.array(sorted(kept))
+
+
+def _numbers(line: Line) -> dict[str, Any]:
+    few = thinned(line.t, drawable(line.values))
+    return {
+        "label": line.label, "kind": line.kind, "held": line.held,
+        "t": [_short(value) for value in line.t[few]], "y": [_short(value) for value in line.values[few]],
+    }  # fmt: skip
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _figure(number: int, chart: Chart, start: float, end: float) -> str:
+    low, high = _limits(chart)
+    across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+
+    def x(t: float) -> float:
+        return LEFT + across * (t - start) / ((end - start) or 1.0)
+
+    def y(value: float) -> float:
+        return TOP + up * (high - value) / (high - low)
+
+    parts = []
+    for tick in _ticks(low, high):
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{y(tick) + 3.5:.1f}" text-anchor="end">{_words(tick)}</text>')
+    for tick in _ticks(start, end):
+        parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{TOP}" y2="{TOP + up}"/>')
+        parts.append(f'<text x="{x(tick):.1f}" y="{HEIGHT - 20}" text-anchor="middle">{_words(tick)}</text>')
+    parts.append(f'<text x="{LEFT + across / 2}" y="{HEIGHT - 5}" text-anchor="middle">time, s</text>')
+    middle = TOP + up / 2
+    turned = f'text-anchor="middle" transform="rotate(-90 12 {middle})"'
+    parts.append(f'<text x="12" y="{middle}" {turned}>{escape(chart.ylabel)}</text>')
+    order = {"open": 0, "gains": 1, "bound": 2, "plan": 3}
+    for line in sorted(chart.lines, key=lambda one: order[one.kind]):
+        shown = until_astray(line.values, (low, high)) if line.kind in ("open", "gains") else drawable(line.values)
+        few = thinned(line.t, shown)
+        if len(few):
+            points = _path([x(t) for t in line.t[few]], [y(value) for value in shown[few]], line.held)
+            parts.append(f'<polyline class="{line.kind}" stroke="{line.colour}" points="{points}"/>')
+    parts.append(f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{TOP + up}"/>')
+    names = [
+        f'<span style="color:{line.colour}">{escape(line.label)}</span>' for line in chart.lines if line.kind == "plan"
+    ]
+    body, label = "\n".join(parts), escape(f"{chart.title} over time, {chart.ylabel}")
+    return (
+        f'<figure class="chart"><figcaption><b>{escape(chart.title)}</b> {" ".join(names)}</figcaption>\n'
+        f'<svg data-chart="{number}" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">\n'
+        f"{body}\n</svg>\n<output></output></figure>"
+    )
+
+
+def _path(xs: Sequence[float], ys: Sequence[float], held: bool) -> str:
+    points = []
+    for i, (x, y) in enumerate(zip(xs, ys, strict=True)):
+        if held and i:
+            points.append(f"{x:.1f},{ys[i - 1]:.1f}")
+        points.append(f"{x:.1f},{y:.1f}")
+    return " ".join(points)
+
+
+def _limits(chart: Chart) -> tuple[float, float]:
+    """Least and largest value of the axis: all of the plan and of the bounds, of replays what is not astray."""
+    own = [line.values for line in chart.lines if line.kind in ("plan", "bound")]
+    (low, high), (lowest, highest) = range_of(own), range_of([line.values for line in chart.lines])
+    reach = ASTRAY * ((high - low) or math.inf)
+    low, high = max(lowest, low - reach), min(highest, high + reach)
+    if not high > low:
+        low, high = low - 1.0, high + 1.0
+    return low - _ROOM * (high - low), high + _ROOM * (high - low)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers between two limits."""
+    rough = (high - low) / _TICKS
+    if not rough > 0.0:
+        return [low]
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= rough)
+    return [step * k for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def _words(value: float) -> str:
+    return f"{value:.4g}".replace("-", MINUS)

@@ -1,0 +1,191 @@
+"""Look at a plan in MuJoCo's own viewer: its replays, the ghost of the plan, and perturbed simulations.
+
+The window is MuJoCo's passive one (mujoco.viewer.launch_passive), with its own camera, menus and keys. The motion is
+put into it pose by pose; nothing is simulated but the perturbed motions, when they are first asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import RenderingUnavailable
+from planner.base.gl import load_mujoco
+from planner.problem.default_appearance import appearance_of
+from planner.problem.plan import Plan
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay_in
+from planner.proof.robustness.case_replay import replay_case
+from planner.view.playing import Player
+from planner.view.render.apart import Outline, apart, behind, visibility
+from planner.view.render.camera import directions, scenery_of, whole_motion
+from planner.view.render.film import Film
+from planner.view.render.marks import Marks
+from planner.view.render.scene import ghost_paint
+from planner.view.render.setting import visible_model
+from planner.view.render.shapes import Paint, Shapes, without_shadow
+from planner.view.render.sticks import Sticks
+
+ROLLOUTS = 8
+_RATE = 60.0  # pictures a second
+_SAMPLES = 1000  # poses of a motion at most
+_ROLLOUT: Paint = (0.80, 0.20, 0.15, 0.13)
+_ASPECT = 1.6  # of the window, about
+_PATIENCE = 10.0  # s that MuJoCo's thread has to take its window down
+_CURE = "film it with: planner render PLAN --out film.mp4"
+
+
+def view(plan: Plan, *, rollouts: int = ROLLOUTS, speed: float | None = None,
+         each: Callable[[Player], object] | None = None) -> None:  # fmt: skip
+    """Open a window that plays a plan's replays, until it is closed.
+
+    Args:
+        plan: The plan; its problem has a twin.
+        rollouts: How many perturbed simulations key 7 shows.
+        speed: Of playback, 0.25 is four times slow motion; None takes the appearance's.
+        each: Called with the player before each picture; returns True to close the window.
+
+    Raises:
+        RenderingUnavailable: There is no display, or no window can be opened on it.
+    """
+    require_display()
+    assert plan.twin is not None
+    compiled = CompiledTwin(plan.twin)
+    replays = [replay_in(compiled, plan, feedback=feedback) for feedback in (False, True)]
+    start, end = float(plan.t[0]), float(plan.t[-1])
+    t = np.linspace(start, end, min(_SAMPLES, max(2, len(replays[0].t))))
+    shown = Shown([Film.of(replay, t) for replay in replays], _perturbed(plan, compiled, t, rollouts))
+    player = Player(end - start, appearance_of(plan.problem).speed if speed is None else speed)
+    viewer, others = importlib.import_module("mujoco.viewer"), set(threading.enumerate())
+    try:
+        window = viewer.launch_passive(
+            shown.model, shown.data, key_callback=player.press, show_left_ui=False, show_right_ui=False
+        )
+    except RuntimeError as error:  # on macOS the window must belong to the first thread
+        raise RenderingUnavailable(f"MuJoCo opens no window here ({error}); {_CURE}.") from error
+    with window:
+        with window.lock():
+            shown.place(window.cam)
+        before = time.monotonic()
+        while window.is_running() and not (each is not None and each(player)):
+            now = time.monotonic()
+            player.advance(now - before)
+            before = now
+            with window.lock():
+                shown.draw(window.user_scn, window.cam, player)
+            if hasattr(window, "set_texts"):  # since MuJoCo 3.3.1
+                window.set_texts((None, None, *player.words()))
+            window.sync()
+            time.sleep(max(0.0, 1.0 / _RATE - (time.monotonic() - now)))
+    for thread in set(threading.enumerate()) - others:  # a program that ends before its window is gone crashes
+        thread.join(_PATIENCE)
+
+
+def require_display() -> None:
+    """Check that a window can be opened.
+
+    Raises:
+        RenderingUnavailable: It cannot; the message says what to do.
+    """
+    linux = sys.platform.startswith("linux")
+    if linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RenderingUnavailable(
+            f"planner view needs a display and DISPLAY is not set; run it on a desktop or by ssh -X, or {_CURE}."
+        )
+    glfw: Any = importlib.import_module("glfw")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is wrong is said in one sentence
+        if not glfw.init():  # MuJoCo's own attempt would wait for ever
+            where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "this machine's"
+            raise RenderingUnavailable(f"planner view cannot open a window on the display {where}; {_CURE}.")
+
+
+class Shown:
+    """Replays, ghost and perturbed simulations as MuJoCo draws them at a time."""
+
+    def __init__(self, films: Sequence[Film], perturbed: Iterator[np.ndarray]) -> None:
+        """Take the films of the replays without and with gains; `perturbed` makes poses (F, nq) one by one."""
+        mujoco = load_mujoco()
+        self._films, self._perturbed, self._rollouts = films, perturbed, list[np.ndarray]()
+        self.model = visible_model(films[0])
+        self.data, self._other = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        seen = films[0].appearance
+        self._paint = ghost_paint(seen)
+        self._sticks = Sticks(self.model)
+        self._outline = Outline(self.model, scenery_of(self.model, seen)[0], self._sticks)
+        self._marks = [Marks(film, self.model, None) for film in films]
+        self._look_at, self._distance = whole_motion(films, self.model, seen, _ASPECT, True)
+        self._pixel = 2.0 * self._distance * np.tan(0.5 * np.radians(self.model.vis.global_.fovy)) / 720.0
+
+    def place(self, camera: Any) -> None:
+        """Put the camera where it sees the whole motion; from then on it is the user's."""
+        seen = self._films[0].appearance
+        camera.lookat[:], camera.distance = self._look_at, self._distance
+        camera.azimuth, camera.elevation = seen.azimuth, seen.elevation
+
+    def draw(self, scene: Any, camera: Any, player: Player) -> None:
+        """Pose the machine at the player's time, and fill the window's own `scene` with all that is beside it."""
+        mujoco, film, marks = load_mujoco(), self._films[player.gains], self._marks[player.gains]
+        t = film.t[0] + player.t
+        self._pose(self.data, _at(t, film.t, film.qpos))
+        scene.ngeom = 0
+        self._sticks.add(self.data, scene)
+        eye = camera.lookat - camera.distance * directions(camera.azimuth, camera.elevation)[0]
+        if player.ghost:
+            offset = np.asarray(film.appearance.ghost_offset)
+            self._add(scene, eye, _at(t, film.t, film.ghost_qpos), self._paint, offset)
+        if player.rollouts:
+            self._rollouts += [poses for poses in [next(self._perturbed, None)] if poses is not None]  # one a picture
+            for poses in self._rollouts:
+                self._add(scene, eye, _at(t, film.t, poses), _ROLLOUT, np.zeros(3))
+        marks.add(Shapes(scene, eye, self._distance, self._pixel), self.data, float(t))
+        mujoco.mj_comPos(self.model, self.data)
+
+    def _pose(self, data: Any, qpos: np.ndarray) -> None:
+        mujoco = load_mujoco()
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_camlight(self.model, data)
+        mujoco.mj_tendon(self.model, data)
+
+    def _add(self, scene: Any, eye: np.ndarray, qpos: np.ndarray, paint: Paint, offset: np.ndarray) -> None:
+        """Add the moving shapes in a pose, in one colour; as in films, none where they would flicker."""
+        mujoco, first = load_mujoco(), scene.ngeom
+        if not np.all(np.isfinite(qpos)):  # a simulation that exploded
+            return
+        self._pose(self._other, qpos)
+        back = 0.0
+        if not np.any(offset):
+            away = apart(self._outline.points(self.data), self._outline.points(self._other))
+            back, paint = behind(away, self._distance), (*paint[:3], paint[3] * visibility(away / self._pixel))
+        if paint[3] == 0.0:
+            return
+        kind = mujoco.mjtCatBit.mjCAT_DYNAMIC
+        mujoco.mjv_addGeoms(self.model, self._other, self._option, self._perturb, kind, scene)
+        self._sticks.add(self._other, scene)
+        for geom in scene.geoms[first : scene.ngeom]:
+            geom.pos[:] += offset + back * (geom.pos - eye)
+            geom.matid, geom.rgba[:] = -1, paint if geom.rgba[3] > 0.0 else 0.0
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+            without_shadow(geom)
+
+
+def _at(t: float, times: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """The pose (nq,) of those (F, nq) at the times (F,), linearly; between quaternions the difference is small."""
+    return np.array([np.interp(t, times, column) for column in poses.T])
+
+
+def _perturbed(plan: Plan, compiled: CompiledTwin, t: np.ndarray, number: int) -> Iterator[np.ndarray]:
+    """Poses (F, nq) of perturbed simulations with gains, at times t (F,), s, each computed when it is asked for."""
+    for k in range(number):
+        run = replay_case(plan, compiled, k)
+        yield np.stack([np.interp(t, run.t, column) for column in run.qpos.T], axis=-1)
