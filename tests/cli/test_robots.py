@@ -138,3 +138,16 @@ def test_a_file_without_a_unit_whose_ranges_are_radians_gets_it(tmp_path):
     problem = tomllib.loads(problem_text(tmp_path / "arm.xml", "arm", tmp_path))
     assert problem["model"] != str(tmp_path / "arm.xml")
     assert problem["start"][0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("heel", "leans"), [(0.3, False), (0.01, True)])
+def test_legs_that_topple_lean_at_the_ankle(tmp_path, heel, leans):
+    """A rod of 1 m whose foot begins 1 cm behind its ankle, and whose weight is 2 cm behind it, falls backwards."""
+    rod = f"""<mujoco><compiler angle="radian"/><worldbody><body name="rod" pos="0 0 1.05"><freejoint/>
+      <geom size="0.05" pos="-0.02 0 0" mass="10"/><body pos="0 0 -1"><joint name="ankle" axis="0 1 0" range="-1 1"/>
+      <geom type="box" size="{0.5 * (0.2 + heel)} 0.1 0.02" pos="{0.5 * (0.2 - heel)} 0 -0.03" mass="1"/></body></body>
+    </worldbody><actuator><motor joint="ankle"/></actuator></mujoco>"""
+    start = table_of(tmp_path, rod, "legged")["start"]
+    assert (start[7] != 0.0) == leans
+    if leans:  # the foot turns up in front of the shin, so that flat on the ground the rod leans forwards
+        assert -0.1 <= start[7] < 0.0

@@ -161,6 +161,16 @@ def test_given_derivatives_are_used():
         solve(point([wrong]))
 
 
+def test_what_stays_broken_is_given_up_while_it_is_cheap():
+    """Walls on both sides of the end: no price brings the violation below half of the distance between them."""
+    left = Constraint(lambda xs: xs[:, 0], least=0.9, name="left", unit="m")
+    right = Constraint(lambda xs: xs[:, 0], most=0.1, name="right", unit="m")
+    late = [dataclasses.replace(one, when="end") for one in (left, right)]
+    plan = solve(point(late))
+    assert plan.status is Status.OUTSIDE_LIMITS
+    assert plan.nit < 20  # 14 lines; 39 in all thirty rounds
+
+
 def test_what_cannot_be_kept_ends_with_its_name_and_a_plan(tmp_path):
     wall = Constraint(lambda xs: xs[:, 0], most=0.5, name="wall", unit="m")
     plan = solve(point([wall, THERE]), max_iterations=400)

@@ -104,12 +104,13 @@ def force_between(
     """
     mujoco, wrench = load_mujoco(), np.empty(6)
     forces, distances = [], []
-    for c in range(data.ncon):
-        contact = data.contact[c]
+    pairs = np.sort(data.contact.geom, axis=1)  # all at once: feet of many points have hundreds
+    for c in np.flatnonzero(np.all(pairs == sorted((shapes.own, shapes.other)), axis=1)):
+        contact = data.contact[int(c)]
         distance = 0.0 if at is None else float(np.linalg.norm(contact.pos - at))
-        if {int(geom) for geom in contact.geom} != {shapes.own, shapes.other} or distance > within:
+        if distance > within:
             continue
-        mujoco.mj_contactForce(model, data, c, wrench)
+        mujoco.mj_contactForce(model, data, int(c), wrench)
         sign = 1.0 if int(contact.geom[1]) == shapes.own else -1.0
         forces.append(sign * contact.frame.reshape(3, 3).T @ wrench[:3])
         distances.append(distance)
