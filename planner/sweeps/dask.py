@@ -22,6 +22,11 @@ LOCAL = "local"
 """In place of an address: a cluster on this machine."""
 
 CONNECTING = 10.0  # s to wait for a scheduler
+# Batches take half a second: what Dask otherwise looks after every few ms would take 4 % of a core all the time.
+_SELDOM = {
+    "distributed.admin.system-monitor.interval": "10s", "distributed.admin.tick.interval": "1s",
+    "distributed.scheduler.work-stealing-interval": "1s", "distributed.worker.profile.enabled": False,
+}  # fmt: skip
 
 
 class DaskExecutor(Executor):
@@ -103,10 +108,11 @@ def dask_executor(address: str, workers: int | None = None) -> Iterator[DaskExec
     config: Any = importlib.import_module("dask").config
     names = dict.fromkeys(ONE_THREAD, "1")
     # A batch that ends its worker is done again by planner, a task at a time.
-    with config.set({"distributed.scheduler.allowed-failures": 0, "distributed.nanny.pre-spawn-environ": names}):
+    own = {"distributed.scheduler.allowed-failures": 0, "distributed.nanny.pre-spawn-environ": names}
+    with config.set(_SELDOM | own):
         if address == LOCAL:
             cluster = distributed.LocalCluster(
-                n_workers=workers or processors(), threads_per_worker=1, processes=True, dashboard_address=None
+                n_workers=workers or processors(), threads_per_worker=1, processes=True, dashboard_address=":0"
             )
             with cluster, distributed.Client(cluster) as client:
                 yield DaskExecutor(client)

@@ -55,7 +55,7 @@ class LocalProcesses(Executor):
         self._ahead = 1  # calls that a process may have
         self._stopping = self._at_once = False
         # Pools answer in threads of their own, with locks held: one thread alone hands out, told by this queue.
-        self._events: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._events: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         try:
             self._workers += [_Worker(first) for _ in range(width)]

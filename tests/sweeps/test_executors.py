@@ -112,7 +112,7 @@ def test_ctrl_c_between_starts_keeps_the_best_so_far(processes):
 
 def test_rollouts_are_the_same_to_the_last_bit(processes, plan, monkeypatch):
     """Whatever the batches and the workers; threads of one process have a simulator each."""
-    trials, compiled = Trials(12), CompiledTwin(plan.twin)
+    trials, compiled = Trials(40), CompiledTwin(plan.twin)
     here = perturbed(plan, compiled, trials)
     monkeypatch.setattr(batches, "_FEWEST", 3)
     with ThreadPoolExecutor(3) as threads:

@@ -33,6 +33,7 @@ class Batches:
 
     def __init__(self, simulator: Rollouts, size: int, executor: Executor | None) -> None:
         self.simulator, self.size, self.executor = simulator, size, executor
+        self.together = 0 if executor is None else _FEWEST * width_of(executor)  # rollouts that keep all workers busy
         self._mark = uuid4().hex
 
     def run(self, draws: Sequence[Draw], mode: str, deadline: float = math.inf) -> Iterator[np.ndarray]:

@@ -49,7 +49,8 @@ class Campaign:
     def run(self) -> None:
         """Run what is missing; OutOfTime after the deadline."""
         margins = len(MODES) * _MOST_LEVELS * self.per_level
-        while (look := next_look(self._won("cases", "feedback"), self.asked)) is not None:
+        while (look := next_look(won := self._won("cases", "feedback"), self.asked)) is not None:
+            look = max(look, min(len(won) + self._batches.together, self.asked))  # those beyond a look may not count
             self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
         self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
         for mode in MODES[::-1]:
