@@ -10,7 +10,7 @@ PYTEST_FLAGS ?= -n 2 --dist loadfile
 GALLERY = renders/gallery
 
 .DEFAULT_GOAL = run
-.PHONY: run test test-slow test-all lint docs gallery clean help setup setup-test
+.PHONY: run test test-slow test-all lint docs linkcheck gallery clean help setup setup-test
 
 run: setup ## plan, prove and film the hopper into renders/hopper (the default)
 	@$(PLANNER) run hopper --out renders/hopper
@@ -33,6 +33,10 @@ lint: ## check style and types
 docs: ## build the documentation site: docs/_build/index.html
 	@.ci/setup docs
 	$(PYTHON) -m sphinx -W --keep-going -q -b html -d docs/_build/.doctrees docs docs/_build
+
+linkcheck: ## ask every link out of the documentation whether it still answers; needs the network
+	@.ci/setup docs
+	$(PYTHON) -m sphinx -W --keep-going -q -b linkcheck -d docs/_build/.doctrees docs docs/_build/linkcheck
 
 gallery: setup ## make the committed pictures and videos again
 	@mkdir -p $(GALLERY)

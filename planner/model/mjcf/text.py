@@ -164,7 +164,8 @@ def _standing_alone(
                 part = _standing_alone(*_read(where, reading.budget, reading.parents), assets, files)
                 content = ElementTree.tostring(part)
             elif content is None:
-                content = read_input(where, f"{file!r} that the model names at", raises=ModelError)
+                plain = where if os.path.isfile(where) else Path(os.path.normpath(where))  # a message without a/../b
+                content = read_input(plain, f"{file!r} that the model names at", raises=ModelError)
             if key == "file" and element.tag in ("mesh", "hfield", "texture"):  # MuJoCo would name it after the file
                 element.attrib.setdefault("name", Path(file).stem)
             element.set(key, _stored(Path(file).name, content, files))
