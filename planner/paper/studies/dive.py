@@ -22,7 +22,7 @@ from planner.problem.guess import rolled
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import replay
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, grid_of, save
+from planner.view.plots.style import HUES, INK, dress, grid_of, legend_below, save
 
 DIVES = ((1.5, 0.0, 4.0), (1.5, 1.0, 4.0), (2.5, 0.0, 6.0))  # somersaults, twists, rad/s at take-off
 SHOWN = 1  # the default one: it is drawn, and its momentum is followed
@@ -156,29 +156,38 @@ def _orders(kind: dict[str, Any]) -> list[str]:
     return ["", *(f"{order:.2f}" for order in kind["orders"])]
 
 
+_SIDES = {"left": HUES[0][1], "right": HUES[1][1]}
+
+
 def _draw(results: dict[str, Any], path: Path) -> None:
     """Joint angles, torques, the change of momentum along the plan and by step, into a PNG."""
-    figure, grid = grid_of(2, 2, 14.0, 8.0)
     shown = results["shown"]
-    t = np.array(shown["t_s"])
-    for axes, key, title, unit in (
-        (grid[0, 0], "angles_rad", "Joints", "angle, rad"), (grid[0, 1], "torques_Nm", "Motors", "torque, N m"),
-    ):  # fmt: skip
-        for i, (name, values) in enumerate(shown[key].items()):
-            axes.plot(t[: len(values)], values, lw=1.4, color=f"C{i % 10}", ls="-" if i < 10 else "--",
-                      label=name.replace("_", " "))  # fmt: skip
-        dress(axes, title, unit, "time, s")
-    grid[0, 1].legend(frameon=False, fontsize=8, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    along = grid[1, 0]
-    along.semilogy(t[1:], np.maximum(shown["change_of_momentum"][1:], 1e-17), lw=1.6)
+    t, groups = np.array(shown["t_s"]), dict[str, list[str]]()
+    for name in shown["angles_rad"]:  # the same joint at the left and at the right shares a panel
+        groups.setdefault(name.replace("left_", "").replace("right_", "").replace("_", " "), []).append(name)
+    figure, grid = grid_of(3, len(groups), 2.1 * len(groups), 7.2)
+    for row, (key, unit) in zip(grid, (("angles_rad", "angle, rad"), ("torques_Nm", "torque, N m")), strict=False):
+        for column, (joint, names) in enumerate(groups.items()):
+            axes = row[column]
+            axes.sharey(row[0])
+            for name in names:
+                values, side = shown[key][name], name.split("_")[0]
+                axes.plot(t[: len(values)], values, lw=1.6, color=_SIDES.get(side, INK), label=side)
+            dress(axes, joint, "" if column else unit, "time, s")
+    handles = [next(line for axes in grid[0] for line in axes.lines if line.get_label() == side) for side in _SIDES]
+    for axes in grid[2]:
+        axes.remove()
+    cells, half = grid[2][0].get_gridspec(), len(groups) // 2
+    along, steps = figure.add_subplot(cells[2, :half]), figure.add_subplot(cells[2, half:])
+    along.semilogy(t[1:], np.maximum(shown["change_of_momentum"][1:], 1e-17), lw=1.6, color=INK)
     dress(along, "Angular momentum along the plan", "change, relative", "time, s")
-    steps = grid[1, 1]
-    for (kind, found), order in zip(results["momentum"]["by_step"].items(), (1, 4), strict=True):
+    for (kind, found), order, hue in zip(results["momentum"]["by_step"].items(), (1, 4), HUES, strict=False):
         dt, change = np.array(found["dt"]), np.array(found["change"])
-        (line,) = steps.loglog(dt, change, marker="o", label=kind)
-        steps.loglog(dt, change[-1] * (dt / dt[-1]) ** order, ls=":", color=line.get_color(), label=f"order {order}")
+        steps.loglog(dt, change, marker="o", ms=4, color=hue[1], label=kind)
+        steps.loglog(dt, change[-1] * (dt / dt[-1]) ** order, ls=":", color=hue[0], label=f"order {order}")
     dress(steps, "Angular momentum by step", "change, relative", "step, s")
-    steps.legend(frameon=False)
+    steps.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    legend_below(figure, handles)
     save(figure, path)
 
 

@@ -26,7 +26,7 @@ from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.free_time import solve_for
-from planner.view.plots.style import dress, grid_of, save
+from planner.view.plots.style import HUES, dress, grid_of, legend_below, save
 
 BOUND = 15.0
 """N m of both motors: the arm stretched out needs 9.8 to be held, its motion of least jerk 12.7."""
@@ -228,10 +228,10 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     for (name, (motion, bound)), (top, bottom) in zip(motions.items(), grid.T, strict=True):
         t, q, u = (np.array(motion[key]) for key in ("t_s", "q_rad", "u_Nm"))
         for i, joint in enumerate(("shoulder", "elbow")):
-            top.plot(t, q[:, i], color=f"C{i}", label=joint)
+            top.plot(t, q[:, i], color=HUES[i][1], label=joint)
         motors = ("shoulder", "elbow") if u.shape[1] == 2 else ("elbow",)
         for i, motor in enumerate(motors):
-            colour = f"C{i + 2 - len(motors)}"
+            colour = HUES[i + 2 - len(motors)][1]
             bottom.stairs(u[:, i], t, baseline=None, color=colour, label=motor)
         on = (np.abs(u) > (1.0 - AT_BOUND) * bound).any(axis=1)
         for begin, stop, active in zip(t[:-1], t[1:], on, strict=True):
@@ -245,7 +245,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         first = top is grid[0, 0]
         dress(top, f"{name}\n{t[-1]:.3g} s", "joint angle, rad" if first else "")
         dress(bottom, "", "torque, N m" if first else "", "time, s")
-    grid[0, 2].legend(frameon=False, loc="center left")
+    legend_below(figure, grid[0, 0].lines)
     figure.suptitle("dashed: bounds of the torques; grey: one of them is on its bound", fontsize="medium")
     save(figure, path)
 

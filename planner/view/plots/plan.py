@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 STANCE = "#ece7dc"
 
+_ALWAYS = 0.95  # of the time: contact that lasts longer is not shaded, or every panel would be
 _PAST_AXIS = 1.17  # where names stand beside a right-hand axis, in widths of the panel
 
 
@@ -59,6 +60,7 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
     replays = replays_of(shown)
     tasks, panels = tasks_of(plan, replays), panels_of(plan)
     touched = [replay for replay in replays if np.any(replay.contact_force > 0)]
+    shaded = any(np.mean(replay.contact_force > 0) < _ALWAYS for replay in touched)
     chains = _chains(plan)
     figure, cells = figure_of(len(tasks) + len(panels) + bool(touched) + len(chains) + 1)
     timed: list[Axes] = []
@@ -74,14 +76,14 @@ def draw_plan(plan: Plan, shown: Proof | Replay | None) -> Figure:
         timed.append(_draw_chains(figure, cell, unit, curves, plan))
     for axes in timed:
         axes.set_xlim(0.0, float(plan.t[-1]))
-        if touched:
+        if shaded:
             stance = (shown if isinstance(shown, Replay) else shown.replay) if shown is not None else touched[0]
             axes.fill_between(
                 stance.t, 0.0, 1.0, where=stance.contact_force > 0, transform=axes.get_xaxis_transform(),
                 color=STANCE, lw=0, zorder=0,
             )  # fmt: skip
     draw_convergence(figure.add_subplot(cells[-1]), plan)
-    _head(figure, plan, replays, bool(touched))
+    _head(figure, plan, replays, shaded)
     return figure
 
 

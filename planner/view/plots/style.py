@@ -104,7 +104,8 @@ def dress(axes: Axes, title: str, ylabel: str, xlabel: str = "") -> None:
         axes.set_title(title, fontsize=9.5, loc="left", color=INK)
     axes.set_ylabel(ylabel, fontsize=8.5)
     axes.xaxis.label.set_fontsize(8.5)
-    axes.tick_params(labelsize=8, color="#999999", length=3)
+    axes.tick_params(which="both", labelsize=8, color="#999999")
+    axes.tick_params(length=3)
     axes.grid(True, color="#d9d9d9", lw=0.5)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
