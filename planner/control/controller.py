@@ -120,7 +120,7 @@ class Controller:
     def _keeps_goal(self) -> bool:
         """Whether some control keeps the goal, as far as the task states a state to keep."""
         goal = tracking_of(self.problem.cost)
-        frames = any(isinstance(one, ResidualCost) for one in terms_of(self.problem.cost))
+        frames = any(isinstance(one, ResidualCost) and one.goal_rows() for one in terms_of(self.problem.cost))
         if goal is None or frames or not np.any(goal.Q[-1]):
             return True
         try:

@@ -5,7 +5,8 @@
     survives   the largest push at any of 20 times, the latency and the mass with which it still ends near every goal
 
 A machine that differs from the planned one, or is pushed, passes within five tolerances: the rule of the proof's
-perturbed rollouts.
+perturbed rollouts. Where a case has a rule of its own for these, the way of a step or the rest at a hop's apex, that
+rule decides.
 
 What is measured and bounded is said in the words of a proof: Sections of Measured values.
 """
@@ -28,7 +29,7 @@ from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.campaign import LEVELS
 from planner.proof.robustness.pushes import Push
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES
+from planner.proof.robustness.success_rule import GOAL_TOLERANCES, Rule, rule_of
 from planner.proof.tracking import misses, word_of
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
@@ -120,6 +121,13 @@ def _goals(loop: Loop) -> tuple[Goal, ...]:
 
 def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
     """When every goal of the end is within its tolerance first, and how far those at their times are missed."""
+    rule = _own_rule(loop)
+    if rule is not None:
+        late = not loop.t[-1] >= loop.controller.problem.duration - 1e-9
+        if late:
+            return Section("arrives", not_applicable="the loop ends before the task does")
+        missed = Measured("missed", float(not _won(loop, rule)), "", 0.0, f"{rule.words}: 0 where it does")
+        return Section("arrives", (missed,))
     if not goals:
         return Section("arrives", not_applicable="no goal was asked for")
     end, T = [one for one in goals if one.times is None], loop.controller.problem.duration
@@ -146,6 +154,8 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
     end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
     if not end:
         return Section("stays", not_applicable="no goal of the end was asked for")
+    if _own_rule(loop) is not None:
+        return Section("stays", not_applicable="the case's own rule is of the task, not of what comes after it")
     if not getattr(loop.controller, "keeps_goal", True):
         return Section("stays", not_applicable="no control keeps the goal, which is met at the end of the task alone")
     last, found = loop.t >= loop.t[-1] - LAST, []
@@ -208,12 +218,30 @@ def _calls(loop: Loop) -> Section:
 
 
 def survives(loop: Loop) -> bool:
-    """Whether a loop ends within five tolerances of every goal, as a perturbed rollout of a proof must."""
-    goals = [one for one in goals_of(loop.controller.problem, loop.controller.plan.xs) if one.times is None]
-    end = loop.xs[-1:]
-    if not np.isfinite(end).all():
+    """Whether a loop succeeds by the rule of a proof's perturbed rollouts: near every goal, or the case's own."""
+    return _won(loop, rule_of(loop.controller.plan))
+
+
+def _own_rule(loop: Loop) -> Rule | None:
+    """The case's own rule for machines that are not as planned, or None."""
+    own = loop.controller.problem.requirements
+    return None if own is None or (own.success is None and own.follows is None) else rule_of(loop.controller.plan)
+
+
+def _won(loop: Loop, rule: Rule) -> bool:
+    """Whether a loop succeeds by a rule: the way at the stages of the task, or its end.
+
+    Where the goal stays the end is the loop's, else the task's.
+    """
+    plan = loop.controller.plan
+    stages = np.arange(min(plan.N, (len(loop.t) - 1) // loop.substeps) + 1)
+    way = loop.xs[stages * loop.substeps]
+    if not np.isfinite(loop.xs).all():
         return False
-    return all(bool(one.missed(end)[0] <= GOAL_TOLERANCES * one.tolerance) for one in goals)
+    if rule.follows is not None:
+        return bool(rule.follows(way[None], plan.xs[stages], stages)[0])
+    stays = _own_rule(loop) is None and getattr(loop.controller, "keeps_goal", True)
+    return bool(rule.won(loop.xs[-1:] if stays else way[-1:])[0])
 
 
 def margins(
