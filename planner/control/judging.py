@@ -24,12 +24,12 @@ from planner.control.controller import Controller
 from planner.control.simulating import Loop, simulate
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import Goal, goals_of
+from planner.problem.goals import LEAST, Goal, goals_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.campaign import LEVELS
 from planner.proof.robustness.pushes import Push
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES, Rule, rule_of
+from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, Rule, rule_of
 from planner.proof.tracking import misses, word_of
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
@@ -170,7 +170,11 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
 
 
 def _follows(loop: Loop) -> Section:
-    """How far the machine is from a goal that moves, over the second half."""
+    """How far the machine is from a goal that moves, over the second half.
+
+    It follows within a tenth of the range over which the goal moves, as a perturbed rollout must follow its plan; of a
+    goal that hardly moves within five of the least tolerances.
+    """
     assert loop.goal is not None
     half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
     problem, found = loop.controller.problem, []
@@ -182,8 +186,10 @@ def _follows(loop: Loop) -> Section:
             there = np.array([np.atleast_2d(loop.goal(float(t))[frame])[0] for t in loop.t[half]])
             finite = np.isfinite(q).all()
             off = np.linalg.norm(frame_pose(m, q, frame)[:, :3, 3] - there, axis=1) if finite else np.array([np.inf])
+            bound = _near_moving(float(np.linalg.norm(np.ptp(there, axis=0))), "m")
+            note = "largest over the second half; bound: a tenth of the goal's own way"
             found += [
-                Measured(f"{frame}_from_its_goal", float(off.max()), "m", None, "largest over the second half"),
+                Measured(f"{frame}_from_its_goal", float(off.max()), "m", bound, note),
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
@@ -192,10 +198,16 @@ def _follows(loop: Loop) -> Section:
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):
         columns = [i for i, one in enumerate(coordinates) if one.unit == unit]
-        found.append(
-            Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, None, "largest, second half")
-        )
+        way = loop.plan.space.difference(there, there[:1])[:, columns]
+        bound = _near_moving(float(np.ptp(way, axis=0).max()), unit)
+        note = "largest over the second half; bound: a tenth of the goal's own range"
+        found.append(Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, bound, note))
     return Section("follows", tuple(found))
+
+
+def _near_moving(way: float, unit: str) -> float:
+    """How near a machine must be to a goal that moves over such a range."""
+    return max(OF_RANGE * way, GOAL_TOLERANCES * LEAST.get(unit, 0.0))
 
 
 def _calls(loop: Loop) -> Section:

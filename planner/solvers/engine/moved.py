@@ -13,7 +13,7 @@ LITTLE = 1e-6  # of a stage: instants that are nearer are the same
 
 
 def move(to: Motion, motion: Motion, stages: float, space: StateSpace) -> int:
-    """Write states and controls, moved on by some stages, which need not be whole; what is beyond its end repeats its last.
+    """Write states and controls, moved on by some stages, which need not be whole; beyond the end the last repeats.
 
     Args:
         to: Where to.
