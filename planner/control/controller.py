@@ -107,7 +107,7 @@ class Controller:
         self._engine = self._window.engine
         nx, nu, ndx = problem.dynamics.nx, problem.dynamics.nu, self._space.ndx
         self._xs, self._us, self._K = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
-        self._next = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
+        self._next = np.zeros((H + 1, nx)), np.zeros((H, nu))
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, nu)):
             raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
@@ -120,7 +120,7 @@ class Controller:
     def _keeps_goal(self) -> bool:
         """Whether some control keeps the goal, as far as the task states a state to keep."""
         goal = tracking_of(self.problem.cost)
-        frames = any(isinstance(one, ResidualCost) for one in terms_of(self.problem.cost))
+        frames = any(isinstance(one, ResidualCost) and one.goal_rows() for one in terms_of(self.problem.cost))
         if goal is None or frames or not np.any(goal.Q[-1]):
             return True
         try:
@@ -169,11 +169,8 @@ class Controller:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         N, H = self.plan.N, self.horizon
         n = np.minimum(np.arange(H), N - 1)
-        self._xs[:], self._us[:], self._K[:] = (
-            self.plan.xs[np.minimum(np.arange(H + 1), N)],
-            self.plan.us[n],
-            self.plan.K[n],
-        )
+        self._xs[:], self._us[:] = self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n]
+        self._K = self.plan.K[n]
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -270,7 +267,7 @@ class Controller:
     def _solve(self, t: float, x: np.ndarray) -> str:
         """Moves the plan on to (t, x) and improves it; "" or why it could not."""
         engine, began = self._engine, time.perf_counter()
-        if not np.isfinite(x).all():
+        if not math.isfinite(x.dot(x)):
             return "the measured state is not finite"
         cost = engine.follow(x, (self._xs, self._us, self._K), (t - self._made) / self._dt)
         if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
@@ -296,11 +293,11 @@ class Controller:
         if not math.isfinite(slope):
             return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
-        xs, us, K = self._next
-        engine.read(xs, us, K)
-        if not (math.isfinite(cost) and np.abs(xs[-1]).max() < RUNAWAY):
+        xs, us = self._next
+        K = engine.read(xs, us)
+        if not (math.isfinite(cost) and xs[-1].dot(xs[-1]) < RUNAWAY**2):
             return "the plan is not finite"
-        self._next, (self._xs, self._us, self._K) = (self._xs, self._us, self._K), (xs, us, K)
+        self._next, (self._xs, self._us, self._K) = (self._xs, self._us), (xs, us, K)
         return ""
 
     def _within(self, began: float, done: int) -> bool:
@@ -335,11 +332,13 @@ class Controller:
         if n >= self.horizon and self.status is not Doing.PLANNING:
             self._hold(t, "the plan has ended")
         at = min(int((t - self._begin) / self._dt + _LITTLE), self.problem.N - 1)
-        if self.status is Doing.HOLDING:
+        if not math.isfinite(x.dot(x)):  # nothing is known of such a state
+            u = self._acting
+        elif self.status is Doing.HOLDING:
             u = self._holding(x, self._us[-1])
         else:
             n = min(n, self.horizon - 1)
-            u = self._us[n] + self._K[n] @ self._space.difference(x, self.expected(t))
+            u = self._us[n] + self._K[n] @ self._space.single_difference(x, self.expected(t))
         return u if self._bounds is None else self._bounds.clip(at, u, x)
 
     def expected(self, t: float) -> np.ndarray:

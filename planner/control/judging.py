@@ -5,7 +5,8 @@
     survives   the largest push at any of 20 times, the latency and the mass with which it still ends near every goal
 
 A machine that differs from the planned one, or is pushed, passes within five tolerances: the rule of the proof's
-perturbed rollouts.
+perturbed rollouts. Where a case has a rule of its own for these, the way of a step or the rest at a hop's apex, that
+rule decides.
 
 What is measured and bounded is said in the words of a proof: Sections of Measured values.
 """
@@ -23,12 +24,12 @@ from planner.control.controller import Controller
 from planner.control.simulating import Loop, simulate
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import Goal, goals_of
+from planner.problem.goals import LEAST, Goal, goals_of
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.campaign import LEVELS
 from planner.proof.robustness.pushes import Push
-from planner.proof.robustness.success_rule import GOAL_TOLERANCES
+from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, Rule, rule_of
 from planner.proof.tracking import misses, word_of
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
@@ -120,6 +121,13 @@ def _goals(loop: Loop) -> tuple[Goal, ...]:
 
 def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
     """When every goal of the end is within its tolerance first, and how far those at their times are missed."""
+    rule = _own_rule(loop)
+    if rule is not None:
+        late = not loop.t[-1] >= loop.controller.problem.duration - 1e-9
+        if late:
+            return Section("arrives", not_applicable="the loop ends before the task does")
+        missed = Measured("missed", float(not _won(loop, rule)), "", 0.0, f"{rule.words}: 0 where it does")
+        return Section("arrives", (missed,))
     if not goals:
         return Section("arrives", not_applicable="no goal was asked for")
     end, T = [one for one in goals if one.times is None], loop.controller.problem.duration
@@ -146,6 +154,8 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
     end = [one for one in goals if one.times is None and np.isfinite(one.tolerance)]
     if not end:
         return Section("stays", not_applicable="no goal of the end was asked for")
+    if _own_rule(loop) is not None:
+        return Section("stays", not_applicable="the case's own rule is of the task, not of what comes after it")
     if not getattr(loop.controller, "keeps_goal", True):
         return Section("stays", not_applicable="no control keeps the goal, which is met at the end of the task alone")
     last, found = loop.t >= loop.t[-1] - LAST, []
@@ -160,7 +170,11 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
 
 
 def _follows(loop: Loop) -> Section:
-    """How far the machine is from a goal that moves, over the second half."""
+    """How far the machine is from a goal that moves, over the second half.
+
+    It follows within a tenth of the range over which the goal moves, as a perturbed rollout must follow its plan; of a
+    goal that hardly moves within five of the least tolerances.
+    """
     assert loop.goal is not None
     half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
     problem, found = loop.controller.problem, []
@@ -172,8 +186,10 @@ def _follows(loop: Loop) -> Section:
             there = np.array([np.atleast_2d(loop.goal(float(t))[frame])[0] for t in loop.t[half]])
             finite = np.isfinite(q).all()
             off = np.linalg.norm(frame_pose(m, q, frame)[:, :3, 3] - there, axis=1) if finite else np.array([np.inf])
+            bound = _near_moving(float(np.linalg.norm(np.ptp(there, axis=0))), "m")
+            note = "largest over the second half; bound: a tenth of the goal's own way"
             found += [
-                Measured(f"{frame}_from_its_goal", float(off.max()), "m", None, "largest over the second half"),
+                Measured(f"{frame}_from_its_goal", float(off.max()), "m", bound, note),
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
@@ -182,10 +198,16 @@ def _follows(loop: Loop) -> Section:
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):
         columns = [i for i, one in enumerate(coordinates) if one.unit == unit]
-        found.append(
-            Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, None, "largest, second half")
-        )
+        way = loop.plan.space.difference(there, there[:1])[:, columns]
+        bound = _near_moving(float(np.ptp(way, axis=0).max()), unit)
+        note = "largest over the second half; bound: a tenth of the goal's own range"
+        found.append(Measured(f"{word_of(unit)}_from_its_goal", float(off[:, columns].max()), unit, bound, note))
     return Section("follows", tuple(found))
+
+
+def _near_moving(way: float, unit: str) -> float:
+    """How near a machine must be to a goal that moves over such a range."""
+    return max(OF_RANGE * way, GOAL_TOLERANCES * LEAST.get(unit, 0.0))
 
 
 def _calls(loop: Loop) -> Section:
@@ -208,12 +230,30 @@ def _calls(loop: Loop) -> Section:
 
 
 def survives(loop: Loop) -> bool:
-    """Whether a loop ends within five tolerances of every goal, as a perturbed rollout of a proof must."""
-    goals = [one for one in goals_of(loop.controller.problem, loop.controller.plan.xs) if one.times is None]
-    end = loop.xs[-1:]
-    if not np.isfinite(end).all():
+    """Whether a loop succeeds by the rule of a proof's perturbed rollouts: near every goal, or the case's own."""
+    return _won(loop, rule_of(loop.controller.plan))
+
+
+def _own_rule(loop: Loop) -> Rule | None:
+    """The case's own rule for machines that are not as planned, or None."""
+    own = loop.controller.problem.requirements
+    return None if own is None or (own.success is None and own.follows is None) else rule_of(loop.controller.plan)
+
+
+def _won(loop: Loop, rule: Rule) -> bool:
+    """Whether a loop succeeds by a rule: the way at the stages of the task, or its end.
+
+    Where the goal stays the end is the loop's, else the task's.
+    """
+    plan = loop.controller.plan
+    stages = np.arange(min(plan.N, (len(loop.t) - 1) // loop.substeps) + 1)
+    way = loop.xs[stages * loop.substeps]
+    if not np.isfinite(loop.xs).all():
         return False
-    return all(bool(one.missed(end)[0] <= GOAL_TOLERANCES * one.tolerance) for one in goals)
+    if rule.follows is not None:
+        return bool(rule.follows(way[None], plan.xs[stages], stages)[0])
+    stays = _own_rule(loop) is None and getattr(loop.controller, "keeps_goal", True)
+    return bool(rule.won(loop.xs[-1:] if stays else way[-1:])[0])
 
 
 def margins(

@@ -41,8 +41,8 @@ class Window:
     Args:
         problem: With a TrackingCost and costs of residuals (frames, penalties), as tasks and problem files have them.
         H: Stages of the window.
-        keeps: Whether the goal stays past the end of the task; for one that no control keeps, the apex of a hop, the
-            end of the task is weighed when it comes and nothing after it but the way's own weights.
+        keeps: Whether the goal stays past the end of the task. Where no control keeps it, the apex of a hop or the end
+            of a stride, the end of the task is weighed when it comes, and after it the effort alone.
 
     Attributes:
         problem: The window's own, of H stages from the start.
@@ -61,13 +61,13 @@ class Window:
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
-        resting = (tracking.Q[N - 1] if N > 1 else 0.0) + keeps * dt * tracking.Q[N]
+        resting = keeps * ((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
-        self._final, self._last = tracking.Q[N], tracking.Q[N - 1] if N > 1 else 0.0 * tracking.Q[N]
+        self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
         self.keeps = keeps
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
         self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
-        self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, keeps * dt)
+        self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, dt, keeps)
         self._frames, self._points = _frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
         Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
@@ -247,12 +247,12 @@ def _parts(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
     return tracking[0], residuals
 
 
-def _lengthened(measures: ResidualArrays, H: int, dt: float) -> ResidualArrays:
-    """The terms of a whole task and of H stages after it, where the end's weights go on per second."""
+def _lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:
+    """The terms of a whole task and of H stages after it, where the end's weights go on per second if it is kept."""
     N = measures.weight.shape[1] - 1
     longer = measures.along(np.minimum(np.arange(N + H + 1), N))
     weight, bound = np.array(longer.weight), np.array(longer.bound)
-    weight[:, N + 1 :] = (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
+    weight[:, N + 1 :] = keeps * (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
     # A window that ends before the task does asks its end for the goal, whose rows are off there.
     off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
     bound = np.where(off, measures.bound[:, -1:], bound)

@@ -9,6 +9,7 @@ quaternions, as in MuJoCo's mj_integratePos and mj_differentiatePos.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -50,6 +51,26 @@ class StateSpace:
         dx[..., in_dx] = x[..., in_x] - x_ref[..., in_x]
         for i, j in self.quaternions:
             dx[..., j : j + 3] = log_quaternion(product(conjugate(x_ref[..., i : i + 4]), x[..., i : i + 4]))
+        return dx
+
+    def single_difference(self, x: np.ndarray, x_ref: np.ndarray) -> np.ndarray:
+        """The same of single states (nx,), by scalars: NumPy takes microseconds for each product of four numbers."""
+        if not self.quaternions:
+            return x - x_ref
+        dx = np.empty(self.ndx)
+        in_x, in_dx = self._vector
+        dx[in_dx] = x[in_x] - x_ref[in_x]
+        for i, j in self.quaternions:
+            (w, a, b, c), (W, A, B, C) = x[i : i + 4].tolist(), x_ref[i : i + 4].tolist()
+            real = W * w + A * a + B * b + C * c  # of conj(x_ref) x
+            v = (
+                W * a - w * A - (B * c - C * b),
+                W * b - w * B - (C * a - A * c),
+                W * c - w * C - (A * b - B * a),
+            )  # fmt: skip
+            sine, sign = math.hypot(*v), -1.0 if real < 0.0 else 1.0
+            scale = 2.0 * sign * (math.atan2(sine, sign * real) / sine if sine > 1e-12 else 1.0)
+            dx[j : j + 3] = scale * v[0], scale * v[1], scale * v[2]
         return dx
 
     def integrate(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:

@@ -168,3 +168,23 @@ def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, contr
         controller.goal = {"hand": [0, 0, 0]}
     with pytest.raises(planner.PlannerError, match="not planned yet"):
         planner.Controller(problem).control(0.0, problem.x0)
+
+
+def test_a_state_that_is_not_finite_keeps_the_control(problem, controller):
+    controller.reset()
+    u = controller(0.0, problem.x0)
+    dt = problem.dynamics.dt
+    for k in range(1, controller.patience + 2):  # until it holds, and on
+        np.testing.assert_array_equal(controller(k * dt, np.full(problem.dynamics.nx, np.nan)), u)
+    assert controller.failures == controller.patience + 1
+
+
+def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
+    controller.reset()
+    controller(0.0, problem.x0)
+    kept = [part.copy() for part in (controller._xs, controller._us, controller._K)]
+    controller(problem.dynamics.dt, np.full(problem.dynamics.nx, np.inf))  # fails
+    controller._engine.follow(problem.x0, (controller._xs, controller._us, controller._K), 2.0)
+    controller._engine.sweep(0.0, True)
+    for part, before in zip((controller._xs, controller._us, controller._K), kept, strict=True):
+        np.testing.assert_array_equal(part, before)

@@ -169,3 +169,14 @@ def test_jacobians_of_log_and_exp(size):
     for k, axis in enumerate(np.eye(3)):  # exp(r + e) = exp(r) exp(Jr e)
         expected = slope(lambda t, axis=axis: log_quaternion(product(Q, exp_quaternion(vectors + t * axis))))
         np.testing.assert_allclose(of_exp[:, :, k], expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-8, 0.0])
+def test_a_single_difference_is_that_of_arrays(scale):
+    space, rng = StateSpace(9, 8, ((2, 2),)), np.random.default_rng(0)
+    for sign in (1.0, -1.0):
+        x = rng.standard_normal(9)
+        x[2:6] /= np.linalg.norm(x[2:6])
+        other = x + scale * rng.standard_normal(9)
+        other[2:6] *= sign / np.linalg.norm(other[2:6])
+        np.testing.assert_allclose(space.single_difference(x, other), space.difference(x, other), atol=1e-13)

@@ -158,6 +158,10 @@ class Workspace:
         """Make candidate `lane` the nominal trajectory."""
         self.xs[:], self.us[:] = self.trial(lane)
 
+    def use_gains(self, K: np.ndarray, address: int) -> None:
+        """Have kernels read and write the gains in another array like K, at this address."""
+        self.K, self.table[W.K] = K, address
+
     def use_second_order(self, exact: bool, held: bool = False) -> None:
         """Whether the sweep adds T or, with `held`, `held` in its place. Memory is taken when it is first asked for."""
         N, width = len(self.us), self.T.shape[1]

@@ -82,9 +82,9 @@ class NumpyEngine(Engine):
 
     def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
-        xs, us, K = (np.empty_like(part) for part in trajectory)
-        move((xs, us, K), trajectory, stages, self._space)
-        first = us[:, None, :]
+        xs, us, K = np.empty_like(trajectory[0]), np.empty_like(trajectory[1]), trajectory[2]
+        m = move((xs, us), trajectory[:2], stages, self._space)
+        K, first = K[np.minimum(np.arange(m, m + len(K)), len(K) - 1)], us[:, None, :]
         states, J = self._rollout(x0, first, K, xs)
         self._nominal = states[:, 0].copy(), first[:, 0].copy()
         return float(J[0])
@@ -247,9 +247,10 @@ class NumpyEngine(Engine):
         """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
-    def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
-        """Copy trajectory and gains into arrays of these shapes."""
-        (xs[:], us[:]), K[:] = self._nominal, self.gains()
+    def read(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Copy the trajectory into arrays of these shapes; a copy of its gains."""
+        xs[:], us[:] = self._nominal
+        return self.gains()
 
 
 def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:

@@ -7,27 +7,32 @@ import numpy as np
 from planner.model.space import StateSpace
 
 Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu), K (N, nu, ndx)
+Motion = tuple[np.ndarray, np.ndarray]  # xs (N+1, nx), us (N, nu)
 
 LITTLE = 1e-6  # of a stage: instants that are nearer are the same
 
 
-def move(to: Trajectory, trajectory: Trajectory, stages: float, space: StateSpace) -> None:
-    """Write a trajectory, moved on by some stages, which need not be whole; what is beyond its end repeats its last.
+def move(to: Motion, motion: Motion, stages: float, space: StateSpace) -> int:
+    """Write states and controls, moved on by some stages, which need not be whole; beyond the end the last repeats.
 
     Args:
         to: Where to.
-        trajectory: Of the same shapes.
+        motion: Of the same shapes.
         stages: At least 0.
         space: Of the states.
+
+    Returns:
+        The whole stages, by which gains move.
     """
-    (xs, us, K), (own_xs, own_us, own_K) = to, trajectory
+    (xs, us), (own_xs, own_us) = to, motion
     m = int(stages + LITTLE)
     part, m = stages - m, min(m, len(us))
     if m == 0:
-        xs[:], us[:], K[:] = own_xs, own_us, own_K
+        xs[:], us[:] = own_xs, own_us
     else:
         left = len(us) - m
-        xs[: left + 1], us[:left], K[:left] = own_xs[m:], own_us[m:], own_K[m:]
-        xs[left + 1 :], us[left:], K[left:] = own_xs[-1], own_us[-1], own_K[-1]
+        xs[: left + 1], us[:left] = own_xs[m:], own_us[m:]
+        xs[left + 1 :], us[left:] = own_xs[-1], own_us[-1]
     if part > LITTLE:
         xs[:-1] = space.integrate(xs[:-1], part * space.difference(xs[1:], xs[:-1]))
+    return m

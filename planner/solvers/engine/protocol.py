@@ -106,8 +106,8 @@ class Engine(Protocol):
         """A copy of K (N, nu, ndx)."""
         ...
 
-    def read(self, xs: np.ndarray, us: np.ndarray, K: np.ndarray) -> None:
-        """Copy trajectory and gains into arrays of these shapes."""
+    def read(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """Copy the trajectory into arrays of these shapes; its gains, which stay until the next but one is read."""
         ...
 
 
