@@ -26,6 +26,7 @@ CONNECTING = 10.0  # s to wait for a scheduler
 _SELDOM = {
     "distributed.admin.system-monitor.interval": "10s", "distributed.admin.tick.interval": "1s",
     "distributed.scheduler.work-stealing-interval": "1s", "distributed.worker.profile.enabled": False,
+    "distributed.client.heartbeat": "10s",
 }  # fmt: skip
 
 
