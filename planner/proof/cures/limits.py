@@ -7,16 +7,20 @@ from collections.abc import Mapping
 import numpy as np
 
 from planner.model.coordinates import ANGLE
+from planner.model.coupled_ranges import narrowed
+from planner.model.mechanism import Mechanism
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.cures.cure import Cure, cure, rounded_up
+from planner.proof.cures.cure import Cure, cure, no_cure, rounded_up
 from planner.proof.replays.limits_hit import OVERLAP, ROUNDING
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in
 from planner.proof.replays.replaying import Replay, stopped_dofs
 from planner.proof.verdict import Proof
 
 ASIDE = 1.5  # times what a joint was beyond its range
+NO_ROOM = 1e-6  # rad or m
+MOST_NAMED = 3
 SHARE, LEAST = 0.01, 0.01  # of a range, and rad: the margin that Limits keep by default
 
 
@@ -36,6 +40,27 @@ def _joints(problem: Problem, proof: Proof) -> list[Cure]:
         return []
     worst = max(found, key=lambda one: one.beyond.max() / np.ptp(one.range))
     return [cure(problem, "limits.position", MODEL, f"the plan does not know that {_excess(worst, run.t)}")]
+
+
+def left_no_room(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """What to edit in a file whose equalities and ranges together leave a joint one position alone."""
+    mechanism = getattr(problem.dynamics, "mechanism", None)
+    if proof is None or not isinstance(mechanism, Mechanism) or not mechanism.couplings or not _at_stops(proof):
+        return []
+    own = mechanism.joint_range
+    left = narrowed(mechanism, own)
+    stuck = np.flatnonzero((np.ptp(left, axis=1) < NO_ROOM) & (np.ptp(own, axis=1) > NO_ROOM))
+    if not len(stuck):
+        return []
+    coupling = next(one for one in mechanism.couplings if stuck[0] in one.dofs)
+    names = ", ".join(mechanism.joint_of(dof) for dof in stuck[:MOST_NAMED])
+    more = f" and {len(stuck) - MOST_NAMED} more" if len(stuck) > MOST_NAMED else ""
+    why = (
+        f"the file leaves {names}{more} one position alone, and MuJoCo's stops act there: {coupling.name} and the "
+        "ranges of what it ties contradict each other; widen the ranges of the joints that follow in the file, or "
+        'write active="false" for the equality'
+    )
+    return [no_cure("model", why)]
 
 
 def wider_margin(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
@@ -94,6 +119,15 @@ def _knows_ranges(problem: Problem) -> bool:
 
 def _planned(run: Replay) -> list[Excess]:
     return list(joints_in(run.compiled.model, run.twin.sim_of(run.plan_xs), stopped_dofs(run.plan)))
+
+
+def _at_stops(proof: Proof) -> bool:
+    """Whether a step fails in whose replay a joint is at its stop."""
+    judged = (proof.your_file, proof.refined_open_loop, proof.refined_feedback)
+    reached = [
+        one.value for section in judged for one in section.measured if one.name in ("ranges_reached", "unknown_stops")
+    ]
+    return any(not section.passed for section in judged) and any(reached)
 
 
 def _stops_matter(proof: Proof) -> bool:

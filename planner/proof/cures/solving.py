@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
-from planner.proof.cures.stage import rounded_step
+from planner.proof.cures.stage import rates_at_start, rounded_step
 from planner.proof.verdict import Proof
 from planner.solvers.slq import DECREASE
 
 STABLE = 1.0  # of the fastest rate times the stage: RK4 is stable up to 2.8 and exact to a percent at 1
 MOST_TIMES = 30.0  # more iterations
 STARTS = 8
-_SHORT = 1e-4  # of a stage
 _FEW = 8  # lines of a history from which no trend is read
 _GAINED = 1e-3  # of the cost: what the second half of a solve must have gained for more of it to be worth it
 
@@ -27,7 +25,7 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]
     if plan.status is not Status.NOT_FINITE:
         return []
     dt, found = problem.dynamics.dt, []
-    rate = fastest_rate(problem)
+    rate = float(np.abs(rates_at_start(problem)).max())
     if rate * dt > STABLE:
         why = f"the fastest rate of the machine at its start is {rate:.3g} per s, {rate * dt:.3g} times in a stage"
         found.append(cure(problem, "dt", rounded_step(problem.duration, STABLE / rate), why))
@@ -36,23 +34,6 @@ def first_guess(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]
         why = "the first guess rolls out to infinite states"
         found.append(cure(problem, "guess", other, why))
     return found
-
-
-def fastest_rate(problem: Problem) -> float:
-    """The largest eigenvalue of the dynamics linearised at the start, 1/s; infinite where there is none.
-
-    The stage that the eigenvalues are taken from is so short that it is exp(h J) nearly.
-    """
-    dynamics = problem.dynamics
-    with_step = getattr(dynamics, "with_step", None)
-    if not callable(with_step):
-        return 0.0
-    h = _SHORT * dynamics.dt
-    finer: Any = with_step(h, getattr(dynamics, "integrator", None))
-    A, _ = finer.linearize(np.stack([problem.x0, problem.x0]), problem.first_guess[:1])
-    if not np.isfinite(A).all():
-        return math.inf
-    return float(np.abs(np.log(np.linalg.eigvals(A[0]).astype(complex))).max() / h)
 
 
 def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:

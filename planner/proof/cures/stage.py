@@ -1,8 +1,13 @@
-"""A stage that is too long: MuJoCo at a refined step goes elsewhere, as the plan's own integrator predicts it."""
+"""A stage that is too long.
+
+MuJoCo at a refined step goes elsewhere, as the plan's own integrator predicts it; or gains that were made for controls
+that are held over a stage shake a machine that swings to and fro within one.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +18,12 @@ from planner.proof.cures.cure import Cure, cure
 from planner.proof.growth import FACTOR
 from planner.proof.order import NOMINAL
 from planner.proof.verdict import Proof
+from planner.proof.your_file import OPEN_LOOP_MISSES
 
 SAFE = 0.5  # of what passes: the error that is aimed at
 MOST = 16  # times shorter: beyond, something else is wrong
+LIVELY = 1.0  # of the fastest oscillation's rad/s times the stage: gains for a held control then act within its swing
+_SHORT = 1e-4  # of a stage
 _SLACK = 1.001  # a stage that is a tenth of a percent too long is not too long
 _MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of steps that people write
 
@@ -45,6 +53,40 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
         f"{order:.2g} of the stage"
     )
     return [cure(problem, "dt", value, why)]
+
+
+def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """The stage whose gains follow the fastest oscillation, where gains alone keep the user's file from its goals."""
+    if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
+        return []
+    missed = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
+    swing = float(np.abs(rates_at_start(problem).imag).max())
+    dt = problem.dynamics.dt
+    if missed != 0.0 or not LIVELY < swing * dt < math.inf:
+        return []
+    value = rounded_step(problem.duration, max(LIVELY / swing, dt / MOST))
+    why = (
+        "in your file the machine arrives without the plan's gains and not with them: they are made for controls that "
+        f"are held for {dt:.4g} s, in which the machine swings through {swing * dt:.2g} rad"
+    )
+    return [cure(problem, "dt", value, why)]
+
+
+def rates_at_start(problem: Problem) -> np.ndarray:
+    """The eigenvalues of the dynamics linearised at the start, 1/s, complex; infinite where there are none.
+
+    The stage that they are taken from is so short that it is exp(h J) nearly.
+    """
+    dynamics = problem.dynamics
+    with_step = getattr(dynamics, "with_step", None)
+    if not callable(with_step):
+        return np.zeros(1, dtype=complex)
+    h = _SHORT * dynamics.dt
+    finer: Any = with_step(h, getattr(dynamics, "integrator", None))
+    A, _ = finer.linearize(np.stack([problem.x0, problem.x0]), problem.first_guess[:1])
+    if not np.isfinite(A).all():
+        return np.array([complex(math.inf, math.inf)])
+    return np.log(np.linalg.eigvals(A[0]).astype(complex)) / h
 
 
 def rounded_step(duration: float, most: float) -> float:
