@@ -60,7 +60,7 @@ def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
     if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
         return []
     missed = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
-    swing = float(np.abs(rates_at_start(problem).imag).max())
+    swing = float(np.abs(np.imag(rates_at_start(problem))).max())
     dt = problem.dynamics.dt
     if missed != 0.0 or not LIVELY < swing * dt < math.inf:
         return []

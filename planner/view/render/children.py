@@ -12,7 +12,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ def usable_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Iterator[np.ndarray]:
+def drawn_by_children(films: Sequence[Any], job: Any, children: int) -> Generator[np.ndarray]:
     """The pictures (height, width, 3), uint8, of a job in their order, drawn by so many processes.
 
     Raises:

@@ -13,7 +13,7 @@ import math
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,7 +70,7 @@ def carry_out(films: Sequence[Film], job: Job, progress: Progress | None = None)
         return next(pictures)
 
 
-def _frames(films: Sequence[Film], job: Job) -> Iterator[np.ndarray]:
+def _frames(films: Sequence[Film], job: Job) -> Generator[np.ndarray]:
     """All frames of a video: by several processes where there are many, or here."""
     children = min(usable_processors(), _MOST_CHILDREN, len(films[0]) // _WORTH_A_CHILD)
     if children > 1 or not gl.can_render_here():
@@ -78,7 +78,7 @@ def _frames(films: Sequence[Film], job: Job) -> Iterator[np.ndarray]:
     return draw_frames(films, job)
 
 
-def draw_frames(films: Sequence[Film], job: Job, first: int = 0, stride: int = 1) -> Iterator[np.ndarray]:
+def draw_frames(films: Sequence[Film], job: Job, first: int = 0, stride: int = 1) -> Generator[np.ndarray]:
     """Frames first, first + stride, ... of films side by side, drawn in this process: (height, width, 3), uint8."""
     with ExitStack() as scenes:
         rows = _tiles(films, job, scenes)
@@ -94,7 +94,7 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
     return np.concatenate(pictures, axis=1)
 
 
-def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
+def _encode(frames: Iterable[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
     """Write the frames of a video, the last of them for a second."""
     total = drawn + round(_HOLD * job.fps)
     with Encoder(Path(job.output), job.width, job.height, job.fps, job.shown) as encoder:
