@@ -13,7 +13,7 @@ import math
 import os
 import pickle
 import sys
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -94,7 +94,7 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
     return np.concatenate(pictures, axis=1)
 
 
-def _encode(frames: Iterable[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
+def _encode(frames: Iterator[np.ndarray], drawn: int, job: Job, progress: Progress | None) -> np.ndarray:
     """Write the frames of a video, the last of them for a second."""
     total = drawn + round(_HOLD * job.fps)
     with Encoder(Path(job.output), job.width, job.height, job.fps, job.shown) as encoder:
