@@ -206,7 +206,7 @@ def _appearance(step: Step, tolerances: Mapping[str, float]) -> Appearance:
               for side in step.walker.legs),
             *(Panel(f"{side.capitalize()} hip", "angle, rad", states=curves(side, "hip_adduction", "hip_rotation"))
               for side in step.walker.legs),
-            Panel("Pelvis", "m", states=of_pelvis(*PELVIS[:3])),
+            Panel("Pelvis", "position, m", states=of_pelvis(*PELVIS[:3])),
             Panel("Pelvis", "angle, rad", states=of_pelvis(*PELVIS[3:])),
             Panel("Pelvis, driven", unit, controls=axes[:3]),
             Panel("Pelvis, turned", moment, controls=axes[3:]),
