@@ -10,6 +10,9 @@ Where shapes are kept apart, bounds of stages rise on which they come too near b
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
 found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
 has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
+
+Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): what
+is left of them moves the states by little of the violation that they are to reach.
 """
 
 from __future__ import annotations
