@@ -10,6 +10,9 @@ Where shapes are kept apart, bounds of stages rise on which they come too near b
 The first round has no hinges, and is all where nothing is violated. The second takes its weights from what the first
 found, as ALGENCAN does (Birgin and Martinez 2014): the hinges then cost about what J does. Only what keeps shapes apart
 has hinges from the beginning, since a motion that went through an obstacle does not find the way around it any more.
+
+Rounds far from the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982, section 2.5): what
+is left of them moves the states by little of the violation that they are to reach.
 """
 
 from __future__ import annotations
@@ -27,13 +30,17 @@ MOST_ROUNDS = 30
 NEARER = 0.25  # of the last violation: what must be reached for the weight to stay
 RAISED = 10.0
 DEAREST = 1e6  # a first guess by whose cost hinges are weighed
-MOST_IN_VAIN = 6  # rounds, each with dearer hinges, after which a violation must be less than LESS of the first one
+MOST_IN_VAIN = 6  # rounds, with dearer hinges, within which the least violation must fall below LESS of that before
 LESS = 0.5
 MOST_RAISED = 5  # times that bounds rise for what comes too near between knots
 STEEPEST = 1e12  # beyond which weights drown the cost in rounding
 
-# One solve from first controls (N, nu) with hinges: an iteration limit and the number of the first line.
-Minimise = Callable[[np.ndarray, Hinges | None, int, int], Plan]
+INEXACT = 0.1  # of the violation that a round is to reach: how far a minimum left early may be from the exact one
+NEAR = 100.0  # tolerances, up to which rounds are solved exactly
+
+# One solve from first controls (N, nu) with hinges: an iteration limit, the number of the first line, and the promised
+# decrease below which it may end.
+Minimise = Callable[[np.ndarray, Hinges | None, int, int, float], Plan]
 
 
 def within_ranges(
@@ -53,12 +60,12 @@ def within_ranges(
     if given is None:
         plan, history, first = _begin(kept, minimise, first_guess, max_iterations, 0)
     else:
-        plan, first = minimise(first_guess, given, max_iterations, 0), given
+        plan, first = minimise(first_guess, given, max_iterations, 0, 0.0), given
         history = list(plan.history)
     hinges, before = first or kept.free(), np.full(kept.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
-    raised, worst, since = 0, np.inf, 0
+    raised, worst = 0, list[float]()  # the largest errors, since bounds rose
     for round_ in range(MOST_ROUNDS):
         error = _error(kept, hinges, plan)
         if plan.status is Status.INTERRUPTED:
@@ -76,16 +83,20 @@ def within_ranges(
             else:
                 hinges = hinges._replace(lower=hinges.lower + more)
             error, before = _error(kept, hinges, plan), np.full(kept.size, np.inf)
-            worst, since = np.inf, round_
-        worst = min(worst, error.max()) if round_ == since else worst
-        if round_ - since >= MOST_IN_VAIN and not error.max() < LESS * worst:
+            worst = []
+        worst.append(float(error.max()))
+        if len(worst) > MOST_IN_VAIN and not min(worst[-MOST_IN_VAIN:]) < LESS * min(worst[:-MOST_IN_VAIN]):
             break
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, hinges=hinges)
         hinges = _begun(kept, plan, hinges) if round_ == 0 else _updated(kept, hinges, plan, error, before)
         before = error.max(axis=0)
-        plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history))
+        loose = _loose(hinges, error) if error.max() > NEAR * tolerance else 0.0
+        plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history), loose)
         history += plan.history
+        if loose and len(history) <= max_iterations and _error(kept, hinges, plan).max() <= tolerance:
+            plan = minimise(plan.us, hinges, max_iterations + 1 - len(history), len(history), 0.0)
+            history += plan.history
     status = plan.status if _error(kept, hinges, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, hinges=hinges)
 
@@ -100,12 +111,12 @@ def _begin(
     """
     first = kept.first()
     if first is None:
-        plan = minimise(first_guess, None, max_iterations, first_line)
+        plan = minimise(first_guess, None, max_iterations, first_line, 0.0)
         return plan, list(plan.history), None
-    cost = minimise(first_guess, None, 0, first_line).cost
+    cost = minimise(first_guess, None, 0, first_line, 0.0).cost
     if 1.0 < cost < DEAREST:
         first = first._replace(weight=cost * first.weight)
-    plan = minimise(first_guess, first, max_iterations, first_line)
+    plan = minimise(first_guess, first, max_iterations, first_line, 0.0)
     return plan, list(plan.history), first
 
 
@@ -113,6 +124,15 @@ def _short(kept: Kept, plan: Plan) -> tuple[np.ndarray, bool]:
     """See Kept.short_between."""
     assert plan.problem is not None  # the solver's own
     return kept.short_between(plan.problem.dynamics, plan.xs, plan.us)
+
+
+def _loose(hinges: Hinges, error: np.ndarray) -> float:
+    """The promised decrease below which a round may end whose last one left the errors (N+1, H).
+
+    A model that promises less than 1/2 w d^2 moves a component by less than d. Early multipliers are estimates, so d
+    is a small part of the violation that the round is to reach.
+    """
+    return float(0.5 * (INEXACT * NEARER) ** 2 * np.sum(hinges.weight * error**2))
 
 
 def _multipliers(kept: Kept, hinges: Hinges) -> tuple[np.ndarray, np.ndarray]:

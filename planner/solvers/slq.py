@@ -225,8 +225,12 @@ def _descend(
 def _minimise(
     problem: Problem, descent: _Descent, callback: Callable[[Iteration], object] | None, states: np.ndarray | None,
     first_guess: np.ndarray, hinges: Hinges | None, max_iterations: int, first_line: int,
+    loose: float = 0.0,
 ) -> Plan:  # fmt: skip
-    """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states."""
+    """A minimum of the cost, and of hinges where there are any; only a solve's first line looks at states.
+
+    It also ends where less than `loose` is promised, which is no minimum yet.
+    """
     engine = borrow(problem, descent.rule)
     if problem.kept is not None:
         engine.hinge(hinges)
@@ -246,7 +250,7 @@ def _minimise(
         while len(history) < max_iterations and not interrupted:
             # A regularised model promises too little: only the plain one may say that nothing is left to gain.
             mu = regularisation.mu
-            promise = descent.decrease_tolerance * max(1.0, abs(cost)) if regularisation.plain else -1.0
+            promise = max(loose, descent.decrease_tolerance * max(1.0, abs(cost))) if regularisation.plain else -1.0
             done = engine.iterate(descent.feedback, descent.rule, mu, fresh, cost, descent.gradient_tolerance, promise)
             if done.kind == INDEFINITE and regularisation.leave_second_order():
                 fresh = False
@@ -262,7 +266,7 @@ def _minimise(
             if at_minimum or _stalled(history, descent.gain_tolerance):
                 status = Status.CONVERGED
                 break
-            little = descent.decrease_tolerance * max(1.0, abs(cost))
+            little = max(loose, descent.decrease_tolerance * max(1.0, abs(cost)))
             flat = done.kind != INDEFINITE and -0.5 * done.slope <= little
             if regularisation.try_plain(fresh, flat):
                 continue

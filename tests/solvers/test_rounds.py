@@ -1,0 +1,47 @@
+"""Rounds of the augmented Lagrangian: early ones are not solved to the end, and it stops once they are in vain."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner import Constraint, FunctionDynamics, Problem, Status, TrackingCost, solve
+from planner.solvers import augmented
+
+N, DT = 15, 0.1
+
+
+def point(*constraints):
+    """A point mass in the plane from rest at (0, 0) to rest at (1, 1), nearly."""
+    dynamics = FunctionDynamics(lambda x, u: np.concatenate([x[..., 2:], u], axis=-1), 4, 2, DT, "rk4")
+    cost = TrackingCost.reach([1.0, 1.0, 0.0, 0.0], N, final=[50.0, 50.0, 5.0, 5.0], effort=[0.1, 0.1], dt=DT)
+    return Problem(dynamics, cost, np.zeros(4), constraints=constraints)
+
+
+def test_early_rounds_left_early_lead_to_the_same_plan_sooner(monkeypatch):
+    post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), least=0.3, name="post", unit="m")
+    problem = point(post)
+    plan = solve(problem)
+    monkeypatch.setattr(augmented, "INEXACT", 0.0)  # the twin: every round to its minimum
+    exact = solve(problem)
+    assert plan.status is exact.status is Status.CONVERGED
+    assert plan.nit <= 0.7 * exact.nit
+    np.testing.assert_allclose(plan.cost, exact.cost, rtol=1e-3)
+
+
+@pytest.mark.parametrize("errors", [[1.0, 0.9, 0.8], [1.0, 0.1, 0.01], [1.0, 0.1, 0.2]])
+def test_it_ends_after_rounds_that_come_no_nearer(errors):
+    problem = point(Constraint(lambda xs: xs[:, :2], equal=[1.0, 1.0], when="end", name="there"))
+    plan, solved = solve(problem), []
+
+    def minimise(us, hinges, max_iterations, first_line, loose):
+        error = errors[min(len(solved), len(errors) - 1)]
+        solved.append(error)
+        xs = plan.xs.copy()
+        xs[-1, :2] = 1.0 + error
+        return dataclasses.replace(plan, xs=xs, history=plan.history[:1])
+
+    ended = augmented.within_ranges(problem.kept, problem.kept.tolerance, minimise, plan.us, 1000)
+    assert ended.status is Status.OUTSIDE_LIMITS
+    nearest = int(np.argmin(errors)) if errors[1] < augmented.LESS * errors[0] else 0
+    assert len(solved) == nearest + 1 + augmented.MOST_IN_VAIN
