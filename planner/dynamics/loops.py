@@ -15,6 +15,8 @@ from planner.dynamics.poe import Ad, ad, bias, mass_matrix, twists, world_poses
 from planner.model.loops import RATE, Cam, Loop
 from planner.model.mechanism import Mechanism
 
+_WEAK = 1e-9  # of the largest singular value: redundant equations
+
 
 def misses(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Phi (rows,) at q (nq,): m of places, rad of rotations and hinges."""
@@ -110,6 +112,20 @@ def closed_dynamics(
     wanted = -drifts(mechanism, q, qd) - 2.0 * RATE * (J @ qd) - RATE**2 * misses(mechanism, q)
     f = _pseudo_inverse(J @ W @ J.T) @ (wanted - J @ free)
     return free + W @ J.T @ f, f
+
+
+def stepped_back(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions q (nq,) and velocities (nv,) where a stage of RK4 leaves them: kernels.tree.loop_projection.
+
+    The smallest steps that close the chains to first order; couplings keep what they couple.
+    """
+    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    J = jacobian(mechanism, q) @ G
+    step = -G @ np.linalg.lstsq(J, misses(mechanism, q), rcond=_WEAK)[0]
+    x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
+    q = mechanism.space.integrate(x, np.append(step, np.zeros(mechanism.space.ndx - len(step))))[: len(q)]
+    J = jacobian(mechanism, q)
+    return q, qd - G @ np.linalg.lstsq(J @ G, J @ qd, rcond=_WEAK)[0]
 
 
 def _pseudo_inverse(S: np.ndarray) -> np.ndarray:

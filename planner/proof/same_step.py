@@ -29,7 +29,7 @@ from planner.model.space import StateSpace, cross
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.compare.constrained import constrained_acceleration
+from planner.proof.compare.constrained import constrained_acceleration, steps_back
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.curve_callback import curves_acting
 from planner.proof.replays.implicit_steps import INTEGRATOR as IMPLICIT
@@ -77,9 +77,16 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
     how, one = found
 
+    chains = mechanism if mechanism is not None and (mechanism.loops or mechanism.cams) else None
+    data = load_mujoco().MjData(model)
+
     def stage(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         for _ in range(substeps):
             x = one(x, u)
+        if chains is not None and integrator == "rk4":  # a plan's stages end on the chains
+            set_state(model, data, twin.sim_of(x))
+            steps_back(model, data, chains, driven)
+            x = twin.x_of(state_of(data))
         return x
 
     path = np.empty_like(plan.xs)

@@ -1,6 +1,7 @@
 """Exact A and B of a stage of a tree (Eq. 35), four knots at a time: the chain rule through the integrator's stages.
 
-Of several substeps under one control the products are A = A_k A and B = A_k B + B_k.
+Of several substeps under one control the products are A = A_k A and B = A_k B + B_k. The step back onto closed chains
+at a stage's end comes last.
 
 Columns are ordered z = (u | dq | dv | dact), as in kernels.tree.derivatives.
 """
@@ -28,8 +29,9 @@ from planner.kernels.numba.lanes import (
     store,
     store4,
 )
-from planner.kernels.tree.chain import euler, keep_turns, runge_kutta
+from planner.kernels.tree.chain import add_unit, add_unit_rows, euler, keep_turns, runge_kutta, turn_balls
 from planner.kernels.tree.derivatives import acceleration_derivatives
+from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, step_derivatives
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.rosenbrock import (
@@ -147,8 +149,42 @@ def _rk4_substep(m, r, x, a, dt, width, knots):
         else:
             runge_kutta(m, r, dt, lane, width, floats(r, MEMORY.step))
             _after(m, r, width, at(F, lane * stride))
-    if k + 1 < r[MEMORY.substeps]:
+    if k + 1 < r[MEMORY.substeps] or m[TREE.loop_rows] > 0:
         end_state(m, r, x, a, length, x)  # activations stay: no derivative depends on them
+
+
+@inline
+def _close(m, r, x, knots, width):
+    """The end x of a stage goes back onto the closed chains, and (B | A) of each knot with it."""
+    F, stride, present = knots
+    nv, block, columns, at_q = m[TREE.nv], r[MEMORY.block], r[MEMORY.columns], r[MEMORY.first]
+    theta, v, E = lanes(r, MEMORY.theta), at(x, m[TREE.nq]), lanes(r, MEMORY.by_stage)
+    direct, chained = floats(r, MEMORY.direct), floats(r, MEMORY.chained)
+    step_derivatives(m, r, x, v, POSITIONS, theta, E)
+    keep_turns(m, r, 4)
+    for row in range(nv):
+        scatter_row(E, row * columns, direct, row * width, present, block, width)
+    moved(m, x, theta, x)
+    step_derivatives(m, r, x, v, VELOCITIES, theta, E)
+    for row in range(nv):
+        scatter_row(E, row * columns, direct, WIDTH * block + row * width, present, block, width)
+    for lane in range(present):
+        by_q, by_v, A = at(direct, lane * block), at(direct, (WIDTH + lane) * block), at(F, lane * stride)
+        turn_balls(m, r, 4, lane, width, by_q)
+        add_unit_rows(m, by_q, width, at_q)
+        for i in range(nv):
+            add_unit(by_v, i * width + at_q + nv + i, 1.0)
+        velocities = at(chained, block)
+        for i in range(0, nv, WIDTH):
+            C, o = (chained, i * width, width), i * width + at_q
+            four_rows(C, (by_q, o, 1, width), (A, 0, width), nv, 1.0, width, C, False)
+        for i in range(0, nv, WIDTH):
+            C, o = (velocities, i * width, width), i * width + at_q
+            four_rows(C, (by_v, o + nv, 1, width), (A, nv * width, width), nv, 1.0, width, C, False)
+            four_rows(C, (by_v, o, 1, width), (chained, 0, width), nv, 1.0, width, C, True)
+        for k in range(0, nv * width, WIDTH):
+            store4(A, k, load4(chained, k))
+            store4(A, nv * width + k, load4(velocities, k))
 
 
 @part
@@ -214,3 +250,5 @@ def linearize_dense(m, r, dt, xs, us, F, external):
             keep_turns(m, r, 0)
             for lane in range(present):
                 euler(m, r, dt, lane, width, at(flat, (first + lane) * stride))
+        if external is not None and r[MEMORY.integrator] == RK4 and m[TREE.loop_rows] > 0:
+            _close(m, r, x, (at(flat, first * stride), stride, present), width)

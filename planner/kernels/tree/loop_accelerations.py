@@ -65,7 +65,7 @@ def _lacks(m, q, v, ws, c):
 
 
 @inline
-def _solve(m, N, rows, least, c, f):
+def solve_rows(m, N, rows, least, c, f):
     """F = -N^-1 c by L D L', in place of the lower half of N; dependent rows have no force."""
     kinds = integers(m, TREE.row_kind)
     for k in range(rows):  # column by column: what stands right of it has all that comes before taken off
@@ -113,7 +113,7 @@ def accelerate_closed(m, r, q, v, forces, a, ws, armature, f):
         for t in range(load(first, k), load(first, k + 1)):
             total += load(WJ, k * ld + load(reach, t)) * load(rest, load(reach, t))
         store(c, k, total)
-    _solve(m, N, rows, lanes(r, MEMORY.loop_least), c, f)
+    solve_rows(m, N, rows, lanes(r, MEMORY.loop_least), c, f)
     begin = 0
     for i in range(n):
         if i > 0 and load(stop, i) != load(stop, i - 1):

@@ -49,21 +49,22 @@ def _along(m, r, e, side, row, rigid, link, p, q, ws):
         saw, sav = add(cross(sw, w), tw), add(add(cross(sw, u), cross(sv, w)), tv)
         by_v = add(add(sav, cross(saw, p)), add(cross(sw, moves), cross(w, dp)))
         by_v = axpy(by_v, 2.0 * rate, dp)
-        _add_column(D, row, width, i, sign, by_q)
-        _add_column(D, row, width, nv + i, sign, by_v)
+        add_column(D, row, width, i, sign, by_q)
+        add_column(D, row, width, nv + i, sign, by_v)
         if rigid > 0:
-            _add_column(D, row + 3, width, i, sign, axpy(daw, 2.0 * rate, dw))
-            _add_column(D, row + 3, width, nv + i, sign, axpy(saw, 2.0 * rate, sw))
+            add_column(D, row + 3, width, i, sign, axpy(daw, 2.0 * rate, dw))
+            add_column(D, row + 3, width, nv + i, sign, axpy(saw, 2.0 * rate, sw))
             turn = (zero, zero, zero)
             for c in range(3):
                 own, its = frame_axis(m, e, link, c, ws), frame_axis(m, e + 1 - 2 * side, other, c, ws)
                 turn = add(turn, cross(its, cross(sw, own)))  # of the first frame: d(b x a) = b x da; else da x b
-            _add_column(D, row + 3, width, i, 0.5 * rate * rate * sign, turn)
+            add_column(D, row + 3, width, i, 0.5 * rate * rate * sign, turn)
         i = load(parent, i)
 
 
 @inline
-def _add_column(D, row, width, column, factor, x):
+def add_column(D, row, width, column, factor, x):
+    """Add factor times a vector in three rows of a column of D."""
     for c in range(3):
         o = (row + c) * width + column
         y = x[0] if c == 0 else x[1] if c == 1 else x[2]
@@ -71,7 +72,7 @@ def _add_column(D, row, width, column, factor, x):
 
 
 @inline
-def _turn_forces(m, Dq, ld, link, p, force, moment, ws):
+def turn_forces(m, Dq, ld, link, p, force, moment, ws):
     """Subtract d(J'f)/dq of a force at p and a moment, both constant in the world, from dtau/dq."""
     parent, first = integers(m, TREE.parent), integers(m, TREE.first)
     i = link
@@ -111,7 +112,7 @@ def close_derivatives(m, r, q, v, a, f, Dq, ld, ws):
                 moment = (zero, zero, zero)
                 if stiff > 0:
                     moment = scaled(sign, load3(f, row + 3))
-                _turn_forces(m, Dq, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
+                turn_forces(m, Dq, ld, link, p, scaled(sign, load3(f, row)), moment, ws)
         row += 6 if stiff > 0 else 3
     dof = integers(m, TREE.cam_dof)
     for k in range(m[TREE.cams]):
@@ -129,7 +130,7 @@ def close_derivatives(m, r, q, v, a, f, Dq, ld, ws):
 
 
 @inline
-def _invert_independent(m, N, rows, least):
+def invert_independent(m, N, rows, least):
     """N becomes the inverse of its independent rows and columns, and zero in the others: kernels.tree.sensitivity's."""
     kinds = integers(m, TREE.row_kind)
     for k in range(rows):
@@ -164,7 +165,7 @@ def close(m, r, q, W, ld, ws):
     first, reach = integers(m, TREE.reach_start), integers(m, TREE.reach_dof)
     constraint_rows(m, q, ws, J, ld)
     projected(m, r, J, W, ld)
-    _invert_independent(m, N, rows, lanes(r, MEMORY.loop_least))
+    invert_independent(m, N, rows, lanes(r, MEMORY.loop_least))
     for k in range(rows * ld):
         store(Y_, k, spread(0.0))
     for k in range(rows):

@@ -7,7 +7,7 @@ force is zero, and the others keep it too.
 
 from __future__ import annotations
 
-from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated
+from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated, scaled, store3, sub
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, spread, store
 from planner.kernels.tree.memory import MEMORY
@@ -91,6 +91,28 @@ def constraint_rows(m, q, ws, J, ld):
         _, slope, _, _ = cam_polynomial(m, k, q)
         store(J, row * ld + load(dof, 2 * k), zero + 1.0)
         store(J, row * ld + load(dof, 2 * k + LEADER), zero - slope)
+        row += 1
+
+
+@inline
+def misses(m, q, ws, c):
+    """Phi (rows) of links that are placed: what is to be zero."""
+    rigid, zero, row = integers(m, TREE.loop_rigid), spread(0.0), 0
+    for k in range(m[TREE.loops]):
+        first, _, x1, _, _ = joined_frame(m, 2 * k, q, ws)
+        second, _, x2, _, _ = joined_frame(m, 2 * k + 1, q, ws)
+        store3(c, row, sub(x1, x2))
+        row += 3
+        if load(rigid, k) > 0:
+            turn = (zero, zero, zero)
+            for e in range(3):
+                turn = add(turn, cross(frame_axis(m, 2 * k + 1, second, e, ws), frame_axis(m, 2 * k, first, e, ws)))
+            store3(c, row, scaled(0.5, turn))
+            row += 3
+    dof, address = integers(m, TREE.cam_dof), integers(m, TREE.q_address)
+    for k in range(m[TREE.cams]):
+        value, _, _, _ = cam_polynomial(m, k, q)
+        store(c, row, load(q, load(address, load(dof, 2 * k))) - value)
         row += 1
 
 

@@ -15,7 +15,7 @@ MEMORY = Layout(
     "integrator stages ld columns first block substeps kept stride loop_width",
     "links x u tau scratch rates theta q_stage v_stages act_stage act_rates a trial_a accelerations M Dq Dv held "
     "by_stage turns direct chained Xa step product heavier pushed before asked rest "
-    "loop_J loop_WJ loop_N loop_least loop_c loop_D loop_Y implicit behind own behind_rows",
+    "loop_J loop_WJ loop_N loop_least loop_c loop_f loop_D loop_Y implicit behind own behind_rows",
 )
 
 
@@ -43,6 +43,7 @@ class TreeMemory:
             "heavier": nv, "pushed": nv, "before": nv, "asked": nv, "rest": nv, "implicit": nv, "behind": nv,
             "own": nv,
             "loop_J": rows * ld, "loop_WJ": rows * ld, "loop_N": rows * rows, "loop_c": rows,
+            "loop_f": rows,
             "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
             "by_stage": n * columns, "turns": 5 * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip

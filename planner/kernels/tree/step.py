@@ -29,6 +29,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.accelerations import accelerations
 from planner.kernels.tree.forces import activation_rates
+from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, step_back
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.rosenbrock import (
@@ -179,6 +180,17 @@ def _step(m, r, x, u, a, dt, x_next, external):
 
 
 @part
+def close_state(m, r, x):
+    """A state x at the end of a stage goes back onto the closed chains (kernels.tree.loop_projection)."""
+    theta, v = lanes(r, MEMORY.theta), at(x, m[TREE.nq])
+    step_back(m, r, x, v, POSITIONS, theta)
+    moved(m, x, theta, x)
+    step_back(m, r, x, v, VELOCITIES, theta)
+    for i in range(m[TREE.nv]):
+        store(v, i, load(v, i) + load(theta, i))
+
+
+@part
 def stage(m, r, x, u, a, dt, x_next, external):
     """The end x_next of a stage of length dt (a V4) from x under u, in equal substeps; a keeps all accelerations."""
     substeps = r[MEMORY.substeps]
@@ -186,6 +198,8 @@ def stage(m, r, x, u, a, dt, x_next, external):
     _step(m, r, x, u, a, length, x_next, external)
     for i in range(1, substeps):
         _step(m, r, x_next, u, at(a, i * r[MEMORY.stages] * r[MEMORY.stride]), length, x_next, external)
+    if external is not None and r[MEMORY.integrator] == RK4 and m[TREE.loop_rows] > 0:
+        close_state(m, r, x_next)
 
 
 @inline

@@ -10,6 +10,7 @@ by MuJoCo's mj_jac and mj_jacDot at the places that the compiled model holds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.loops import joined, joins
 
 _WEAK = 1e-9  # of the largest eigenvalue of J W J': redundant equations
+_APART = 1e-3  # of the largest singular value of J: of equations that a step back heeds
 
 
 def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.ndarray:
@@ -34,22 +36,40 @@ def constrained_acceleration(model: Any, data: Any, mechanism: Mechanism) -> np.
     free = W @ data.qfrc_smooth
     if not (mechanism.loops or mechanism.cams):
         return free
-    J, lacks = _rows(model, data, mechanism.cams)
+    J, drift, phi = _rows(model, data, mechanism.cams)
+    lacks = drift + 2.0 * RATE * (J @ data.qvel) + RATE**2 * phi
     values, vectors = np.linalg.eigh(J @ W @ J.T)
     keep = values > _WEAK * values.max()
     forces = -vectors[:, keep] @ ((vectors[:, keep].T @ (lacks + J @ free)) / values[keep])
     return free + W @ J.T @ forces
 
 
-def _rows(model: Any, data: Any, cams: tuple[Cam, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """J (rows, nv) of all equalities that close chains, and Jdot qd + 2 rate J qd + rate^2 phi (rows,).
+def steps_back(model: Any, data: Any, mechanism: Mechanism, held: Sequence[int] | np.ndarray) -> None:
+    """Positions and velocities of data go back onto the closed chains, as at the end of a plan's stage of RK4.
+
+    By the smallest steps that close them to first order (kernels.tree.loop_projection); `held` degrees of freedom stay.
+    """
+    G = np.eye(model.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = G[:, ~np.any(G[np.asarray(held, dtype=int)] != 0.0, axis=0)]
+    for of_positions in (True, False):
+        load_mujoco().mj_fwdPosition(model, data)
+        J, _, phi = _rows(model, data, mechanism.cams)
+        step = -G @ np.linalg.lstsq(J @ G, phi if of_positions else J @ data.qvel, rcond=_APART)[0]
+        if of_positions:
+            load_mujoco().mj_integratePos(model, data.qpos, step, 1.0)
+        else:
+            data.qvel += step
+
+
+def _rows(model: Any, data: Any, cams: tuple[Cam, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J (rows, nv), Jdot qd and phi (rows,) of all equalities that close chains.
 
     Also where a flag keeps MuJoCo's own from acting.
     """
     parts = [_held(model, data, i) for i in map(int, np.flatnonzero(model.eq_active0)) if joins(model, i)]
     parts += [_cam(model, data, cam) for cam in cams]
     J, drift, phi = (np.concatenate(one) for one in zip(*parts, strict=True))
-    return J, drift + 2.0 * RATE * (J @ data.qvel) + RATE**2 * phi
+    return J, drift, phi
 
 
 def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

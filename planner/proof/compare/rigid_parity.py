@@ -199,8 +199,8 @@ def _soft(
     """How far MuJoCo's own accelerations are from ours at states on the couplings, its equalities as hard as it can.
 
     MuJoCo adds R = (1 - d) / d w to the diagonal of J W J', with the impedance d, 0.9999 at most, and a weight w that
-    it takes from the bodies at home. Away from home w may be fifty times J W J', and accelerations then differ by 5e-3:
-    by R alone, as the formula with it gives MuJoCo's to 1e-10. So these weights are made smaller here.
+    it takes from the bodies at home. Away from home w may be fifty times J W J', and accelerations then differ by
+    5e-3: by R alone, as the formula with it gives MuJoCo's to 1e-10. So these weights are made smaller here.
     """
     mujoco, model = load_mujoco(), copy.copy(model)
     bits = mujoco.mjtDisableBit
