@@ -79,12 +79,15 @@ def two_link(_: Asked) -> Iterator[Driven]:
 
 
 def two_link_follows(_: Asked) -> Iterator[Driven]:
-    """Its goal moves at 0.4 rad/s."""
+    """Its goal moves at 0.4 rad/s; where it will be over the horizon is known."""
+    problem, horizon = planner.cases.two_link(), 50
 
-    def target(t: float) -> list[float]:
-        return [1.3 + 0.4 * np.sin(t), -0.4 + 0.4 * np.cos(t), 0.4 * np.cos(t), -0.4 * np.sin(t)]
+    def target(t: float) -> np.ndarray:
+        ahead = t + problem.dynamics.dt * np.arange(horizon + 1)
+        s, c = 0.4 * np.sin(ahead), 0.4 * np.cos(ahead)
+        return np.stack([1.3 + s, -0.4 + c, c, -s], axis=1)
 
-    yield run(late(planner.cases.two_link(), horizon=50), goal=target, duration=8.0)
+    yield run(late(problem, horizon=horizon), goal=target, duration=8.0)
 
 
 def arm(_: Asked) -> Iterator[Driven]:

@@ -188,8 +188,8 @@ class Controller:
     def goal(self) -> Any:
         """Where the task leads; it may be set at any time.
 
-        A keyframe, positions (nq,), a state (nx,), or a table of frames with their positions in the world, (3,), or
-        (horizon + 1, 3) where they will be at the stages ahead: {"hand": [0.4, 0, 0.6]}.
+        A keyframe, positions (nq,), a state (nx,), or states (horizon + 1, nx) where it will be at the stages ahead; or
+        a table of frames with their positions in the world, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}.
         """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 
@@ -206,7 +206,7 @@ class Controller:
         self._goal = goal
 
     def state_of(self, goal: Any) -> np.ndarray:
-        """The state (nx,) of a goal: a keyframe, positions (nq,) or a state."""
+        """The state (nx,) of a goal, a keyframe, positions (nq,) or a state; or states (horizon + 1, nx) ahead."""
         mechanism = getattr(self.problem.dynamics, "mechanism", None)
         if isinstance(goal, str):
             if mechanism is None:
@@ -214,7 +214,7 @@ class Controller:
             return mechanism.keyframe(goal)
         if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (self._space.nx,):
             goal = np.concatenate([np.asarray(goal, dtype=float), np.zeros(self._space.nx - mechanism.nq)])
-        return states("goal", goal, self._space, ())
+        return states("goal", goal, self._space, () if np.ndim(goal) < 2 else (self.horizon + 1,))
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,): it plans where a plan is due.
@@ -249,11 +249,13 @@ class Controller:
         """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
         if math.isnan(self._begin):
             self._begin = self._made = t - self.latency
+        stage = int((t - self._begin) / self._dt + _LITTLE)
         if self._new_goal is not None:
-            self._rest = keeping(self.problem, self._new_goal, self._us[-1] if self._rest is None else self._rest)
-            self._window.aim(self._new_goal, self._rest)
+            last = np.atleast_2d(self._new_goal)[-1]
+            self._rest = keeping(self.problem, last, self._us[-1] if self._rest is None else self._rest)
+            self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
-        self._window.slide(int((t - self._begin) / self._dt + _LITTLE))
+        self._window.slide(stage)
         trouble = self._solve(t, x)
         if trouble:
             self._failed(t, trouble)

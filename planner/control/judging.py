@@ -193,7 +193,7 @@ def _follows(loop: Loop) -> Section:
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
-    there = np.array([loop.controller.state_of(loop.goal(float(t))) for t in loop.t[half]])
+    there = np.array([np.atleast_2d(loop.controller.state_of(loop.goal(float(t))))[0] for t in loop.t[half]])
     off = np.abs(loop.plan.space.difference(loop.xs[half], there))
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):

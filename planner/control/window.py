@@ -124,19 +124,21 @@ class Window:
         )  # fmt: skip
         self._stale = True
 
-    def aim(self, goal: np.ndarray, control: np.ndarray | None) -> None:
+    def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
         """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
 
-        The references on the way that were the goal go with it.
+        States (H+1, nx) are where it will be at the stages of the window that begins at `stage`. The references on the
+        way that were the goal go with it.
         """
-        shift = None
-        if self._hinges is not None:
-            ranges = self.problem.ranges
-            shift = None if ranges is None else self._space.difference(goal, self.x_ref[-1])[ranges.component]
-        self.x_ref[self._to_goal] = goal
-        if shift is not None and self._hinges is not None:
-            for side in self._hinges[:2]:  # they are of the deviation from the reference
-                side[np.ix_(self._to_goal, np.arange(len(shift)))] -= shift
+        goals, before = np.atleast_2d(goal), self.x_ref.copy()
+        first = min(max(stage, 0), self.N)
+        at = np.clip(np.arange(len(self.x_ref)) - first, 0, len(goals) - 1)
+        self.x_ref[self._to_goal] = goals[at[self._to_goal]]
+        ranges = self.problem.ranges
+        if self._hinges is not None and ranges is not None:  # they are of the deviation from the reference
+            moved = self._space.difference(self.x_ref, before)[:, ranges.component]
+            for side in self._hinges[:2]:
+                side[:, : moved.shape[1]] -= moved[: len(side)]
         self.rest(control)
 
     def rest(self, control: np.ndarray | None) -> None:
@@ -183,7 +185,13 @@ class Window:
             engine.weigh(self.cost_at(stage))
         if self._hinges is not None:
             last = [*range(stage, stage + H), self.N]
-            engine.hinge(Hinges(*(part[last] for part in self._hinges)))
+            hinges = Hinges(*(part[last] for part in self._hinges))
+            ranges = self.problem.ranges
+            if ranges is not None:  # the bounds of the end are of the deviation from the window's own
+                away = self._space.difference(self.x_ref[stage + H], self.x_ref[self.N])[ranges.component]
+                for side in hinges[:2]:
+                    side[-1, : len(away)] -= away
+            engine.hinge(hinges)
 
     def _weight_at_end(self, stage: int) -> np.ndarray:
         """The weight of the window's end."""

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from commands import refused, run
 from places import ROOT
 
 import planner
+from planner.base.errors import PlannerError
 from planner.control.judging import judge, margins, survives
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
@@ -108,6 +110,36 @@ def test_a_moving_goal_is_followed(controller):
     moving = planner.Controller(controller.problem)
     verdict = judge(planner.simulate(moving, latency=0.0, duration=5.0, goal=goal))
     assert verdict.sections["follows"].measured[0].value < 0.1
+
+
+def test_a_goal_that_is_known_ahead_is_followed_more_closely(controller):
+    dt = controller.problem.dynamics.dt
+
+    def states(t):
+        return np.stack([1.2 + 0.4 * np.sin(t), 0.3 + 0 * t, 0.4 * np.cos(t), 0 * t], axis=-1)
+
+    off = {}
+    for name, stages in (("now", 1), ("ahead", 41)):
+        moving = planner.Controller(controller.problem, horizon=40)
+        goals = lambda t, n=stages: states(t + dt * np.arange(n)) if n > 1 else states(np.asarray(t))  # noqa: E731
+        verdict = judge(planner.simulate(moving, latency=0.0, duration=5.0, goal=goals))
+        off[name] = verdict.sections["follows"].measured[0].value
+    assert off["ahead"] < 0.6 * off["now"]
+    with pytest.raises(PlannerError, match="goal has shape"):
+        moving.goal = states(dt * np.arange(7))
+
+
+def test_bounds_of_a_state_stay_where_the_goal_moves_ahead(problem):
+    limited = replace(problem, limits=planner.Limits(position={"elbow": (-9.0, 9.0)}))
+    moving = planner.Controller(limited, horizon=30)
+    ahead = np.stack([0.8 + 0.01 * np.arange(31), 0.02 * np.arange(31) - 0.3, np.zeros(31), np.zeros(31)], axis=1)
+    moving.goal = ahead
+    moving.reset()
+    moving(0.0, limited.x0)
+    window = moving._window
+    lower, upper = (side[: len(window.x_ref)] + window.x_ref[:, 1:2] for side in window._hinges[:2])
+    np.testing.assert_allclose(upper[1:], 9.0, atol=1e-12)  # of the elbow itself; no multiplier moves them
+    np.testing.assert_allclose(lower[1:], -9.0, atol=1e-12)
 
 
 def test_another_start(controller):
