@@ -68,7 +68,7 @@ def cart_pole(_: Asked) -> Iterator[Driven]:
 def acrobot(asked: Asked) -> Iterator[Driven]:
     """It swings up from random states, 2 % heavier than planned."""
     problem, rng = planner.cases.acrobot(), np.random.default_rng(0)
-    for _ in range(asked.starts):
+    for _number in range(asked.starts):
         x0 = np.concatenate([rng.uniform(-np.pi, np.pi, 1), rng.uniform(-1.0, 1.0, 1), rng.uniform(-0.5, 0.5, 2)])
         yield run(late(replace(problem, x0=x0)), duration=6.0, mass=0.02)
 
@@ -114,7 +114,7 @@ def hopper(_: Asked) -> Iterator[Driven]:
     """Hops to changing heights of 10 to 30 in, each from where the one before ended."""
     rng, controller = np.random.default_rng(0), late(planner.cases.hopper())
     x = controller.problem.x0
-    for _ in range(HOPS):
+    for _number in range(HOPS):
         problem = planner.cases.hopper(height=rng.uniform(10.0, 30.0))
         driven = run(late(replace(problem, x0=x)), duration=problem.duration)
         x = driven.loop.xs[-1]
@@ -124,7 +124,7 @@ def hopper(_: Asked) -> Iterator[Driven]:
 def human_step(_: Asked) -> Iterator[Driven]:
     """Patients of 50 to 90 kg and 1.6 to 1.9 m, whose legs are 20 % heavier than planned."""
     rng = np.random.default_rng(0)
-    for _ in range(PEOPLE):
+    for _number in range(PEOPLE):
         problem = planner.cases.human_step(mass=rng.uniform(50.0, 90.0), height=rng.uniform(1.6, 1.9))
         yield run(late(problem), alone=True, duration=problem.duration, mass=LEGS)
 
