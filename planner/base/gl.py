@@ -23,6 +23,7 @@ _OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that 
 _OSMESA = ("libOSMesa.so", "libOSMesa.so.8", "libOSMesa.so.7", "libOSMesa.so.6")
 _EGL = ("libEGL.so", "libEGL.so.1")
 _OPENGL = ("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1")
+_drew: list[int] = []  # the process that drew first: OpenGL waits for its threads for ever in a fork, which has none
 
 
 def backend() -> str | None:
@@ -66,7 +67,12 @@ def load_rollout() -> Any:
 
 
 def can_render_here() -> bool:
-    """Whether this process can draw; it cannot if mujoco was imported before without a library."""
+    """Whether this process can draw.
+
+    It cannot if mujoco was imported before without a library, or if it is a fork of a process that drew.
+    """
+    if _drew and _drew[0] != os.getpid():
+        return False
     chosen = backend()
     if chosen is None or chosen == "native":
         return chosen is not None
@@ -74,6 +80,21 @@ def can_render_here() -> bool:
     # mujoco.osmesa, mujoco.egl or, at the user's wish, mujoco.glfw; missing or a placeholder without a library
     name = getattr(context, "__module__", "").removeprefix("mujoco.")
     return name in ("osmesa", "egl", chosen) and _usable(name)
+
+
+def renderer(model: Any, height: int, width: int) -> Any:
+    """MuJoCo's Renderer of a model, for pictures of so many pixels; its caller closes it.
+
+    Raises:
+        RenderingUnavailable: OpenGL refuses.
+    """
+    mujoco = load_mujoco()
+    if not _drew:
+        _drew.append(os.getpid())
+    try:
+        return mujoco.Renderer(model, height, width)
+    except (mujoco.FatalError, RuntimeError, ImportError) as error:
+        raise RenderingUnavailable(f"OpenGL refuses to draw: {str(error).splitlines()[0]}.") from error
 
 
 def require_backend() -> None:

@@ -294,6 +294,29 @@ def test_child_process_draws_when_mujoco_came_first(tmp_path):
     assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))[0] == 15
 
 
+FORK = """
+import os, signal, sys
+sys.path[:0] = [{root!r}, {tests!r}]
+from planner.view.render import video as render
+from films import make_replay
+here = render.render_frame(make_replay(), 0.1, width=64, height=36)
+child = os.fork()
+if not child:
+    signal.alarm(60)
+    os._exit(0 if (render.render_frame(make_replay(), 0.1, width=64, height=36) == here).all() else 1)
+assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+@pytest.mark.render
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+def test_a_fork_of_a_process_that_drew_draws(tmp_path):
+    """OpenGL's threads are not there in a fork, where it would wait for them for ever."""
+    code = FORK.format(root=str(ROOT), tests=str(ROOT / "tests"))
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.render
 def test_errors_of_the_child_are_the_parents(tmp_path, monkeypatch):
     monkeypatch.setattr(gl, "can_render_here", lambda: False)

@@ -14,7 +14,6 @@ import numpy as np
 from PIL import Image
 
 from planner.base import gl
-from planner.base.errors import RenderingUnavailable
 from planner.problem.appearance import Appearance
 from planner.view.render.apart import SAME, Outline, apart, behind, visibility
 from planner.view.render.camera import directions, scenery_of, whole_motion
@@ -94,10 +93,7 @@ class Scene:
         is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
         self._ground = is_plane | (model.geom_rbound > _FLOOR * self._camera.distance)
         self._marks = Marks(film, model, ghost_paint(film.appearance) if ghost else None)
-        try:
-            self._renderer: Any = mujoco.Renderer(model, rows, columns)
-        except (mujoco.FatalError, RuntimeError, ImportError) as error:
-            raise RenderingUnavailable(f"OpenGL refuses to draw: {str(error).splitlines()[0]}.") from error
+        self._renderer = gl.renderer(model, rows, columns)
         self._pixels = np.empty((rows, columns, 3), np.uint8)
         self._outline = Outline(model, scenery_of(model, self._appearance)[0], self._sticks)
         self._pixel = (
