@@ -55,7 +55,7 @@ def _run(words: list[str], console: Console) -> int:
             console.say("  ".join(f"{name} {version}" for name, version in versions.items()))
             return 0
         if arguments.command is None:
-            parser.build().print_help()
+            parser.build(()).print_help()
             return 0
         code = _function(arguments.command)(arguments, console)
         if console.lost:

@@ -12,7 +12,8 @@ from importlib import import_module
 
 from planner.base.errors import PlannerError
 from planner.cli.console import Console
-from planner.cli.parser import PROBLEM_FILE, build
+from planner.cli.flags import PROBLEM_FILE
+from planner.cli.parser import build
 
 
 def print_completion(arguments: argparse.Namespace, console: Console) -> int:

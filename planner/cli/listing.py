@@ -11,8 +11,9 @@ from typing import Any, get_type_hints
 from planner import cases
 from planner.base.arguments import choice
 from planner.cases.problem_file import keys as problem_keys
+from planner.cli.case_flags import documented_arguments, has_flag, summary
 from planner.cli.console import Console
-from planner.cli.parser import PROBLEM_FILE, documented_arguments, has_flag, summary
+from planner.cli.flags import PROBLEM_FILE
 
 COLUMNS = 100  # width of what is printed
 

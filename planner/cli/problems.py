@@ -14,7 +14,7 @@ from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import case_in, load
 from planner.cli.console import Console
-from planner.cli.parser import PROBLEM_FILE
+from planner.cli.flags import PROBLEM_FILE
 from planner.problem.criteria import with_objective
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, weights_of

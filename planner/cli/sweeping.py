@@ -9,7 +9,7 @@ from typing import Any
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.cli.console import Console
-from planner.cli.parser import PROBLEM_FILE
+from planner.cli.flags import PROBLEM_FILE
 from planner.cli.problems import durations_of, name_of, objective_of
 from planner.problem.limits import EXACT, Limits
 from planner.sweeps.executors import executor_of

@@ -5,7 +5,8 @@ from carts import CART, refuse, write
 
 from planner import PlannerError
 from planner.cases.problem_file import load
-from planner.cli.parser import PROBLEM_FILE, parse
+from planner.cli.flags import PROBLEM_FILE
+from planner.cli.parser import parse
 from planner.problem.goals import goals_of
 
 
