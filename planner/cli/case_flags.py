@@ -1,0 +1,105 @@
+"""Flags of a case, and of its solver. A case's signature gives the names, types and defaults of its own flags."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any, get_args, get_type_hints
+
+from planner.cases import CASES
+from planner.cases.problem_file import keys as problem_keys
+from planner.cli.flags import OUTPUT, PROBLEM_FILE, Flags, add, number, one_of, switch, takes, whole
+from planner.dynamics import INTEGRATORS
+from planner.problem.objective import OBJECTIVES
+from planner.solvers.slq import HESSIANS, LINE_SEARCHES, UPDATES
+
+_OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
+
+_LIMITS: Flags = {
+    "--control-limit": takes("X", "Largest magnitude of every control.", kind=number),
+    "--exact-goal": switch("Reach the goal to 1e-4 instead of weighing the distance to it."),
+}
+_SOLVER: Flags = {
+    "--update": one_of(UPDATES, "New controls: feedback, us + step k + K (x - xs), or open-loop, the paper's Eq. 36.",
+                        "feedback"),
+    "--line-search": one_of(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
+    "--hessian": one_of(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
+                         "gauss-newton"),
+    "--max-iterations": takes("N", "Largest number of iterations of the solver.", 1000, whole),
+    "--starts": takes("N", "Number of first guesses to try: the problem's own and smooth random changes of it; the "
+                            "best plan wins. Default: 1.", kind=whole),
+    "--seed": takes("N", "Seed of the random first guesses. Default: 0.", kind=whole),
+    "--rank": one_of(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
+                      "cost"),
+    "--objective": takes("NAME", f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. "
+                                  "Default: effort."),
+    "--durations": takes("A,B", "Shortest and longest duration, s, for an objective with time."),
+}  # fmt: skip
+_URDF: Flags = {
+    "--package-path": takes("DIR", "Folder of the packages that the file's URDF names, instead of its package_path."),
+}
+
+
+def add_cases(parser: argparse.ArgumentParser, *groups: Flags) -> None:
+    """Give a command its machines, each with its own flags, those of the solver and some others."""
+    machines = parser.add_subparsers(dest="case", metavar="CASE", required=True)
+    for case, build_case in CASES.items():
+        child = machines.add_parser(
+            case, help=summary(build_case), description=f"{parser.description} {summary(build_case)}"
+        )
+        child.set_defaults(parser=child)
+        _add_case(child, build_case)
+        add(child, _LIMITS, _SOLVER, *groups, OUTPUT)
+    keys = f"Its keys: {', '.join(problem_keys.KEYS)}."
+    own = machines.add_parser(PROBLEM_FILE, help=_OWN, description=f"{parser.description} {_OWN}", epilog=keys)
+    own.set_defaults(parser=own, control_limit=None, exact_goal=False)
+    own.add_argument("problem", metavar="FILE", help="A problem.toml.")
+    add(own, _URDF, _SOLVER, *groups, OUTPUT)
+
+
+def documented_arguments(case: Callable[..., Any]) -> dict[str, str]:
+    """Descriptions of the arguments of a case, from the Args section of its docstring."""
+    doc = inspect.getdoc(case) or ""
+    section = doc.split("Args:\n", 1)[-1].split("\n\n", 1)[0]
+    return {name: " ".join(text.split()) for name, text in re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.M)}
+
+
+def summary(case: Callable[..., Any]) -> str:
+    """The first line of a case's docstring."""
+    return (inspect.getdoc(case) or "").split("\n", 1)[0]
+
+
+def _add_case(parser: argparse.ArgumentParser, case: Callable[..., Any]) -> None:
+    texts, hints = documented_arguments(case), get_type_hints(case)
+    for name, parameter in inspect.signature(case).parameters.items():
+        if not has_flag(hints[name]):
+            continue
+        flag, default = f"--{name.replace('_', '-')}", parameter.default
+        words = [word for word in _leaves(hints[name]) if isinstance(word, str)]
+        options: dict[str, Any] = {"default": argparse.SUPPRESS, "help": texts.get(name, "")}
+        if default is not None:
+            options["help"] += f" Default: {default}."
+        if name == "integrator":
+            options["choices"] = INTEGRATORS
+        elif words:
+            options["choices"] = words
+        elif str in _leaves(hints[name]):
+            options |= {"metavar": "FILE"}
+        elif int in _leaves(hints[name]):
+            options |= {"type": whole, "metavar": "N"}
+        else:
+            options |= {"type": number, "metavar": "X"}
+        parser.add_argument(flag, dest=f"case_{name}", **options)
+
+
+def has_flag(hint: Any) -> bool:
+    """Whether one word can hold a parameter of this type; arrays have no flag."""
+    return ... not in _leaves(hint)
+
+
+def _leaves(hint: Any) -> tuple[Any, ...]:
+    """Types and words in a type hint: "a", "b" and None for `Literal["a", "b"] | None`."""
+    parts = get_args(hint)
+    return (hint,) if not parts else tuple(leaf for part in parts for leaf in _leaves(part))

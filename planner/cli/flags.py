@@ -1,0 +1,78 @@
+"""Flags of the command line that several commands share, and how a flag is written down."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from planner.base.arguments import shown
+
+PROBLEM_FILE = "PROBLEM.toml"
+"""Stands for any problem file where a case may be named."""
+
+Flags = dict[str, dict[str, Any]]  # options of add_argument() by flag
+
+
+def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]:
+    """A type of add_argument() that names what it expected."""
+
+    def convert(text: str) -> Any:
+        try:
+            return parse(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not {expected}") from None
+
+    return convert
+
+
+def _width_and_height(text: str) -> tuple[int, int]:
+    width, height = map(int, text.split("x"))
+    return width, height
+
+
+number, whole = _word_as(float, "a number"), _word_as(int, "a whole number")
+size = _word_as(_width_and_height, "a size like 1280x720")
+
+
+def takes(metavar: str, text: str, default: Any = None, kind: Callable[[str], Any] = str) -> dict[str, Any]:
+    """Options of add_argument() for a flag with a value."""
+    told = text if default is None else f"{text} Default: {default}."
+    return {"metavar": metavar, "help": told, "default": default, "type": kind}
+
+
+def one_of(choices: Sequence[str], text: str, default: str) -> dict[str, Any]:
+    """Options of add_argument() for a flag with one of some words."""
+    return {"choices": choices, "default": default, "help": f"{text} Default: {default}."}
+
+
+def switch(text: str) -> dict[str, Any]:
+    """Options of add_argument() for a flag without a value."""
+    return {"action": "store_true", "help": text}
+
+
+WORKERS: Flags = {
+    "--workers": takes("N", "Processes on this machine. Default: one a processor for sweep and paper, else threads of "
+                             "one process.", kind=whole),
+    "--scheduler": takes("ADDRESS", "Of a running Dask scheduler, tcp://HOST:8786, or local for a Dask cluster here."),
+}  # fmt: skip
+PROOF: Flags = {
+    "--rollouts": takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole),
+    "--hold": takes("S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number),
+}
+ROLLOUT: Flags = {
+    "--replay-case": takes("K", "Show perturbed simulation K in detail.", kind=whole),
+    "--mode": one_of(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
+    "--seed": takes("N", "Seed of the perturbations.", 0, whole),
+    "--perturb": {"action": "append", "metavar": "NAME=X",
+                  "help": "Size of a perturbation, e.g. mass=0.1 or delay=0; repeat it for others (docs/proof.md)."},
+}  # fmt: skip
+NO_VIDEO = {"--no-video": switch("Make no video and no strip of poses, which need OpenGL.")}
+OUTPUT: Flags = {"--json": switch("Print one JSON document on stdout."), "--quiet": switch("Print no progress.")}
+
+
+def add(parser: argparse.ArgumentParser, *groups: Flags) -> None:
+    """Add groups of flags to a command."""
+    for group in groups:
+        for flag, options in group.items():
+            parser.add_argument(flag, **options)
