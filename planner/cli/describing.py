@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from planner.base.errors import PlannerError, RenderingUnavailable
-from planner.cases.problem_file.first import write_first_problem
 from planner.cli.console import Console, shown
 from planner.model.urdf.read import opened_model
-from planner.problem.description import HOME, Description, describe
+
+if TYPE_CHECKING:
+    from planner.problem.description import Description
 
 PICTURE = "poses.png"
 COLUMNS = 120
@@ -22,17 +25,23 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
     """Describe a model, draw its keyframes and write a problem file."""
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
-    file = opened_model(arguments.model)
+    with ThreadPoolExecutor(1) as beside:  # MuJoCo compiles in a child while this process imports
+        opening = beside.submit(opened_model, arguments.model)
+        from planner.problem.description import describe
+
+        file = opening.result()
     known = describe(file)
     written = None
     if arguments.write is not None:  # or one sentence, before anything is printed
+        from planner.cases.problem_file.first import write_first_problem
+
         written = write_first_problem(arguments.write, arguments.model, file, known)
     _show(arguments.model, known, console)
     if written is not None:
         console.say(f"\n{written}: a problem to start from; planner run {written}")
     picture, note = (None, "") if arguments.no_picture else _picture(arguments, known)
     if picture is not None:
-        console.say(f"\n{picture}: {'its home pose' if list(known.poses) == [HOME] else 'its keyframes'}")
+        console.say(f"\n{picture}: {'its keyframes' if known.keyframes else 'its home pose'}")
     elif note:
         console.say(f"\nno picture: {note}")
     return console.finish(
@@ -92,7 +101,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts = [("gravity", " ".join(f"{g:g}" for g in known.gravity) + " m/s^2")]
     touching = f"{pairs} pair{'s' * (pairs != 1)} of shapes may touch" if pairs else "no shapes may touch"
     facts += [("contacts", ": ".join(filter(None, (touching, known.contacts["choice"]))))]
-    facts += [("keyframes", ", ".join(known.poses))] if list(known.poses) != [HOME] else []
+    facts += [("keyframes", ", ".join(known.keyframes))] if known.keyframes else []
     facts += [("planned with", _listed(known.planned))] if known.planned else []
     facts += [("left out", _listed(known.left_out))] if known.left_out else []
     if known.loaded.keys:

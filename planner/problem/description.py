@@ -72,13 +72,18 @@ class Description:
     poses: dict[str, np.ndarray]
     troubles: list[Trouble]
 
+    @property
+    def keyframes(self) -> list[str]:
+        """Names of the file's keyframes."""
+        return [] if list(self.poses) == [HOME] else list(self.poses)
+
     def to_dict(self) -> Record:
         """As JSON values."""
         return {
             "name": self.name, "degrees_of_freedom": self.degrees_of_freedom, "mass": self.mass,
             "gravity": self.gravity, "free_bases": self.free_bases, "joints": self.joints, "bodies": self.bodies,
             "actuators": self.actuators, "contacts": self.contacts,
-            "keyframes": [] if list(self.poses) == [HOME] else list(self.poses),
+            "keyframes": self.keyframes,
             "planned": self.planned, "left_out": self.left_out, "refused": self.loaded.refusal,
             "keys": self.loaded.keys, "problems": [trouble._asdict() for trouble in self.troubles],
         }  # fmt: skip
