@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, axpy, cross, load3, store3, sub
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import floats, integers, lanes, load, select, spread, store
+from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
 from planner.kernels.tree.couplings import hold_prescribed, invert_coupled, mass_and_rest
+from planner.kernels.tree.loop_algebra import solve
 from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, projected
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
@@ -60,30 +61,9 @@ def _lacks(m, q, v, ws, c):
         value, slope, curvature, _ = cam_polynomial(m, k, q)
         speed = load(v, j)
         phi, phid = load(q, load(address, i)) - value, load(v, i) - slope * speed
-        store(c, row, (2.0 * rate) * phid + (rate * rate) * phi - curvature * (speed * speed))
-        row += 1
-
-
-@inline
-def solve_rows(m, N, rows, least, c, f):
-    """F = -N^-1 c by L D L', in place of the lower half of N; dependent rows have no force."""
-    kinds = integers(m, TREE.row_kind)
-    for k in range(rows):  # column by column: what stands right of it has all that comes before taken off
-        pivot = load(N, k * rows + k)
-        d = select(load(least, load(kinds, k)), pivot, 1.0 / pivot, 0.0)
-        store(N, k * rows + k, d)
-        total = load(c, k)
-        for i in range(k + 1, rows):
-            factor = load(N, i * rows + k) * d
-            for j in range(k + 1, i + 1):
-                store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, j * rows + k))
-            store(c, i, load(c, i) - factor * total)
-        store(f, k, (-1.0 * d) * total)
-    for k in range(rows - 1, -1, -1):  # L' f: entries below the diagonal are L D
-        total, d = load(f, k), load(N, k * rows + k)
-        for i in range(k + 1, rows):
-            total -= (load(N, i * rows + k) * d) * load(f, i)
-        store(f, k, total)
+        lacks = (2.0 * rate) * phid + (rate * rate) * phi - curvature * (speed * speed)
+        store3(c, row, (lacks, zero, zero))
+        row += 3
 
 
 @part
@@ -92,10 +72,10 @@ def accelerate_closed(m, r, q, v, forces, a, ws, armature, f):
 
     armature (nv) is floats or lanes.
     """
-    n, prescribed, rows = m[TREE.nv], integers(m, TREE.prescribed), m[TREE.loop_rows]
+    n, prescribed, c, zero = m[TREE.nv], integers(m, TREE.prescribed), lanes(r, MEMORY.loop_c), spread(0.0)
     rest, M, ld = lanes(r, MEMORY.rest), lanes(r, MEMORY.M), r[MEMORY.ld]
-    J, WJ, N = lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N)
-    c, zero = lanes(r, MEMORY.loop_c), spread(0.0)
+    J, WJ, start = lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_WJ), integers(m, TREE.block_start)
+    first, reach, stop = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.block_stop)
     for i in range(n):
         store(rest, i, load(forces, i))
     mass_and_rest(m, rest, a, ws, armature, M, ld)
@@ -107,24 +87,25 @@ def accelerate_closed(m, r, q, v, forces, a, ws, armature, f):
     invert_coupled(m, M, ld)
     constraint_rows(m, q, ws, J, ld)
     projected(m, r, J, M, ld)
-    first, reach, stop = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.block_stop)
-    for k in range(rows):
-        total = load(c, k)
-        for t in range(load(first, k), load(first, k + 1)):
-            total += load(WJ, k * ld + load(reach, t)) * load(rest, load(reach, t))
-        store(c, k, total)
-    solve_rows(m, N, rows, lanes(r, MEMORY.loop_least), c, f)
-    begin = 0
-    for i in range(n):
-        if i > 0 and load(stop, i) != load(stop, i - 1):
-            begin = i
-        if load(prescribed, i) < 0:
-            total = zero
-            for j in range(begin, load(stop, i)):
-                total += load(M, i * ld + j) * load(rest, j)
-            store(a, i, total)
-    for k in range(rows):
+    for k in range(m[TREE.triples]):
+        o0, o1, o2 = 3 * k * ld, (3 * k + 1) * ld, (3 * k + 2) * ld
+        x, y, z = load3(c, 3 * k)
         for t in range(load(first, k), load(first, k + 1)):
             i = load(reach, t)
-            if load(prescribed, i) < 0:
-                store(a, i, load(a, i) + load(WJ, k * ld + i) * load(f, k))
+            x += load(WJ, o0 + i) * load(rest, i)
+            y += load(WJ, o1 + i) * load(rest, i)
+            z += load(WJ, o2 + i) * load(rest, i)
+        store3(c, 3 * k, (x, y, z))
+    solve(m, r, c, f)
+    for i in range(n):
+        if load(prescribed, i) < 0:
+            total = zero
+            for j in range(load(start, i), load(stop, i)):
+                total += load(M, i * ld + j) * load(rest, j)
+            store(a, i, total)
+    for k in range(m[TREE.triples]):  # columns of prescribed coordinates are zero
+        o0, o1, o2 = 3 * k * ld, (3 * k + 1) * ld, (3 * k + 2) * ld
+        x, y, z = load3(f, 3 * k)
+        for t in range(load(first, k), load(first, k + 1)):
+            i = load(reach, t)
+            store(a, i, load(a, i) + (load(WJ, o0 + i) * x + load(WJ, o1 + i) * y + load(WJ, o2 + i) * z))

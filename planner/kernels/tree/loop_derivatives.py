@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, axpy, cross, dot, load3, scaled
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, select, spread, store
+from planner.kernels.numba.lanes import WIDTH, floats, integers, lanes, load, spread, store
+from planner.kernels.tree.loop_algebra import invert_independent, subtract, times_inverse
 from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, projected
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
@@ -126,60 +127,21 @@ def close_derivatives(m, r, q, v, a, f, Dq, ld, ws):
         store(D, o + j, zero - by_q)
         store(D, o + nv + j, zero - 2.0 * (curvature * speed) - (2.0 * rate) * slope)
         store(Dq, j * ld + j, load(Dq, j * ld + j) + curvature * load(f, row))
-        row += 1
-
-
-@inline
-def invert_independent(m, N, rows, least):
-    """N becomes the inverse of its independent rows and columns, and zero in the others: kernels.tree.sensitivity's."""
-    kinds = integers(m, TREE.row_kind)
-    for k in range(rows):
-        pivot = load(N, k * rows + k)
-        d = select(load(least, load(kinds, k)), pivot, 1.0 / pivot, 0.0)
-        store(N, k * rows + k, -1.0 * d)
-        for i in range(rows):
-            if i != k:
-                factor = (load(N, i * rows + k) if i > k else load(N, k * rows + i)) * d
-                for j in range(min(i + 1, k)):
-                    store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, k * rows + j))
-                for j in range(k + 1, i + 1):
-                    store(N, i * rows + j, load(N, i * rows + j) - factor * load(N, j * rows + k))
-        for i in range(k):
-            store(N, k * rows + i, load(N, k * rows + i) * d)
-        for i in range(k + 1, rows):
-            store(N, i * rows + k, load(N, i * rows + k) * d)
-    for i in range(rows):
-        for j in range(i + 1):
-            x = -1.0 * load(N, i * rows + j)
-            store(N, i * rows + j, x)
-            store(N, j * rows + i, x)
+        row += 3
 
 
 @part
 def close(m, r, q, W, ld, ws):
     """W becomes W - W J'N J W, and MEMORY.loop_Y = W J'N (rows, ld); for the derivatives of accelerations."""
-    n, rows = m[TREE.nv], m[TREE.loop_rows]
-    J, WJ, N, Y_ = (
-        lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_Y)
-    )  # fmt: skip
-    first, reach = integers(m, TREE.reach_start), integers(m, TREE.reach_dof)
+    J, WJ, Y_ = lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_Y)
     constraint_rows(m, q, ws, J, ld)
     projected(m, r, J, W, ld)
-    invert_independent(m, N, rows, lanes(r, MEMORY.loop_least))
-    for k in range(rows * ld):
-        store(Y_, k, spread(0.0))
-    for k in range(rows):
-        for l in range(rows):
-            x = load(N, k * rows + l)
-            for t in range(load(first, l), load(first, l + 1)):
-                o = load(reach, t)
-                store(Y_, k * ld + o, load(Y_, k * ld + o) + x * load(WJ, l * ld + o))
-    for k in range(rows):
-        for t in range(load(first, k), load(first, k + 1)):
-            j = load(reach, t)
-            x = load(WJ, k * ld + j)
-            for i in range(n):
-                store(W, j * ld + i, load(W, j * ld + i) - x * load(Y_, k * ld + i))
+    invert_independent(m, r)
+    times_inverse(m, r, WJ, ld, Y_, ld)
+    subtract(m, (integers(m, TREE.reach_start), integers(m, TREE.reach_dof)), WJ, Y_, ld, W, (ld, 0), True)
+    for i in range(m[TREE.nv]):
+        for j in range(i):
+            store(W, j * ld + i, load(W, i * ld + j))
 
 
 @inline

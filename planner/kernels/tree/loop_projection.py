@@ -4,10 +4,10 @@ By one step of Newton's, the smallest that closes the chains to first order, the
 
     q+ = q + delta,   delta = -J'N phi,       v+ = v - J'N J v,       N = (J J')^-1
 
-Rows are left out of N as in kernels.tree.loop_rows, but sooner: near a singular pose such steps would be long. Columns
-of prescribed coordinates count as zero, and coupled ones move with those that they follow: J is J G in N and where a
-step is made of it, v = G times that of the independent ones. Derivatives follow from d(J'f)/dq = H with f constant and
-d(J w)/dq = D with w constant. With (f, w) = (N phi, delta) and (N J v, v+),
+Rows are left out of N as in kernels.tree.loop_algebra, but sooner: near a singular pose such steps would be long.
+Columns of prescribed coordinates count as zero, and coupled ones move with those that they follow: J is J G in N and
+where a step is made of it, v = G times that of the independent ones. With d(J'f)/dq = H of a constant f, d(J w)/dq = D
+of a constant w, and (f, w) = (N phi, delta) and (N J v, v+),
 
     d delta = -G (G'H + G'J'N (dphi/dq + D - J G G'H)) dq,
     dv+     = (1 - G G'J'N J) dv - G (G'H + G'J'N (D - J G G'H)) dq+
@@ -17,10 +17,18 @@ from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, add3, cross, load3, scaled, store3
 from planner.kernels.numba.jit import inline, part
-from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, spread, store
-from planner.kernels.tree.loop_accelerations import solve_rows
-from planner.kernels.tree.loop_derivatives import add_column, invert_independent, turn_forces
-from planner.kernels.tree.loop_rows import LEADER, cam_polynomial, constraint_rows, frame_axis, joined_frame, misses
+from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
+from planner.kernels.tree.loop_algebra import gram, invert_independent, solve, subtract, times_inverse
+from planner.kernels.tree.loop_derivatives import add_column, turn_forces
+from planner.kernels.tree.loop_rows import (
+    LEADER,
+    cam_polynomial,
+    constraint_rows,
+    frame_axis,
+    joined_frame,
+    misses,
+    times_rows,
+)
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST, place_all
@@ -48,17 +56,6 @@ def _turn_with(m, w, ws):
         if p >= 0:
             add3(ws, b + TWIST, load3(ws, p * RECORD + TWIST))
             add3(ws, b + TWIST + 3, load3(ws, p * RECORD + TWIST + 3))
-
-
-@inline
-def _times(m, J, ld, w, c):
-    """C = J w (rows)."""
-    start, dof = integers(m, TREE.row_start), integers(m, TREE.row_dof)
-    for k in range(m[TREE.loop_rows]):
-        total = spread(0.0)
-        for t in range(load(start, k), load(start, k + 1)):
-            total += load(J, k * ld + load(dof, t)) * load(w, load(dof, t))
-        store(c, k, total)
 
 
 @inline
@@ -95,61 +92,43 @@ def _unfold(m, X, count, row, column):
 
 
 @inline
-def _gram(m, r, J, ld):
-    """N: the lower half of J J' of a folded J, and the least pivots that count."""
-    first, reach, kinds = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.row_kind)
-    rows, N, least, zero = m[TREE.loop_rows], lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_least), spread(0.0)
-    for kind in range(3):
-        store(least, kind, zero)
-    for k in range(rows):
-        for l in range(k + 1):
-            total = zero
-            for t in range(load(first, l), load(first, l + 1)):
-                i = load(reach, t)
-                total += load(J, l * ld + i) * load(J, k * ld + i)
-            store(N, k * rows + l, total)
-        kind = load(kinds, k)
-        store(least, kind, maximum(load(least, kind), INDEPENDENT * load(N, k * rows + k)))
-
-
-@inline
 def _back(m, J, ld, f, step):
-    """The step -G J'f (nv) of a folded J."""
-    first, reach = integers(m, TREE.reach_start), integers(m, TREE.reach_dof)
+    """The step G J'f (nv) of a folded J."""
+    first, moved = integers(m, TREE.moved_start), integers(m, TREE.moved_dof)
     for i in range(m[TREE.nv]):
         store(step, i, spread(0.0))
-    for k in range(m[TREE.loop_rows]):
+    for k in range(m[TREE.triples]):
+        o0, o1, o2 = 3 * k * ld, (3 * k + 1) * ld, (3 * k + 2) * ld
+        x, y, z = load3(f, 3 * k)
         for t in range(load(first, k), load(first, k + 1)):
-            i = load(reach, t)
-            store(step, i, load(step, i) - load(J, k * ld + i) * load(f, k))
+            i = load(moved, t)
+            store(step, i, load(step, i) + (load(J, o0 + i) * x + load(J, o1 + i) * y + load(J, o2 + i) * z))
     _unfold(m, step, 1, 0, 1)
 
 
 @inline
-def _open(m, r, q, v, which):
-    """J, folded but for `whole`, its N of _gram, and in loop_c what is open: phi, or J v."""
+def _open(m, r, q, v, which, whole):
+    """J, folded, its N, and in loop_c what is open: phi, or J v. `whole` (rows, ld), if not None, is J as it was."""
     ws, J, ld = lanes(r, MEMORY.links), lanes(r, MEMORY.loop_J), r[MEMORY.ld]
     place_all(m, q, ws)
     constraint_rows(m, q, ws, J, ld)
     if which == POSITIONS:
         misses(m, q, ws, lanes(r, MEMORY.loop_c))
     else:
-        _times(m, J, ld, v, lanes(r, MEMORY.loop_c))
-        whole = lanes(r, MEMORY.loop_WJ)
+        times_rows(m, J, ld, v, lanes(r, MEMORY.loop_c))
+    if whole is not None:
         for k in range(m[TREE.loop_rows] * ld):
             store(whole, k, load(J, k))
     _fold(m, J, m[TREE.loop_rows], ld, 1)
-    _gram(m, r, J, ld)
+    gram(m, r, J, J, ld, INDEPENDENT)
 
 
 @part
 def step_back(m, r, q, v, which, step):
     """The step (nv) of positions, or of velocities v, that closes the chains at q."""
-    rows, f = m[TREE.loop_rows], lanes(r, MEMORY.loop_f)
-    _open(m, r, q, v, which)
-    solve_rows(m, lanes(r, MEMORY.loop_N), rows, lanes(r, MEMORY.loop_least), lanes(r, MEMORY.loop_c), f)
-    for k in range(rows):
-        store(f, k, -1.0 * load(f, k))
+    f = lanes(r, MEMORY.loop_f)
+    _open(m, r, q, v, which, None)
+    solve(m, r, lanes(r, MEMORY.loop_c), f)
     _back(m, lanes(r, MEMORY.loop_J), r[MEMORY.ld], f, step)
 
 
@@ -210,29 +189,26 @@ def _rates(m, r, q, w, which, H, ld, ws):
             store(D, o + i, zero + 1.0)
             store(D, o + j, load(D, o + j) - slope)
         store(H, j * ld + j, load(H, j * ld + j) + curvature * load(f, row))
-        row += 1
+        row += 3
 
 
 @inline
-def _less(m, r, X, width, E, columns, offset):
-    """E (nv, columns), from a column `offset` on, less J'N X of X (rows, width), of a folded J."""
-    nv, rows, ld, zero = m[TREE.nv], m[TREE.loop_rows], r[MEMORY.ld], spread(0.0)
-    N, J, NX = lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_Y)
-    first, reach = integers(m, TREE.reach_start), integers(m, TREE.reach_dof)
-    for k in range(rows):
-        for j in range(nv):
-            store(NX, k * ld + j, zero)
-        for l in range(rows):
-            x = load(N, k * rows + l)
-            for t in range(load(first, l), load(first, l + 1)):
-                j = load(reach, t)
-                store(NX, k * ld + j, load(NX, k * ld + j) + x * load(X, l * width + j))
-    for k in range(rows):
+def _add_turned(m, r, H, D):
+    """D (rows, loop_width) plus J H of a folded J and H (nv, ld), which is zero but within blocks."""
+    first, moved = integers(m, TREE.moved_start), integers(m, TREE.moved_dof)
+    begin, stop = integers(m, TREE.block_start), integers(m, TREE.block_stop)
+    J, ld, width = lanes(r, MEMORY.loop_J), r[MEMORY.ld], r[MEMORY.loop_width]
+    for k in range(m[TREE.triples]):
+        d0, d1, d2 = 3 * k * width, (3 * k + 1) * width, (3 * k + 2) * width
         for t in range(load(first, k), load(first, k + 1)):
-            i = load(reach, t)
-            x, o = load(J, k * ld + i), i * columns + offset
-            for j in range(nv):
-                store(E, o + j, load(E, o + j) - x * load(NX, k * ld + j))
+            i = load(moved, t)
+            o = 3 * k * ld + i
+            x, y, z = load(J, o), load(J, o + ld), load(J, o + 2 * ld)
+            for j in range(load(begin, i), load(stop, i)):
+                h = load(H, i * ld + j)
+                store(D, d0 + j, load(D, d0 + j) + x * h)
+                store(D, d1 + j, load(D, d1 + j) + y * h)
+                store(D, d2 + j, load(D, d2 + j) + z * h)
 
 
 @part
@@ -241,15 +217,18 @@ def step_derivatives(m, r, q, v, which, step, E):
     nv, rows, ld, columns, at_q = m[TREE.nv], m[TREE.loop_rows], r[MEMORY.ld], r[MEMORY.columns], r[MEMORY.first]
     ws, J, N, H = lanes(r, MEMORY.links), lanes(r, MEMORY.loop_J), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.Dq)
     c, f, D, width = lanes(r, MEMORY.loop_c), lanes(r, MEMORY.loop_f), lanes(r, MEMORY.loop_D), r[MEMORY.loop_width]
-    first, reach, zero = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), spread(0.0)
-    _open(m, r, q, v, which)
-    invert_independent(m, N, rows, lanes(r, MEMORY.loop_least))
+    whole, Y_, zero = lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_Y), spread(0.0)
+    lists = integers(m, TREE.moved_start), integers(m, TREE.moved_dof)
+    _open(m, r, q, v, which, whole)
+    invert_independent(m, r)
     for k in range(rows):
         total = zero
         for l in range(rows):
-            total += load(N, k * rows + l) * load(c, l)
+            total -= load(N, k * rows + l) * load(c, l)
         store(f, k, total)
     _back(m, J, ld, f, step)
+    for k in range(rows):
+        store(f, k, 0.0 - load(f, k))
     if which == POSITIONS:
         _turn_with(m, step, ws)
         _rates(m, r, q, step, which, H, ld, ws)
@@ -264,14 +243,10 @@ def step_derivatives(m, r, q, v, which, step, E):
             store(E, i * columns + j, zero)
         for j in range(nv):
             store(E, i * columns + at_q + j, load(H, i * ld + j))
-    for k in range(rows):
-        for t in range(load(first, k), load(first, k + 1)):
-            i, o = load(reach, t), k * width
-            x = load(J, k * ld + i)
-            for s in range(load(first, k), load(first, k + 1)):
-                j = load(reach, s)
-                store(D, o + j, load(D, o + j) + x * load(H, i * ld + j))
-    _less(m, r, D, width, E, columns, at_q)
+    _add_turned(m, r, H, D)
+    times_inverse(m, r, D, width, Y_, ld)
+    subtract(m, lists, J, Y_, ld, E, (columns, at_q), False)
     if which == VELOCITIES:
-        _less(m, r, lanes(r, MEMORY.loop_WJ), ld, E, columns, at_q + nv)
+        times_inverse(m, r, whole, ld, Y_, ld)
+        subtract(m, lists, J, Y_, ld, E, (columns, at_q + nv), False)
     _unfold(m, E, columns, 1, columns)

@@ -1,17 +1,14 @@
-"""The constraints of a tree's closed chains (planner.model.loops): their frames, cams, rows J and J W J'.
-
-Equations that say the same twice, as those of a planar machine do, make J W J' singular. Its elimination
-(kernels.tree.loop_accelerations) leaves out a row whose pivot falls below INDEPENDENT of the largest of its kind: its
-force is zero, and the others keep it too.
-"""
+"""The constraints of a tree's closed chains (planner.model.loops): their frames, cams, rows J and J W J'."""
 
 from __future__ import annotations
 
 from planner.kernels.algebra.spatial import add, cross, load3, load9, rotated, scaled, store3, sub
 from planner.kernels.numba.jit import inline
-from planner.kernels.numba.lanes import floats, integers, lanes, load, maximum, spread, store
+from planner.kernels.numba.lanes import floats, integers, lanes, load, spread, store
+from planner.kernels.tree.loop_algebra import gram
+from planner.kernels.tree.loop_arrays import CAM_SIZE, JOINED_SIZE
 from planner.kernels.tree.memory import MEMORY
-from planner.kernels.tree.model import CAM_SIZE, JOINED_SIZE, TREE
+from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import PLACE, RECORD, SCREW_AXIS, TWIST
 
 POINT, ORIGIN, AXES = 0, 3, 6  # offsets in the numbers of one of two frames that are joined, as `model` lays them out
@@ -91,7 +88,7 @@ def constraint_rows(m, q, ws, J, ld):
         _, slope, _, _ = cam_polynomial(m, k, q)
         store(J, row * ld + load(dof, 2 * k), zero + 1.0)
         store(J, row * ld + load(dof, 2 * k + LEADER), zero - slope)
-        row += 1
+        row += 3
 
 
 @inline
@@ -112,36 +109,46 @@ def misses(m, q, ws, c):
     dof, address = integers(m, TREE.cam_dof), integers(m, TREE.q_address)
     for k in range(m[TREE.cams]):
         value, _, _, _ = cam_polynomial(m, k, q)
-        store(c, row, load(q, load(address, load(dof, 2 * k))) - value)
-        row += 1
+        store3(c, row, (load(q, load(address, load(dof, 2 * k))) - value, zero, zero))
+        row += 3
+
+
+@inline
+def times_rows(m, J, ld, w, c):
+    """C = J w (rows)."""
+    start, dof = integers(m, TREE.moved_start), integers(m, TREE.moved_dof)
+    for k in range(m[TREE.triples]):
+        o0, o1, o2, x, y, z = 3 * k * ld, (3 * k + 1) * ld, (3 * k + 2) * ld, spread(0.0), spread(0.0), spread(0.0)
+        for t in range(load(start, k), load(start, k + 1)):
+            i = load(dof, t)
+            x += load(J, o0 + i) * load(w, i)
+            y += load(J, o1 + i) * load(w, i)
+            z += load(J, o2 + i) * load(w, i)
+        store3(c, 3 * k, (x, y, z))
 
 
 @inline
 def projected(m, r, J, W, ld):
     """WJ = W J' (rows, ld), N the lower half of J W J' (rows, rows); W of prescribed coordinates counts as zero."""
-    rows, prescribed = m[TREE.loop_rows], integers(m, TREE.prescribed)
-    start, dof, stop = integers(m, TREE.row_start), integers(m, TREE.row_dof), integers(m, TREE.block_stop)
-    first, reach, kinds = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), integers(m, TREE.row_kind)
-    WJ, N, least = lanes(r, MEMORY.loop_WJ), lanes(r, MEMORY.loop_N), lanes(r, MEMORY.loop_least)
+    prescribed, start, dof = integers(m, TREE.prescribed), integers(m, TREE.moved_start), integers(m, TREE.moved_dof)
+    begin, stop = integers(m, TREE.block_start), integers(m, TREE.block_stop)
+    first, reach, WJ = integers(m, TREE.reach_start), integers(m, TREE.reach_dof), lanes(r, MEMORY.loop_WJ)
     zero = spread(0.0)
-    for kind in range(3):
-        store(least, kind, zero)
-    for k in range(rows * ld):
+    for k in range(m[TREE.loop_rows] * ld):
         store(WJ, k, zero)
-    for k in range(rows):
+    for k in range(m[TREE.triples]):
+        o0, o1, o2 = 3 * k * ld, (3 * k + 1) * ld, (3 * k + 2) * ld
         for t in range(load(first, k), load(first, k + 1)):
-            i, total = load(reach, t), zero
+            i, x, y, z = load(reach, t), zero, zero, zero
             if load(prescribed, i) < 0:
                 for s in range(load(start, k), load(start, k + 1)):
                     j = load(dof, s)
-                    if load(stop, j) == load(stop, i):
-                        total += load(W, i * ld + j) * load(J, k * ld + j)
-            store(WJ, k * ld + i, total)
-        for l in range(k + 1):
-            total = zero
-            for s in range(load(start, l), load(start, l + 1)):
-                j = load(dof, s)
-                total += load(J, l * ld + j) * load(WJ, k * ld + j)
-            store(N, k * rows + l, total)
-        kind = load(kinds, k)
-        store(least, kind, maximum(load(least, kind), INDEPENDENT * load(N, k * rows + k)))
+                    if load(begin, i) <= j and j < load(stop, i):
+                        w = load(W, i * ld + j)
+                        x += w * load(J, o0 + j)
+                        y += w * load(J, o1 + j)
+                        z += w * load(J, o2 + j)
+            store(WJ, o0 + i, x)
+            store(WJ, o1 + i, y)
+            store(WJ, o2 + i, z)
+    gram(m, r, WJ, J, ld, INDEPENDENT)

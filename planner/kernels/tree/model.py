@@ -18,21 +18,20 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
+from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
 from planner.kernels.tree.own_forces import lifted_arrays, loss_arrays, tendon_arrays
 from planner.kernels.tree.touching import contact_arrays, pair_arrays, stop_arrays
 from planner.model.contact.between_bodies import common_carrier
 from planner.model.damping import implicit_damping
-from planner.model.loops import pull
 from planner.model.tendons import acting_tendons
 
 HOME_SIZE = 15  # of a link's constants: H by rows (9) and its place (3), turn, shift, and shift of the place
 INERTIA_SIZE = 11  # its mass, its centre of mass (3), its inertia about that in seven numbers (see _inertias)
-JOINED_SIZE, CAM_SIZE = 15, 7  # see _loops
 SCREW, BALL, BALL_NEXT, FLOATING = 0, 1, 2, 3  # as in planner.model.mechanism, and a slide that moves a whole tree
 
 TREE = Layout(
     "nv nq nballs nu na inputs position_terms velocity_terms contacts stops pairs curves tendons lifted losses "
-    "dependents loops cams loop_rows",
+    "dependents loops cams loop_rows triples",
     "parent base kind first q_address home inertia subtree_mass armature base_acceleration damping stiffness rest "
     "ball_q ball_v ball_stiffness ball_rest constant input_dof input_index input_value position_row position_column "
     "position_value velocity_row velocity_column velocity_value activation_input activation_gain activation_rate "
@@ -40,8 +39,8 @@ TREE = Layout(
     "stop_value pair_links pair_value curve_dof curve_value curve_start curve_slope_dof curve_slope "
     "tendon_start tendon_dof tendon_factor tendon_value lifted_value lifted_mass loss_dof loss_value "
     "dependent_dof dependent_start dependent_column dependent_value joined_link joined_address joined_value "
-    "loop_rigid loop_rate cam_dof cam_value row_kind row_start row_dof reach_start reach_dof bound_start bound_rows "
-    "block_stop implicit_damping",
+    "loop_rigid loop_rate cam_dof cam_value triple_kind moved_start moved_dof reach_start reach_dof shared_start "
+    "shared_dof bound_start bound_rows block_start block_stop implicit_damping",
 )
 
 
@@ -82,7 +81,7 @@ class Model:
         reduction = mechanism.reduction if actuated else None
         self.coupled = reduction is not None
         loops, cams = (mechanism.loops, mechanism.cams) if actuated else ((), ())
-        self.loop_rows = sum(loop.rows for loop in loops) + len(cams)
+        self.loop_rows = 3 * triples_of(loops, cams)
         acts = contacts or stops or pairs or curves or tendons or lifted or np.any(losses) or self.coupled or implicit
         acts = acts or self.loop_rows
         self.external = True if acts else None
@@ -109,8 +108,9 @@ class Model:
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
         arrays |= _curves(curves) | tendon_arrays(tendons) | lifted_arrays(mechanism, arrays["frames"])
-        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction) | _loops(loops, cams, arrays)
-        arrays |= _rows(loops, cams, mechanism)
+        arrays |= loss_arrays(mechanism, losses) | _dependents(reduction)
+        chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
+        arrays |= loop_arrays(loops, cams, chains, mechanism, arrays)
         arrays["implicit_damping"] = implicit_damping(mechanism)
         sizes = {
             "nv": nv, "nq": mechanism.nq, "nballs": len(mechanism.quaternions), "nu": self.nu, "na": self.na,
@@ -118,7 +118,7 @@ class Model:
             "velocity_terms": len(arrays["velocity_row"]), "contacts": len(contacts), "stops": len(stops),
             "pairs": len(pairs), "curves": len(curves), "tendons": len(tendons), "lifted": int(lifted),
             "losses": len(arrays["loss_dof"]), "dependents": len(arrays["dependent_dof"]),
-            "loops": len(loops), "cams": len(cams), "loop_rows": self.loop_rows,
+            "loops": len(loops), "cams": len(cams), "loop_rows": self.loop_rows, "triples": self.loop_rows // 3,
         }  # fmt: skip
         self.arrays = {name: _plain(arrays[name]) for name in TREE.arrays}  # keeps the addresses alive
         self.table = TREE.table(sizes, self.arrays)
@@ -300,77 +300,3 @@ def _dependents(reduction: Any) -> dict[str, np.ndarray]:
         "dependent_column": column if reduction is None else reduction.independent[column],
         "dependent_value": rows[row, column],
     }  # fmt: skip
-
-
-def _loops(loops: Any, cams: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Per joined frame: its place in the kernels' frame of its link (3), its tree's origin (3), its three axes there.
-
-    Per cam: the offsets of follower and leader, and five coefficients.
-    """
-    link = np.array([link for loop in loops for link in loop.links], dtype=np.int64)
-    value = np.zeros((len(link), JOINED_SIZE))
-    for row, i, T in zip(value, link, [T for loop in loops for T in loop.frames], strict=True):
-        own = np.linalg.inv(tree["frames"][i]) @ T if i >= 0 else T
-        row[:3], row[6:] = own[:3, 3], own[:3, :3].T.ravel()
-        if i >= 0:
-            row[3:6] = tree["origin"][i]
-    return {
-        "joined_link": link, "joined_value": value,
-        "joined_address": np.where(link >= 0, tree["floating_address"][link], -1) if len(link) else link,
-        "loop_rigid": np.array([loop.rigid for loop in loops], dtype=np.int64), "loop_rate": np.array([pull()]),
-        "cam_dof": np.array([(cam.follower, cam.leader) for cam in cams], dtype=np.int64),
-        "cam_value": np.array([(*cam.offsets, *cam.coefficients) for cam in cams], dtype=float),
-    }  # fmt: skip
-
-
-def _rows(loops: Any, cams: Any, mechanism: Any) -> dict[str, np.ndarray]:
-    """Where the constraints' rows are not zero, and the blocks of dofs between which the mass matrix is.
-
-    Per row of J its kind (0 of places, 1 of rotations, 2 of cams), its dofs, and those of their blocks, which a force
-    along it accelerates; per four columns of J the rows that are not zero there; per dof where its block ends.
-    """
-    parent, nv, kinds, moved = mechanism.parent, mechanism.nv, list[int](), list[list[int]]()
-    for loop in loops:
-        chains = sorted({i for link in loop.links for i in chain_of(parent, link)})
-        kinds += [0, 0, 0, 1, 1, 1][: loop.rows]
-        moved += [chains] * loop.rows
-    for cam in cams:
-        kinds.append(2)
-        moved.append(sorted(cam.dofs))
-    stop = _block_stops(mechanism) if kinds else np.full(nv, nv)
-    reached = [np.flatnonzero(np.isin(stop, stop[dofs])) for dofs in moved]
-    nonzero = np.zeros((len(kinds), nv), dtype=bool)
-    for row, dofs in zip(nonzero, moved, strict=True):
-        row[dofs] = True
-    bound = [np.flatnonzero(nonzero[:, j : j + WIDTH].any(axis=1)) for j in range(0, nv, WIDTH)]
-    return {
-        "row_kind": np.array(kinds, dtype=np.int64), **_lists("row", "dof", moved),
-        **_lists("reach", "dof", reached), **_lists("bound", "rows", bound), "block_stop": stop,
-    }  # fmt: skip
-
-
-def _lists(name: str, of: str, parts: Any) -> dict[str, np.ndarray]:
-    """Lists behind each other, and where each of them starts."""
-    return {
-        f"{name}_start": np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64),
-        f"{name}_{of}": np.array([i for part in parts for i in part], dtype=np.int64),
-    }
-
-
-def _block_stops(mechanism: Any) -> np.ndarray:
-    """(nv,) where the block of each dof ends: of its tree, and of what lies between trees that are coupled."""
-    nv, first = mechanism.nv, np.arange(mechanism.nv)
-    furthest = first.copy()
-    for i, parent in enumerate(mechanism.parent):
-        first[i] = i if parent < 0 else first[parent]
-        furthest[first[i]] = i
-    for coupling in mechanism.couplings:
-        begin = min(first[list(coupling.dofs)])
-        furthest[begin] = max(furthest[begin], *coupling.dofs)
-    stops, begin = np.empty(nv, dtype=np.int64), 0
-    while begin < nv:
-        i, last = begin, begin
-        while i <= last:
-            last, i = max(last, int(furthest[i])), i + 1
-        stops[begin:i] = begin = i
-    return stops
