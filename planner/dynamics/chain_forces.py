@@ -50,12 +50,12 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     given = [dof for name in dynamics.prescribed for dof in range(m.nv)[m.joint(name)]]
     G = G[:, ~np.any(G[given] != 0.0, axis=0)]
     W = G @ np.linalg.solve(G.T @ mass_matrix(tree, q) @ G, np.broadcast_to(G.T, (len(xs), *G.T.shape)))
-    JW = _jacobian(m, q) @ W
-    S = JW @ _jacobian(m, q).swapaxes(1, 2)
+    JW = constraint_jacobians(m, q) @ W
+    S = JW @ constraint_jacobians(m, q).swapaxes(1, 2)
     return (np.linalg.pinv(S, rcond=_WEAK, hermitian=True) @ (JW @ left[:, :, None]))[:, :, 0]
 
 
-def _jacobian(m: Mechanism, q: np.ndarray) -> np.ndarray:
+def constraint_jacobians(m: Mechanism, q: np.ndarray) -> np.ndarray:
     """J (K, rows, nv) of planner.dynamics.loops, of many configurations q (K, nq)."""
     parts = []
     for loop in m.loops:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from planner.base.arguments import array
@@ -9,12 +11,16 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.algorithms import bias, rnea
 from planner.dynamics.assembly import directions
+from planner.dynamics.chain_forces import constraint_jacobians
 from planner.dynamics.friction import friction_forces
 from planner.dynamics.statics import supported
 from planner.model.actuators import DIRECT, INTEGRATOR
 from planner.model.lying import lying_dofs
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import StateSpace
+
+_REDUNDANT = 1e-9  # of the largest singular value of J: equations that say the same twice
+_WEAK = 1e-6  # of what an actuator reaches most: ways in which a machine can hardly be moved
 
 
 def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
@@ -39,22 +45,34 @@ def holding_controls(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
 
 
 def follow(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau (Eq. 6).
+    """Controls (N, nu) along a motion by inverse dynamics, M(q) qdd + bias(q, qd) = tau + J'f (Eq. 6).
 
-    The motion is q (N, nq), qd and qdd (N, nv), of hinges and slides; actuators have no activations and reach every
-    joint but of objects that lie beside the machine. Of coupled joints the motion keeps the couplings, and G' tau is
-    what the actuators give.
+    The motion is q (N, nq), qd and qdd (N, nv), and keeps couplings and closed chains; actuators have no activations
+    and reach every way in which the machine can move, but for objects that lie beside it. Coupled joints share G' tau.
+    Forces f of closed chains take what they can. Where there are more actuators than ways to move, the controls are
+    the smallest.
     """
     actuators = mechanism.actuators
     G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
     G = G[:, ~np.any(G[lying_dofs(mechanism)], axis=0)]
     reach = G.T @ (actuators.moment.T * actuators.gain)
-    if np.any(actuators.dynamics != DIRECT) or np.linalg.matrix_rank(reach) < len(reach):
+    closed = bool(mechanism.loops or mechanism.cams)
+    if np.any(actuators.dynamics != DIRECT) or (not closed and np.linalg.matrix_rank(reach) < len(reach)):
         raise PlannerError("the actuators do not reach every joint directly, expected a fully actuated machine.")
     lengths, speeds = _lengths(mechanism, q), qd @ actuators.moment.T
     force = actuators.bias[:, 0] + actuators.bias[:, 1] * lengths + actuators.bias[:, 2] * speeds
-    tau = rnea(mechanism, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
-    return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
+    tree = replace(mechanism, loops=(), cams=()) if closed else mechanism
+    tau = rnea(tree, q, qd, qdd) - friction_forces(mechanism, qd, qdd)[0] - force @ actuators.moment
+    if not closed:
+        return np.linalg.lstsq(reach, G.T @ tau.T, rcond=None)[0].T
+    JG = constraint_jacobians(mechanism, q) @ G
+    P = np.eye(G.shape[1]) - np.linalg.pinv(JG, rcond=_REDUNDANT) @ JG  # what the chains let through
+    reach = P @ reach
+    values = np.linalg.svd(reach, compute_uv=False)
+    ways = round(float(np.trace(P, axis1=1, axis2=2).max()))
+    if np.count_nonzero(values > _WEAK * values.max(initial=0.0), axis=1).max() < ways:
+        raise PlannerError("the actuators do not move closed chains in every way, expected a fully actuated machine.")
+    return (np.linalg.pinv(reach, rcond=_WEAK) @ (P @ (tau @ G)[:, :, None]))[:, :, 0]
 
 
 def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray | None:
@@ -88,10 +106,15 @@ def quintic(start: np.ndarray, goal: np.ndarray, duration: float, N: int) -> tup
     s = (np.arange(N)[:, None] + 0.5) / N
     way = goal - start
     return (
-        start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * way,
+        start + quintic_shares(s) * way,
         (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) * way / duration,
         (60.0 * s - 180.0 * s**2 + 120.0 * s**3) * way / duration**2,
     )
+
+
+def quintic_shares(s: np.ndarray) -> np.ndarray:
+    """Which share of the way is behind the motion of `quintic` when the share s of its time is."""
+    return 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5
 
 
 def line_of_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration: float, N: int) -> np.ndarray:
@@ -102,7 +125,7 @@ def line_of_states(space: StateSpace, x0: np.ndarray, goal: np.ndarray, duration
     """
     s = np.linspace(0.0, 1.0, N + 1)[:, None]
     way = space.difference(goal, x0)
-    share, rate = 10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5, (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / duration
+    share, rate = quintic_shares(s), (30.0 * s**2 - 60.0 * s**3 + 30.0 * s**4) / duration
     dxs, nv = share * way, space.ndx // 2
     if space.ndx == 2 * nv:
         dxs[:, nv:] += rate * way[:nv]

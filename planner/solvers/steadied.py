@@ -58,7 +58,7 @@ def led_along(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) ->
     near a long way. Without them they act about what holds the machine.
     """
     with np.errstate(all="ignore"):
-        return _written_down(problem, _leading(problem, lambda n: xs[n], us))
+        return _written_down(problem, _leading(problem, lambda n: xs[n]) if us is None else _kept_to(problem, xs, us))
 
 
 def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
@@ -92,8 +92,7 @@ def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     if not all(np.isfinite(part).all() for part in (A, B, drift)):
         return u, np.zeros(B.T.shape)
     u = -np.linalg.lstsq(B, drift, rcond=None)[0]
-    R = (np.linalg.norm(B, axis=0) / dynamics.dt) ** 2
-    R = np.diag(np.maximum(R, _WEAKEST * R.max(initial=1.0)))
+    R = _weights(B, dynamics.dt)
     stages, ndx, nu = _STAGES, len(A), len(u)
     model = Quadratic(
         np.tile(np.eye(ndx), (stages + 1, 1, 1)), np.zeros((stages + 1, ndx)), np.tile(R, (stages, 1, 1)),
@@ -147,6 +146,29 @@ def _leading(problem: Problem, place: Callable[[int], np.ndarray], us: np.ndarra
         return (u if us is None else us[n]) + K @ space.difference(now, x)
 
     return control
+
+
+def _kept_to(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Control:
+    """Gains about states xs (N+1, nx) and the controls us (N, nu) that move a machine along them.
+
+    They are those of the LQ problem along the way: what forces of closed chains do depends on the controls.
+    """
+    space, dynamics = space_of(problem.dynamics), problem.dynamics
+    A, B = dynamics.linearize(xs, us)
+    R = _weights(B.reshape(-1, B.shape[2]), dynamics.dt * np.sqrt(len(B)))
+    N, ndx, nu = B.shape
+    model = Quadratic(
+        np.tile(np.eye(ndx), (N + 1, 1, 1)), np.zeros((N + 1, ndx)), np.tile(R, (N, 1, 1)), np.zeros((N, nu))
+    )
+    sweep = lq.riccati(A, B, model)
+    K = np.zeros((N, nu, ndx)) if sweep is None or not np.isfinite(sweep.K).all() else sweep.K
+    return lambda n, now: us[n] + K[n] @ space.difference(now, xs[n])
+
+
+def _weights(B: np.ndarray, dt: float) -> np.ndarray:
+    """R (nu, nu) of the controls that B (ndx, nu) has, so that a rate of one per second costs as a unit of the state."""
+    R = (np.linalg.norm(B, axis=0) / dt) ** 2
+    return np.diag(np.maximum(R, _WEAKEST * R.max(initial=1.0)))
 
 
 def _braking(problem: Problem) -> Control:

@@ -1,7 +1,7 @@
 """The first controls of a problem file: by the word that it has for them, or chosen by what they lead to.
 
 line   the straight line in joint space, or through the poses of a task, by inverse dynamics, for machines whose
-       actuators reach every joint
+       actuators reach every joint; of closed chains the line that keeps them closed
 around a way in joint space on which nothing that the problem avoids comes too near, kept to by gains
 led    gains of a regulator that is led along that line, for any other machine
 hold   what holds the start against gravity, as far as the actuators can
@@ -21,6 +21,7 @@ from planner.base.errors import PlannerError
 from planner.model.mjcf.driven import driven_dofs
 from planner.model.space import space_of
 from planner.problem.avoid import motion_around
+from planner.problem.closed_way import closed_way
 from planner.problem.constraints.apart import apart_of
 from planner.problem.guess import holding_controls, rolled, straight_line
 from planner.problem.problem import Problem
@@ -60,6 +61,8 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
             "guess is 'around', expected 'auto', 'line', 'led', 'hold' or 'zero': no way around was found; it is for "
             "machines of hinges and slides that avoid something, at rest at both ends, with actuators for every joint."
         )
+    if way is None and kind in ("line", "led", "auto"):
+        way = _closed(problem, goal)
     if kind in ("line", "auto") and not dynamics.prescribed:
         if way is None:
             line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
@@ -81,6 +84,18 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     if found is None or (kind == "auto" and not _price(problem, found) < _price(problem, hold)):
         return hold
     return found
+
+
+def _closed(problem: Problem, goal: np.ndarray) -> Way | None:
+    """The way to a goal (nx,) that keeps chains closed; None for machines without any, and where there is none."""
+    dynamics: Any = problem.dynamics
+    mechanism = dynamics.mechanism
+    if not (mechanism.loops or mechanism.cams):
+        return None
+    poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
+    rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
+    found = closed_way(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
+    return None if found is None else Way(found.controls, found.rows, direct=True)
 
 
 def _along(problem: Problem, way: Way) -> np.ndarray | None:

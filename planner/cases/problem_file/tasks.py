@@ -13,6 +13,7 @@ from planner.cases.problem_file.guess import Way
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
+from planner.problem.closed_way import closed_way
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.wanted import Wanted
 from planner.problem.default_weights import DefaultWeights, default_weights
@@ -133,6 +134,11 @@ def cost_of(way: Made, dynamics: RigidBodyDynamics, weights: dict[str, Any]) -> 
 
 def guess_of(way: Made, dynamics: RigidBodyDynamics, x0: np.ndarray) -> Way:
     """What the first controls may be made of."""
+    mechanism = dynamics.mechanism
+    if mechanism.loops or mechanism.cams:
+        found = closed_way(mechanism, x0, way.poses.stages, way.poses.q, way.poses.stops, dynamics.dt)
+        if found is not None:
+            return Way(None if dynamics.prescribed else found.controls, found.rows, _is_direct(way.task))
     return Way(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 
 
