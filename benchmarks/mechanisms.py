@@ -2,8 +2,8 @@
 
 A chain is what both sides are built from: {"gravity": (3,), "joints": [joint, ...]} with the joints depth first, and a
 joint is {"name", "parent" (its number from 1, 0 for the world), "type" (RX, RY, RZ a hinge about that axis, PX a slide
-along x, FF a free base), "R" (3, 3) and "p" (3,) (pose in the parent's frame), "mass", "com", "inertia" (3, 3) about the centre of mass,
-"armature"}. It is plain JSON, so that a peer in another environment builds its own model from it.
+along x, FF a free base), "R" (3, 3) and "p" (3,) (pose in the parent's frame), "mass", "com", "inertia" (3, 3) about
+the centre of mass, "armature"}. It is plain JSON, so that a peer in another environment builds its own model from it.
 """
 
 from __future__ import annotations
@@ -195,11 +195,12 @@ def mjcf(chain: Chain, motors: list[str] | None = None) -> str:
         x_axis, y_axis = np.array(joint["R"]).T[:2]
         # The six numbers of the full inertia are xx yy zz xy xz yz.
         inertia = np.array(joint["inertia"])[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        kind = "slide" if joint["type"] == "PX" else "hinge"
         motion = (
             f'<freejoint name="{joint["name"]}"/>'
             if joint["type"] == "FF"
-            else f'<joint name="{joint["name"]}" type="{"slide" if joint["type"] == "PX" else "hinge"}" axis="{_numbers(AXES[joint["type"]])}" '
-            f'armature="{_numbers(joint["armature"])}"/>'
+            else f'<joint name="{joint["name"]}" type="{kind}" '
+            f'axis="{_numbers(AXES[joint["type"]])}" armature="{_numbers(joint["armature"])}"/>'
         )
         lines += [
             f'{indent}<body name="{joint["name"]}" pos="{_numbers(joint["p"])}" xyaxes="{_numbers([x_axis, y_axis])}">',
