@@ -3,7 +3,8 @@
     python benchmarks/loop.py [--crocoddyl PYTHON] [--no-table] [--shown [NAME ...]] [--packages SITE_PACKAGES]
 
 A call plans once with one iteration: the plan before is rolled out from x with its gains, then linearised, swept and
-searched. Kernels are the compiled calls of it, timed alone at the same trajectory; the difference is Python's.
+searched. What it takes beside its kernels is counted within the same calls: the compiled calls are timed, and what is
+left of the whole is Python's.
 Crocoddyl has one iteration from a trajectory whose rollout it is given for nothing. One core each, by turns in one run,
 medians and minima: on a computer that does other things, too, minima tell more.
 
@@ -24,20 +25,28 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from loop_shown import SHOWN, drive  # noqa: E402
 from planner_worker import posed  # noqa: E402
-from rigid_body_problems import EULER, iteration_problem, probes  # noqa: E402
+from rigid_body_problems import EULER, cart_pole_problem, iteration_problem, probes  # noqa: E402
 from serving import Worker  # noqa: E402
 
 import planner  # noqa: E402
-from planner.kernels.lq import search  # noqa: E402
+from planner.dynamics import rigid_body  # noqa: E402
+from planner.solvers.engine import compiled, followed  # noqa: E402
 
 REPEATS, ROUNDS = 60, 5
-SIZES = {"2r": 50, "arm7": 50, "humanoid": 40}
+SIZES = {"2r": 50, "cart-pole": 50, "arm7": 50, "humanoid": 40}
+# Where a plan's compiled calls are looked up.
+CALLED: list[tuple[Any, str]] = [
+    (rigid_body.tree_search, "search_step"), (rigid_body.tree_linearize, "linearize_structured"),
+    (compiled, "gradients"), (followed, "begin_following"), (followed, "keep_followed"),
+]  # fmt: skip
 
 
 def problem_of(name: str) -> dict[str, Any]:
     """The problem of an iteration, as JSON, over so many stages."""
-    problem = iteration_problem(name, EULER)
     N = SIZES[name]
+    if name == "cart-pole":
+        return cart_pole_problem(N)
+    problem = iteration_problem(name, EULER)
     return problem | {"N": N, "us": problem["us"][:N]}
 
 
@@ -47,46 +56,60 @@ def controller_of(problem: dict[str, Any]) -> planner.Controller:
     return planner.Controller(own, plan=planner.solve(own, max_iterations=20))
 
 
-def call_times(controller: planner.Controller, repeats: int, rng: np.random.Generator) -> np.ndarray:
-    """Seconds of calls one stage apart, in the plan's own dynamics with a little noise."""
-    dynamics, times = controller.problem.dynamics, np.empty(repeats)
+def call_times(controller: planner.Controller, repeats: int, rng: np.random.Generator, kernels: Any) -> np.ndarray:
+    """Seconds (repeats, 2) of calls one stage apart and of the kernels in them.
+
+    The machine moves in the plan's own dynamics with a little noise.
+    """
+    dynamics, times = controller.problem.dynamics, np.empty((repeats, 2))
     controller.reset()
     x, space = controller.problem.x0, controller.plan.space
     for k in range(repeats):
+        kernels.seconds = 0.0
         began = time.perf_counter()
         u = controller(k * dynamics.dt, x)
-        times[k] = time.perf_counter() - began
+        times[k] = time.perf_counter() - began, kernels.seconds
         x = space.integrate(dynamics.step(x[None], u[None])[0], 1e-4 * rng.standard_normal(space.ndx))
     if controller.failures:
         print(f"  {controller.failures} solves failed: {controller.events[0]}")
     return times
 
 
-def kernel_times(controller: planner.Controller, repeats: int) -> np.ndarray:
-    """Seconds of the compiled calls of a plan at the controller's trajectory, without anything around them."""
-    engine: Any = controller._engine
-    w, dynamics, memory, kernels = engine._w, engine._dynamics, engine._memory, engine._riccati
-    from planner.kernels.lq.quadratic import gradients
+class Kernels:
+    """The compiled calls of an engine's plan, which it counts the seconds of while a controller is called."""
 
-    times = np.empty(repeats)
-    for k in range(repeats):
-        engine.follow(controller._xs[0], (controller._xs, controller._us, controller._K))
-        began = time.perf_counter()
-        cost = dynamics.search(w, memory, search.START, True, np.inf, 0.0)[1]
-        dynamics.linearize_nominal(w, memory)
-        gradients(w.table)
-        kernels(w.table, 0.0, dynamics.dt)
-        dynamics.search(w, memory, search.CLOSING, True, max(cost, 1.0) + 1.0, -1e-12)  # takes the full step, as a rule
-        times[k] = time.perf_counter() - began
-    return times
+    def __init__(self, controller: planner.Controller) -> None:
+        self.seconds, engine = 0.0, controller._engine
+        engine._riccati = self._timed(engine._riccati)  # type: ignore[attr-defined]
+
+    def _timed(self, kernel: Any) -> Any:
+        def call(*arguments: Any) -> Any:
+            began = time.perf_counter()
+            done = kernel(*arguments)
+            self.seconds += time.perf_counter() - began
+            return done
+
+        return call
+
+    def __enter__(self) -> Kernels:
+        """Count from here on."""
+        self._before = [(module, name, getattr(module, name)) for module, name in CALLED]
+        for module, name, kernel in self._before:
+            setattr(module, name, self._timed(kernel))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Count no more."""
+        for module, name, kernel in self._before:
+            setattr(module, name, kernel)
 
 
 def compare(python: str) -> None:
-    """The table of calls, kernels and Crocoddyl."""
+    """The table of calls, what they take beside their kernels, and Crocoddyl."""
     worker = Worker(python, "crocoddyl_worker.py", {"OMP_NUM_THREADS": "1"}, "Crocoddyl") if python else None
     if worker is not None:
         print(f"Crocoddyl {worker.hello.get('version', worker.hello)}")
-    print("           stages   call us (least)    99 %  calls/s  kernels (least)  Python  Crocoddyl (least)   ratio")
+    print("           stages   call us (least)    99 %  calls/s  beside its kernels  Crocoddyl (least)   ratio")
     rng = np.random.default_rng(0)
     for name in SIZES:
         problem = problem_of(name)
@@ -94,19 +117,19 @@ def compare(python: str) -> None:
         known = False
         if worker is not None:
             known = "failed" not in worker.ask("load", problem=problem, probes=probes(problem))
-        calls, kernels, theirs = [], [], []
+        calls, counted, theirs, kernels = [], [], [], Kernels(controller)
         for _ in range(ROUNDS):
-            calls.append(call_times(controller, REPEATS, rng))
-            kernels.append(kernel_times(controller, REPEATS))
+            calls.append(call_times(controller, REPEATS, rng, kernels)[:, 0])
+            with kernels:
+                counted.append(call_times(controller, REPEATS, rng, kernels))
             if known:
                 theirs += worker.ask("iterate", repeats=REPEATS, seconds=5.0)["times"]  # type: ignore[union-attr]
-        call, kernel = (1e6 * np.concatenate(one) for one in (calls, kernels))
-        other = 1e6 * np.array(theirs) if theirs else np.array([np.nan])
-        python_us = call.min() - kernel.min()
+        call, (whole, inside) = 1e6 * np.concatenate(calls), 1e6 * np.concatenate(counted).T
+        other, beside = 1e6 * np.array(theirs) if theirs else np.array([np.nan]), whole - inside
         print(
             f"{name:10}{SIZES[name]:7}{np.median(call):9.0f} ({call.min():6.0f}){np.percentile(call, 99):8.0f}"
-            f"{1e6 / np.median(call):9.0f}{np.median(kernel):8.0f} ({kernel.min():5.0f}){python_us:8.0f}"
-            f"{np.median(other):11.0f} ({other.min():6.0f})"
+            f"{1e6 / np.median(call):9.0f}{np.median(beside):13.0f} ({beside.min():3.0f})"
+            f"{np.median(other):12.0f} ({other.min():6.0f})"
             f"{np.median(other) / np.median(call):8.1f} ({other.min() / call.min():.1f})"
         )
     if worker is not None:

@@ -1,9 +1,9 @@
 """The mechanisms of rigid_body.py as chains of joints, and the MJCF text of a chain. NumPy only.
 
 A chain is what both sides are built from: {"gravity": (3,), "joints": [joint, ...]} with the joints depth first, and a
-joint is {"name", "parent" (its number from 1, 0 for the world), "type" (RX, RY, RZ a hinge about that axis, FF a free
-base), "R" (3, 3) and "p" (3,) (pose in the parent's frame), "mass", "com", "inertia" (3, 3) about the centre of mass,
-"armature"}. It is plain JSON, so that a peer in another environment builds its own model from it.
+joint is {"name", "parent" (its number from 1, 0 for the world), "type" (RX, RY, RZ a hinge about that axis, PX a slide
+along x, FF a free base), "R" (3, 3) and "p" (3,) (pose in the parent's frame), "mass", "com", "inertia" (3, 3) about
+the centre of mass, "armature"}. It is plain JSON, so that a peer in another environment builds its own model from it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 Chain = dict[str, Any]
 GRAVITY = 9.81
-AXES = {"RX": (1.0, 0.0, 0.0), "RY": (0.0, 1.0, 0.0), "RZ": (0.0, 0.0, 1.0)}
+AXES = {"PX": (1.0, 0.0, 0.0), "RX": (1.0, 0.0, 0.0), "RY": (0.0, 1.0, 0.0), "RZ": (0.0, 0.0, 1.0)}
 
 
 def _joint(
@@ -40,6 +40,18 @@ def two_rods() -> Chain:
         for parent, name in enumerate(("shoulder", "elbow"))
     ]
     return {"gravity": [0.0, -GRAVITY, 0.0], "joints": joints}
+
+
+def cart_pole() -> Chain:
+    """A cart of 1 kg on a rail, and a pole of 0.2 kg and 1 m that hangs from it."""
+    mass, length = 0.2, 1.0
+    across = mass * length**2 / 12.0
+    inertia = np.diag([across, across, 1e-3 * across])
+    joints = [
+        _joint("cart", 0, "PX", [0, 0, 0], 1.0, [0, 0, 0], 1e-2 * np.eye(3)),
+        _joint("pole", 1, "RY", [0, 0, 0], mass, [0, 0, -0.5 * length], inertia),
+    ]
+    return {"gravity": [0.0, 0.0, -GRAVITY], "joints": joints}
 
 
 def puma() -> Chain:
@@ -183,11 +195,12 @@ def mjcf(chain: Chain, motors: list[str] | None = None) -> str:
         x_axis, y_axis = np.array(joint["R"]).T[:2]
         # The six numbers of the full inertia are xx yy zz xy xz yz.
         inertia = np.array(joint["inertia"])[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        kind = "slide" if joint["type"] == "PX" else "hinge"
         motion = (
             f'<freejoint name="{joint["name"]}"/>'
             if joint["type"] == "FF"
-            else f'<joint name="{joint["name"]}" axis="{_numbers(AXES[joint["type"]])}" '
-            f'armature="{_numbers(joint["armature"])}"/>'
+            else f'<joint name="{joint["name"]}" type="{kind}" '
+            f'axis="{_numbers(AXES[joint["type"]])}" armature="{_numbers(joint["armature"])}"/>'
         )
         lines += [
             f'{indent}<body name="{joint["name"]}" pos="{_numbers(joint["p"])}" xyaxes="{_numbers([x_axis, y_axis])}">',

@@ -103,6 +103,17 @@ def iteration_problem(name: str, integrator: str) -> Problem:
     )  # fmt: skip
 
 
+def cart_pole_problem(N: int) -> Problem:
+    """A cart that pulls its hanging pole 0.5 m along its rail, from rest.
+
+    The pole has a motor, too: Crocoddyl has no actuation in C++ that leaves out any but the first joint.
+    """
+    return _problem(
+        "cart-pole", mechanisms.cart_pole(), EULER, N=N, dt=0.01, q0=None, goal=np.array([0.5, 0.0]), running=0.1,
+        effort=1e-3, final=10.0, us=np.zeros(2),
+    )  # fmt: skip
+
+
 def scaling_problem(chain: Chain, N: int, integrator: str) -> Problem:
     """A chain of any size over N stages of 2 ms, held at rest and asked to move a little: full steps succeed."""
     n = len(chain["joints"])

@@ -105,10 +105,7 @@ class Controller:
         # Past its end the goal of a task stays, if some control keeps it.
         self._window, self._holding = Window(problem, H, keeps=self._keeps_goal()), Holding(problem)
         self._engine = self._window.engine
-        nx, nu, ndx = problem.dynamics.nx, problem.dynamics.nu, self._space.ndx
-        self._xs, self._us, self._K = np.zeros((H + 1, nx)), np.zeros((H, nu)), np.zeros((H, nu, ndx))
-        self._next = np.zeros((H + 1, nx)), np.zeros((H, nu))
-        if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, nu)):
+        if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
         self._window.hinge(self.plan, problem.kept)
@@ -169,8 +166,9 @@ class Controller:
             self.plan = self._solved(states("x0", x0, self._space, ()))
         N, H = self.plan.N, self.horizon
         n = np.minimum(np.arange(H), N - 1)
-        self._xs[:], self._us[:] = self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n]
-        self._K = self.plan.K[n]
+        self._xs, self._us, self._K = self._plan_now = (
+            self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n], self.plan.K[n],
+        )  # fmt: skip
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -269,9 +267,9 @@ class Controller:
     def _solve(self, t: float, x: np.ndarray) -> str:
         """Moves the plan on to (t, x) and improves it; "" or why it could not."""
         engine, began = self._engine, time.perf_counter()
-        if not math.isfinite(x.dot(x)):
+        cost = engine.follow(x, self._plan_now, (t - self._made) / self._dt)
+        if not math.isfinite(cost) and not np.isfinite(x).all():
             return "the measured state is not finite"
-        cost = engine.follow(x, (self._xs, self._us, self._K), (t - self._made) / self._dt)
         if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
             held = self._holding(x, self._us[-1])
             cost = engine.start(x, np.tile(held, (self.horizon, 1)))
@@ -295,11 +293,10 @@ class Controller:
         if not math.isfinite(slope):
             return "the gains are not finite"
         self.stalls += kind not in (ACCEPTED, CONVERGED)  # no step lowers the cost: the plan before, from here
-        xs, us = self._next
-        K = engine.read(xs, us)
-        if not (math.isfinite(cost) and xs[-1].dot(xs[-1]) < RUNAWAY**2):
+        plan = engine.read(RUNAWAY) if math.isfinite(cost) else None
+        if plan is None:
             return "the plan is not finite"
-        self._next, (self._xs, self._us, self._K) = (self._xs, self._us), (xs, us, K)
+        self._xs, self._us, self._K = self._plan_now = plan
         return ""
 
     def _within(self, began: float, done: int) -> bool:

@@ -4,8 +4,8 @@ At stage s of its task the window has the stages s ... s+H-1 of the problem, and
 Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, as
 the regulator of planner.proof.hold has it. There the effort is counted from the controls that keep the goal.
 
-Everything is laid out once over the whole task and the window after it; to slide is to copy a slice of it into the
-memory of an engine.
+Everything is laid out once over the whole task and the window after it; to slide is to have an engine read its tables
+from another row on, or to copy a slice of them into its memory.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import ResidualDynamics
+from planner.kernels.lq.workspace import W
 from planner.model.space import space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
@@ -91,8 +92,18 @@ class Window:
         if not isinstance(engine, CompiledEngine):
             return
         arrays = self._arrays = engine.cost_arrays()
-        self._stage_values = self._Q[:, arrays["stage_row"], arrays["stage_column"]]
-        self._control_values = self._R[:, arrays["control_row"], arrays["control_column"]]
+        rows = {
+            "x_ref": self.x_ref, "u_ref": self.u_ref,
+            "stage_value": self._Q[:, arrays["stage_row"], arrays["stage_column"]],
+            "control_value": self._R[:, arrays["control_row"], arrays["control_column"]],
+        }  # fmt: skip
+        self._tables = {name: np.ascontiguousarray(values) for name, values in rows.items()}
+        self.x_ref, self.u_ref = self._tables["x_ref"], self._tables["u_ref"]
+        self._entries = np.array([getattr(W, name) for name in rows])
+        self._addresses = np.array([values.ctypes.data for values in self._tables.values()])
+        self._strides = np.array([values.strides[0] for values in self._tables.values()])
+        at_end = arrays["final_row"], arrays["final_column"]
+        self._values_at_end, self._ends = [Q[at_end] for Q in (self._last, self._final)], -1
         self._own_bounds: list[tuple[np.ndarray, np.ndarray]] = []
         if problem.bounds is not None:
             before = np.minimum(self._at, self.N - 1)
@@ -171,11 +182,10 @@ class Window:
         engine = self.engine
         if isinstance(engine, CompiledEngine):
             arrays = self._arrays
-            arrays["x_ref"][:] = self.x_ref[stage : stage + H + 1]
-            arrays["u_ref"][:] = self.u_ref[here]
-            arrays["stage_value"][:] = self._stage_values[here]
-            arrays["control_value"][:] = self._control_values[here]
-            arrays["final_value"][:] = self._weight_at_end(stage)[arrays["final_row"], arrays["final_column"]]
+            engine.use_tables(self._entries, self._addresses + stage * self._strides)
+            ends = int(self.keeps or stage + H <= self.N)
+            if ends != self._ends:
+                self._ends, arrays["final_value"][:] = ends, self._values_at_end[ends]
             for array, values in self._own_bounds:
                 if array.size:
                     array[:] = values[here]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.kernels.hopper import second as hopper_second
 from planner.kernels.hopper import step as hopper
-from planner.kernels.lq import bounded, quadratic, riccati, second_order
+from planner.kernels.lq import bounded, following, quadratic, riccati, second_order
 from planner.kernels.numba.jit import announce, arguments_of, cache_is_shared, is_warm
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree import linearize as tree_linearize
@@ -41,6 +41,8 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "riccati dense bounded": (bounded.riccati_dense_bounded, (_TABLE, "float64", "float64")),
     "riccati structured bounded": (bounded.riccati_structured_bounded, (_TABLE, "float64", "float64")),
     "gradients": (quadratic.gradients, (_TABLE,)),
+    "begin following": (following.begin_following, (_TABLE, _TABLE)),
+    "keep followed": (following.keep_followed, (_TABLE, _TABLE)),
     "costates": (second_order.costates, (_TABLE, "float64")),
     "tree second order": (
         tree_second.second_order,
@@ -79,7 +81,10 @@ for _name in ("tree search", "tree search external"):  # the last arguments are 
 
 # Kernels that have parts in common: one process compiles them, and the parts once.
 _FAMILIES = (
-    ("riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients"),
+    (
+        "riccati dense", "riccati structured", "riccati dense bounded", "riccati structured bounded", "gradients",
+        "begin following", "keep followed",
+    ),
     (
         "tree search", "tree search external", "tree search residuals", "tree search external residuals",
         "tree search residuals solids", "tree search external residuals solids",

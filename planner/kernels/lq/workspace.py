@@ -27,6 +27,7 @@ W = Layout(
     "hinge_weight hinge_active T costates residual_hessian residual_active range_lower range_upper servo_control "
     "servo_start servo_x servo_dx servo_now servo_late servo_low servo_high lower_share upper_share gaps values dxs",
 )
+_K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
 ALPHA, COSTS, SLOPES, BRACKET, GIVEN = range(5)
 
@@ -160,7 +161,7 @@ class Workspace:
 
     def use_gains(self, K: np.ndarray, address: int) -> None:
         """Have kernels read and write the gains in another array like K, at this address."""
-        self.K, self.table[W.K] = K, address
+        self.K, self.table[_K] = K, address
 
     def use_second_order(self, exact: bool, held: bool = False) -> None:
         """Whether the sweep adds T or, with `held`, `held` in its place. Memory is taken when it is first asked for."""

@@ -14,15 +14,17 @@ from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
 from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE, NO_STEP, W, Workspace
-from planner.kernels.numba.lanes import lane_array
 from planner.kernels.precompile import compile_together
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
-from planner.solvers.engine.moved import Trajectory, move
+from planner.solvers.engine.followed import Followed
+from planner.solvers.engine.moved import Trajectory
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
+
+_EXACT = W.exact
 
 
 class NoTracking:
@@ -55,8 +57,8 @@ class CompiledEngine(Engine):
         self._w = Workspace(cost, self._space, dynamics.structured, numbers, hinges, servos)
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
-        # Gains of followed plans and of the next sweep, by turns: nothing of them is copied.
-        self._gains: tuple[_Gains, _Gains] | None = None
+        # A plan that is followed and the next one, by turns: nothing of their gains is copied.
+        self._followed: tuple[Followed, Followed] | None = None
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
@@ -99,25 +101,23 @@ class CompiledEngine(Engine):
 
     def follow(self, x0: np.ndarray, trajectory: Trajectory, stages: float = 0.0) -> float:
         """Roll out u = us + K (x - xs) of a trajectory, some stages on, from x0 (nx,), and take it; its cost."""
-        w, (xs, us, K) = self._w, trajectory
-        if self._gains is None:
-            self._gains = _Gains(w), _Gains(w)
-        plans, next_ones = self._gains
-        if K is not plans.K:
-            plans.K[:] = K
-        m = move((w.xs, w.us), (xs, us), stages, self._space)
-        plans.use(w, m)
-        w.k.fill(0.0)
-        # The rollout begins at the trajectory's own start.
-        w.us[0] += plans.K[min(m, len(us) - 1)] @ self._space.single_difference(x0, w.xs[0])
-        w.xs[0] = x0
+        w = self._w
+        if self._followed is None:
+            self._followed = Followed(w, self._space), Followed(w, self._space)
+        plan, next_one = self._followed
+        plan.take(trajectory)
+        plan.begin(w, x0, stages)
         cost = self._search(search.START, True, math.inf, 0.0)[1]
-        next_ones.use(w)
+        next_one.use(w)
         return cost
 
     def cost_arrays(self) -> dict[str, np.ndarray]:
         """The weights, references and bounds as kernels read them, which may change between iterations."""
         return self._w._arrays
+
+    def use_tables(self, entries: np.ndarray, addresses: np.ndarray) -> None:
+        """Have kernels read some of these arrays elsewhere, in memory that the caller keeps."""
+        self._w.table[entries] = addresses
 
     def use_second_order(self, exact: bool) -> None:
         """Whether the next sweeps have the second-order terms."""
@@ -141,7 +141,7 @@ class CompiledEngine(Engine):
         w, dynamics = self._w, self._dynamics
         if fresh:
             self._linearize(self._exact)
-        if self._exact or self.hold > 0.0 or w.table[W.exact]:
+        if self._exact or self.hold > 0.0 or w.table[_EXACT]:
             self._hold()
         if self._bounds is not None:
             return self._iterate_bounded(feedback, rule, mu, cost, gradient_tolerance, decrease_tolerance)
@@ -248,33 +248,16 @@ class CompiledEngine(Engine):
         first = self._w.first
         return self._w.K[:, :, first : first + self._w.ndx].copy()
 
-    def read(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Copy the trajectory into arrays of these shapes; its gains, which stay until the next but one is read."""
-        w = self._w
-        xs[:], us[:] = w.xs, w.us
-        if self._gains is None:
-            return self.gains()
-        self._gains = self._gains[1], self._gains[0]
-        return self._gains[0].K
+    def read(self, most: float) -> Trajectory | None:
+        """The trajectory and its gains, in memory that is another plan's when the next but one is read.
 
-
-class _Gains:
-    """Memory of gains with room after its end, so that they can be followed from any stage on.
-
-    Attributes:
-        K: (N, nu, ndx) a view of the gains.
-    """
-
-    def __init__(self, w: Workspace) -> None:
-        self._N, (nu, width) = len(w.us), w.K.shape[1:]
-        self._rows = lane_array(2 * self._N, nu, width)
-        self._address, self._stride = self._rows.ctypes.data, self._rows.strides[0]
-        self._first = self._rows[: self._N]
-        self.K = self._first[:, :, w.first : w.first + w.ndx]
-
-    def use(self, w: Workspace, stage: int = 0) -> None:
-        """Have kernels use these gains from a stage on; what is beyond their end repeats the last."""
-        N = self._N
-        if stage:
-            self._rows[N : N + stage] = self._rows[N - 1]
-        w.use_gains(self._rows[stage : stage + N] if stage else self._first, self._address + stage * self._stride)
+        None where the norm of its last state is not below `most`.
+        """
+        if self._followed is None:
+            self._followed = Followed(self._w, self._space), Followed(self._w, self._space)
+            self._followed[1].K[:] = self.gains()
+        plan, next_one = self._followed
+        if not next_one.keep(self._w) < most**2:
+            return None
+        self._followed = next_one, plan
+        return next_one.trajectory

@@ -247,10 +247,10 @@ class NumpyEngine(Engine):
         """A copy of K (N, nu, ndx)."""
         return self._sweep.K.copy() if self._sweep is not None else np.zeros(self._gains)
 
-    def read(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Copy the trajectory into arrays of these shapes; a copy of its gains."""
-        xs[:], us[:] = self._nominal
-        return self.gains()
+    def read(self, most: float) -> Trajectory | None:
+        """Copies of the trajectory and its gains; None where the norm of its last state is not below `most`."""
+        xs, us = self.trajectory()
+        return (xs, us, self.gains()) if xs[-1] @ xs[-1] < most**2 else None
 
 
 def _check_jacobians(A: np.ndarray, B: np.ndarray, N: int, nu: int, ndx: int) -> None:

@@ -106,8 +106,11 @@ class Engine(Protocol):
         """A copy of K (N, nu, ndx)."""
         ...
 
-    def read(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
-        """Copy the trajectory into arrays of these shapes; its gains, which stay until the next but one is read."""
+    def read(self, most: float) -> Trajectory | None:
+        """The trajectory and its gains, in memory that is another plan's when the next but one is read.
+
+        None where the norm of its last state is not below `most`.
+        """
         ...
 
 
