@@ -29,8 +29,8 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
         opening = beside.submit(opened_model, arguments.model)
         from planner.problem.description import describe
 
-        file = opening.result()
-    known = describe(file)
+        file, keys = opening.result()
+    known = describe(file, keys)
     written = None
     if arguments.write is not None:  # or one sentence, before anything is printed
         from planner.cases.problem_file.first import write_first_problem

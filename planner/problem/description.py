@@ -32,7 +32,7 @@ class Loaded(NamedTuple):
     """A machine that can be planned with, and the keys of a problem file that make it so."""
 
     mechanism: Mechanism | None  # None where nothing makes it so
-    keys: dict[str, Any]  # ignore, where something is refused
+    keys: dict[str, Any]  # ignore and inertia, where something is refused
     refusal: str  # why the file is refused as it is; "" where it is not
 
 
@@ -95,8 +95,8 @@ HOME = "home"
 """The name of the pose in which a file without keyframes puts the joints."""
 
 
-def describe(file: Opened) -> Description:
-    """Describe a machine, whether a plan can be made with it or not.
+def describe(file: Opened, keys: dict[str, Any] | None = None) -> Description:
+    """Describe a machine, whether a plan can be made with it or not; `keys` of a problem file were needed to open it.
 
     Raises:
         ModelError: It has no joints.
@@ -105,6 +105,7 @@ def describe(file: Opened) -> Description:
     if model.nv == 0:
         raise ModelError("the model has no joints, expected at least one.")
     loaded = load_somehow(file)
+    loaded.keys.update(keys or {})
     joints, actuators = joint_records(model), actuator_records(model)
     mechanism = loaded.mechanism
     for j, joint in enumerate(joints):

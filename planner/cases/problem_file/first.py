@@ -59,7 +59,7 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
         lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
     lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
-    lines += _line("dt", "0.01", KEYS["dt"])
+    lines += _line("dt", '"auto"', KEYS["dt"])
     way = max(abs(end - move.start[known.joints[j]["position"]]) for j, end in move.goal.items())
     if way < _SMALL:
         lines += _line("tolerance", f"{_PART * way:.2g}", "how far from the goal passes, rad or m: a part of the way")

@@ -23,7 +23,7 @@ from planner.model.space import space_of
 from planner.problem.avoid import motion_around
 from planner.problem.closed_way import closed_way
 from planner.problem.constraints.apart import apart_of
-from planner.problem.guess import holding_controls, rolled, straight_line
+from planner.problem.guess import holding_controls, line_of_states, rolled, straight_line
 from planner.problem.problem import Problem
 from planner.solvers.steadied import led, led_along
 
@@ -64,10 +64,7 @@ def first_guess(problem: Problem, kind: str, goal: np.ndarray, way: Way | None =
     if way is None and kind in ("line", "led", "auto"):
         way = _closed(problem, goal)
     if kind in ("line", "auto") and not dynamics.prescribed:
-        if way is None:
-            line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
-        else:
-            line = _along(problem, way)
+        line = _along(problem, _straight(problem, goal) if way is None else way)
         if line is not None:
             return line
     if kind == "line":
@@ -96,6 +93,14 @@ def _closed(problem: Problem, goal: np.ndarray) -> Way | None:
     rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
     found = closed_way(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
     return None if found is None else Way(found.controls, found.rows, direct=True)
+
+
+def _straight(problem: Problem, goal: np.ndarray) -> Way:
+    """The straight line in joint space to a goal (nx,)."""
+    dynamics: Any = problem.dynamics
+    line = straight_line(dynamics.mechanism, problem.x0, goal, problem.duration, problem.N)
+    rows = line_of_states(space_of(dynamics), problem.x0, goal, problem.duration, problem.N)
+    return Way(line, rows, direct=True)
 
 
 def _along(problem: Problem, way: Way) -> np.ndarray | None:
