@@ -21,7 +21,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.guess import follow, quintic_shares
 
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are closed
-MOST = 100  # of them between two poses
+LEAST, MOST = 25, 100  # of them between two poses that are left and reached at rest, and between any two
 JUMP = 10.0  # times STEP, or the way between two poses if it is more: the chains were put together otherwise
 
 
@@ -86,7 +86,8 @@ def _closed(mechanism: Mechanism, poses: np.ndarray, stages: np.ndarray, alone: 
     space, times, states = mechanism.space, [float(stages[0])], [poses[0]]
     for k in range(1, len(poses)):
         far = float(np.abs(space.difference(poses[k], states[-1])).max())
-        parts = int(np.clip(np.ceil(far / STEP), 1, min(MOST, stages[k] - stages[k - 1])))
+        parts = int(np.clip(np.ceil(far / STEP), LEAST if alone else 1, MOST))
+        parts = min(parts, int(stages[k] - stages[k - 1]))
         t = np.linspace(0.0, 1.0, parts + 1)
         shares = quintic_shares(t) if alone else t
         for i in range(1, parts + 1):

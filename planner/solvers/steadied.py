@@ -166,7 +166,7 @@ def _kept_to(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Control:
 
 
 def _weights(B: np.ndarray, dt: float) -> np.ndarray:
-    """R (nu, nu) of the controls that B (ndx, nu) has, so that a rate of one per second costs as a unit of the state."""
+    """R (nu, nu) of controls that B (ndx, nu) has: a rate of one per second costs as much as a unit of the state."""
     R = (np.linalg.norm(B, axis=0) / dt) ** 2
     return np.diag(np.maximum(R, _WEAKEST * R.max(initial=1.0)))
 
