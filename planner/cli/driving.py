@@ -13,8 +13,9 @@ from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.results import show_plan
 from planner.control.controller import Controller
-from planner.control.judging import LoopVerdict, judge, margins
+from planner.control.judging import LoopVerdict, judge
 from planner.control.simulating import simulate
+from planner.control.surviving import margins
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save

@@ -11,7 +11,8 @@ from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
-from planner.control.judging import judge, margins, survives
+from planner.control.judging import judge, survives
+from planner.control.surviving import margins
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
 
