@@ -108,7 +108,6 @@ class Controller:
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
-        self._window.hinge(self.plan, problem.kept)
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
@@ -169,6 +168,7 @@ class Controller:
         self._xs, self._us, self._K = self._plan_now = (
             self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n], self.plan.K[n],
         )  # fmt: skip
+        self._window.hinge(self.plan, self.problem.kept)  # multipliers that calls have changed begin again
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -297,6 +297,7 @@ class Controller:
         if plan is None:
             return "the plan is not finite"
         self._xs, self._us, self._K = self._plan_now = plan
+        self._window.update_multipliers(self._xs, cost)
         return ""
 
     def _within(self, began: float, done: int) -> bool:

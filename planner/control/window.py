@@ -66,6 +66,7 @@ class Window:
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
         self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
         self.keeps = keeps
+        self._own_x_ref = self.x_ref.copy()
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
         self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
         self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, dt, keeps)
@@ -83,6 +84,7 @@ class Window:
         )  # fmt: skip
         self.engine, self._residual_costs = borrow(self.problem), residuals
         self._hinges: Hinges | None = None
+        self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
         self._lay_out(problem)
         self.stage, self._stale = -1, True
 
@@ -129,11 +131,49 @@ class Window:
         lower, upper = (kept.lower, kept.upper) if plan.hinges is None else plan.hinges[:2]
         most = np.tile(weight.max(axis=0), (len(self._at), 1))
         past = (self._at == self.N)[:, None]
+        self._kept = kept.lower[self._at], kept.upper[self._at]
         self._hinges = Hinges(
             np.where(past, kept.lower[self._at], lower[self._at]),
             np.where(past, kept.upper[self._at], upper[self._at]), most,
         )  # fmt: skip
+        self._move_ranges(self._own_x_ref)
         self._stale = True
+
+    def _move_ranges(self, before: np.ndarray) -> None:
+        """Ranges are of the deviation from the reference: move them with it, from a reference before."""
+        ranges = self.problem.ranges
+        if self._hinges is None or ranges is None:
+            return
+        moved = self._space.difference(self.x_ref, before)[:, ranges.component]
+        for side in (*self._hinges[:2], *self._kept):
+            side[:, : moved.shape[1]] -= moved[: len(side)]
+
+    def update_multipliers(self, xs: np.ndarray, cost: float) -> None:
+        """After a plan: the multipliers of ranges at its stages, as an augmented Lagrangian has them after a solve.
+
+        They belong to stages of the task, so that they slide with the window as its controls do. Ranges that no plan
+        has met yet get their weight when one first breaks them. Those of constraints stay as the first plan left them.
+
+        Args:
+            xs: (H+1, nx) the states of the plan.
+            cost: Of the plan.
+        """
+        ranges = self.problem.ranges
+        if self._hinges is None or ranges is None:
+            return
+        here, columns = slice(self.stage, self.stage + self.H), slice(0, len(ranges.component))
+        e = self._space.difference(xs[:-1], self.x_ref[here])[:, ranges.component]
+        lower, upper, weight = (part[here, columns] for part in self._hinges)
+        kept = [side[here, columns] for side in self._kept]
+        low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
+        if not (low.any() or high.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
+            return
+        new = np.any((low > 0.0) | (high > 0.0), axis=0) & ~np.any(weight > 0.0, axis=0)
+        if new.any():
+            outside = float(np.sum((low**2 + high**2)[:, new]))
+            self._hinges.weight[:, columns][:, new] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
+            low[:, new] = high[:, new] = 0.0
+        lower[:], upper[:], self._stale = kept[0] + low, kept[1] - high, True
 
     def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
         """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
@@ -145,11 +185,7 @@ class Window:
         first = min(max(stage, 0), self.N)
         at = np.clip(np.arange(len(self.x_ref)) - first, 0, len(goals) - 1)
         self.x_ref[self._to_goal] = goals[at[self._to_goal]]
-        ranges = self.problem.ranges
-        if self._hinges is not None and ranges is not None:  # they are of the deviation from the reference
-            moved = self._space.difference(self.x_ref, before)[:, ranges.component]
-            for side in self._hinges[:2]:
-                side[:, : moved.shape[1]] -= moved[: len(side)]
+        self._move_ranges(before)
         self.rest(control)
 
     def rest(self, control: np.ndarray | None) -> None:
