@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.measured import Measured, Section, dicts_of, rows_of
+from planner.control.goal_states import goal_states
 from planner.control.simulating import Loop
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
@@ -180,7 +181,8 @@ def _follows(loop: Loop) -> Section:
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
-    there = np.array([np.atleast_2d(loop.controller.state_of(loop.goal(float(t))))[0] for t in loop.t[half]])
+    H = loop.controller.horizon
+    there = np.array([np.atleast_2d(goal_states(problem, loop.goal(float(t)), H))[0] for t in loop.t[half]])
     off = np.abs(loop.plan.space.difference(loop.xs[half], there))
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):

@@ -10,14 +10,13 @@ from another row on, or to copy a slice of them into its memory.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.base.errors import PlannerError
+from planner.control.window_parts import at_stages, first_stages, frame_rows, lengthened, parts_of
 from planner.dynamics import ResidualDynamics
 from planner.kernels.lq.workspace import W
 from planner.model.space import space_of
@@ -25,15 +24,10 @@ from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import terms_of
-from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
-
-AIMED = "position of "
-"""How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
 
 
 class Window:
@@ -57,7 +51,7 @@ class Window:
 
     def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
         self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
-        tracking, residuals = _parts(problem)
+        tracking, residuals = parts_of(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
@@ -69,15 +63,15 @@ class Window:
         self._own_x_ref = self.x_ref.copy()
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
         self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
-        self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, dt, keeps)
-        self._frames, self._points = _frame_rows(residuals, N), dict[str, np.ndarray]()
+        self._residuals = None if self._end_rows is None else lengthened(self._end_rows, H, dt, keeps)
+        self._frames, self._points = frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
         Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
         cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
         if residuals:
-            first = _at_stages(self._residuals, slice(0, H + 1))
+            first = at_stages(self._residuals, slice(0, H + 1))
             cost = SumCost(cost, *[_Measured(residuals, first)])
-        limits = _first_stages(problem.limits, H, N)
+        limits = first_stages(problem.limits, H, N)
         self.problem = replace(
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
             recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
@@ -270,7 +264,7 @@ class Window:
         cost.nx, cost.ndx = self._space.nx, self._space.ndx
         if self._residuals is None or self._end_rows is None:
             return cost
-        parts = _at_stages(self._residuals, slice(stage, stage + H + 1))
+        parts = at_stages(self._residuals, slice(stage, stage + H + 1))
         bound, weight = np.array(parts.bound), np.array(parts.weight)
         for frame, places in self._points.items():
             bound[self._frames[frame]] = places.T
@@ -285,57 +279,3 @@ class _Measured(ResidualCost):
 
     def __init__(self, costs: list[ResidualCost], measures: ResidualArrays) -> None:
         super().__init__(costs[0].mechanism, measures, measures.weight.shape[1] - 1)
-
-
-def _parts(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
-    """The TrackingCost of a problem and its costs of residuals; what else there is has no window."""
-    terms = terms_of(problem.cost)
-    tracking = [term for term in terms if type(term) is TrackingCost]
-    residuals = [term for term in terms if isinstance(term, ResidualCost)]
-    if len(tracking) != 1 or len(terms) != 1 + len(residuals):
-        others = sorted({type(term).__name__ for term in terms if type(term) not in (TrackingCost,)})
-        raise PlannerError(
-            f"the cost has {len(tracking)} TrackingCost and {', '.join(others) or 'nothing else'}, expected one "
-            "TrackingCost, alone or with FrameCosts and PenaltyCosts: a controller asks it for weights past its end."
-        )
-    return tracking[0], residuals
-
-
-def _lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:
-    """The terms of a whole task and of H stages after it, where the end's weights go on per second if it is kept."""
-    N = measures.weight.shape[1] - 1
-    longer = measures.along(np.minimum(np.arange(N + H + 1), N))
-    weight, bound = np.array(longer.weight), np.array(longer.bound)
-    weight[:, N + 1 :] = keeps * (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
-    # A window that ends before the task does asks its end for the goal, whose rows are off there.
-    off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
-    bound = np.where(off, measures.bound[:, -1:], bound)
-    return replace(longer, weight=weight, bound=bound)
-
-
-def _at_stages(measures: ResidualArrays | None, stages: slice) -> ResidualArrays:
-    """The terms at some stages, the last of which is an end."""
-    assert measures is not None
-    part = measures.along(stages)
-    return ResidualArrays(**{f.name: np.array(getattr(part, f.name)) for f in fields(ResidualArrays)})
-
-
-def _frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
-    """The rows of the joined terms that hold the position of a frame, by the frame's name."""
-    found, first = dict[str, np.ndarray](), 0
-    for cost in residuals:
-        for name, rows in cost.goal_rows().items():
-            if name.startswith(AIMED):
-                frame = name.removeprefix(AIMED)
-                found[frame] = np.concatenate([found.get(frame, np.zeros(0, dtype=int)), first + rows])
-        first += len(cost.measures_for(N).weight)
-    return {frame: rows for frame, rows in found.items() if len(rows) == 3}
-
-
-def _first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
-    """Limits of a window: bounds of controls that are per stage for its stages."""
-    if limits is None or isinstance(limits.control, (str, Mapping)) or not isinstance(limits.control, (tuple, list)):
-        return limits
-    at = np.minimum(np.arange(H), N - 1)
-    sides = [np.asarray(side, dtype=float)[at] if np.ndim(side) == 2 else side for side in limits.control]
-    return replace(limits, control=tuple(sides))

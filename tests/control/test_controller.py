@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.control.controller import Doing
+from planner.control.doing import Doing
 from planner.control.holding import Holding, keeping
 
 N = 40  # of conftest.py
