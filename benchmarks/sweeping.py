@@ -1,6 +1,7 @@
 """Sweeps of hopper plans: what two processes do in the time of one, memory, and what handing out by Dask costs.
 
     python benchmarks/sweeping.py [--plans 1000] [--workers 1 2] [--dask] [--threads]
+    python benchmarks/sweeping.py --bars [--plans 2000]       what docs/scale.md promises, each met or not
 
 Walls say little on a machine that others use as well, so a run also measures what does not depend on them: processor
 time of a plan in the workers and in this process, which hands out and writes, and the share of their time in which
@@ -25,6 +26,8 @@ from typing import Any, NamedTuple
 import planner
 from planner.base.executors import width_of
 from planner.sweeps.executors import executor_of
+
+TWICE, QUIET = 1.7, 0.5  # times one; the load above which walls say little
 
 
 class Run(NamedTuple):
@@ -64,8 +67,12 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=1000)
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
     parser.add_argument("--dask", action="store_true", help="also on a local Dask cluster of so many workers")
+    parser.add_argument("--bars", action="store_true", help="instead: whether the bars are met, on a quiet machine")
     parser.add_argument("--threads", action="store_true", help="instead: solves in two threads beside one")
     options = parser.parse_args()
+    if options.bars:
+        _bars(options.plans)
+        return
     if options.threads:
         _threads()
         return
@@ -79,6 +86,23 @@ def main() -> None:
         alone = workers / one * base.worker / (1.0 - base.idle) / busy
         name = f"{workers} {'Dask workers' if dask else 'processes'}"
         print(f"{name}: {run.rate / base.rate:.2f} times the first by the wall, {alone:.2f} on cores of their own")
+
+
+def _bars(plans: int) -> None:
+    """Two processes and two threads at least TWICE times one by the wall, and Dask's scheduling within its share."""
+    load = os.getloadavg()[0]
+    if load > QUIET:
+        print(f"the load is {load:.1f}: walls say little, wait until it is below {QUIET:g}")
+    one, two = (_run(plans, workers, False) for workers in (1, 2))
+    dask = _run(plans, 2, True)
+    more = (dask.own - two.own) / two.worker
+    bars = {
+        f"two processes, {two.rate / one.rate:.2f} times one, at least {TWICE}": two.rate / one.rate >= TWICE,
+        f"Dask's scheduling, {100 * more:.1f} % of a plan's processor time, at most 5": more <= 0.05,
+    }
+    bars |= {f"two threads, {case}, {times:.2f} times one": times >= TWICE for case, times in _threads().items()}
+    for words, met in bars.items():
+        print(f"{'met    ' if met else 'NOT MET'}  {words}")
 
 
 def _run(plans: int, workers: int, dask: bool) -> Run:
@@ -140,8 +164,9 @@ def _children() -> list[int]:
     return [int(word) for file in found if file.exists() for word in file.read_text().split()]
 
 
-def _threads() -> None:
-    """How many solves a second two threads make, relative to one, and the processor time they take for it."""
+def _threads() -> dict[str, float]:
+    """How many solves a second two threads make, relative to one, by case; prints the processor time, too."""
+    found = {}
     for case, parameters in {"two-link": {"horizon": 1000}, "puma": {}, "hopper": {"horizon": 2000}}.items():
         problems = [planner.cases.build(case, **parameters) for _ in range(8)]
         for problem in problems:
@@ -156,11 +181,13 @@ def _threads() -> None:
                     best.append((time.perf_counter() - began, time.process_time() - cpu))
             walls.append(min(best)[0])
             processor.append(min(best)[1])
+        found[case] = walls[0] / walls[1]
         print(
             f"{case}: two threads {walls[0] / walls[1]:.2f} times one by the least wall of 5, in "
             f"{processor[1] / processor[0]:.2f} of the processor time, load {os.getloadavg()[0]:.1f}",
             flush=True,
         )
+    return found
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,3 +90,13 @@ class Section:
             "passed": self.passed,
             "figures": {one.name: one.to_dict() for one in self.measured},
         }
+
+
+def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, str]]:
+    """Every measured value of sections as step, name, value, bound and "ok" or "FAIL"."""
+    return [row for section in sections.values() for row in section.rows()]
+
+
+def dicts_of(sections: Mapping[str, Section]) -> dict[str, Any]:
+    """Sections as JSON values, by their names."""
+    return {name: section.to_dict() for name, section in sections.items()}

@@ -13,8 +13,10 @@ from planner.cli.console import Console
 from planner.cli.problems import asked_problem, name_of, solved
 from planner.cli.results import show_plan
 from planner.control.controller import Controller
-from planner.control.judging import LoopVerdict, judge, margins
+from planner.control.judging import LoopVerdict, judge
 from planner.control.simulating import simulate
+from planner.control.surviving import margins
+from planner.control.timing import horizon_and_rate
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots import draw_loop, save
@@ -42,7 +44,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     given = {"rate": arguments.rate, "iterations": count("iterations", arguments.iterations), "latency": latency or 0.0}
     if arguments.stages is not None:
         given["horizon"] = count("stages", arguments.stages)
-    Controller.check(problem, **given)
+    horizon_and_rate(problem, given.get("horizon"), arguments.rate)
     place = Path(arguments.out or f"renders/{name_of(arguments)}-loop")
     probe, created = open_folder(place, OUTPUTS)
     probe.rmdir()

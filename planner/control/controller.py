@@ -15,49 +15,29 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import array, count, number, shown
 from planner.base.errors import PlannerError
+from planner.control.doing import Doing, Event
+from planner.control.goal_states import goal_states, goal_stays
 from planner.control.holding import Holding, keeping
+from planner.control.timing import LITTLE, after, horizon_and_rate
 from planner.control.window import Window
 from planner.kernels.lq.search import ARMIJO
 from planner.kernels.lq.workspace import ACCEPTED, CONVERGED, INDEFINITE
 from planner.model.space import space_of
-from planner.problem.costs.residuals.cost import ResidualCost
-from planner.problem.costs.tracking import states, tracking_of
-from planner.problem.goals import terms_of
+from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.hold import hold_gain
 from planner.solvers.regularisation import FACTOR, LEAST, MOST
 from planner.solvers.slq import DECREASE, solve
 from planner.solvers.steadied import RUNAWAY
 
 PATIENCE = 10  # failures in a row after which it holds
-_LITTLE = 1e-6  # of a stage: instants that are nearer are the same
 _MOST_EVENTS = 1000
-
-
-class Doing(StrEnum):
-    """What a controller is doing, in a sentence."""
-
-    PLANNING = "It follows the plan that it has just made."
-    LAST_PLAN = "The last solve failed; it goes on with the plan before."
-    HOLDING = "It holds the machine where it is, by gravity compensation and damping, until a solve succeeds."
-
-
-class Event(NamedTuple):
-    """Something that a controller has to say."""
-
-    t: float  # s
-    words: str
-
-    def __str__(self) -> str:
-        return f"t = {self.t:.4g} s: {self.words}"
 
 
 class Controller:
@@ -94,7 +74,7 @@ class Controller:
         self, problem: Problem, horizon: int | None = None, rate: float | None = None, iterations: int = 1,
         budget: float | None = None, patience: int = PATIENCE, plan: Plan | None = None, latency: float = 0.0,
     ) -> None:  # fmt: skip
-        H, rate = self.check(problem, horizon, rate)
+        H, rate = horizon_and_rate(problem, horizon, rate)
         dt = problem.dynamics.dt
         self.problem, self.horizon, self.rate = problem, H, rate
         self.iterations = count("iterations", iterations)
@@ -103,48 +83,15 @@ class Controller:
         self.latency = number("latency", latency, least=0.0)
         self._dt, self._space, self._bounds = dt, space_of(problem.dynamics), problem.bounds
         # Past its end the goal of a task stays, if some control keeps it.
-        self._window, self._holding = Window(problem, H, keeps=self._keeps_goal()), Holding(problem)
+        self._window, self._holding = Window(problem, H, keeps=goal_stays(problem)), Holding(problem)
         self._engine = self._window.engine
         if plan is not None and (not isinstance(plan, Plan) or plan.us.shape != (problem.N, problem.dynamics.nu)):
             raise PlannerError(f"plan is {shown(plan)}, expected a Plan of the problem, or None.")
         self.plan = self._solved(problem.x0) if plan is None else plan
-        self._window.hinge(self.plan, problem.kept)
         self.keeps_goal = self._window.keeps
         self._goal: Any = None
         self._new_goal: np.ndarray | None = None
         self.reset()
-
-    def _keeps_goal(self) -> bool:
-        """Whether some control keeps the goal, as far as the task states a state to keep."""
-        goal = tracking_of(self.problem.cost)
-        frames = any(isinstance(one, ResidualCost) and one.goal_rows() for one in terms_of(self.problem.cost))
-        if goal is None or frames or not np.any(goal.Q[-1]):
-            return True
-        try:
-            hold_gain(self.problem)
-        except PlannerError:
-            return False
-        return True
-
-    @staticmethod
-    def check(problem: Problem, horizon: int | None = None, rate: float | None = None, **_: Any) -> tuple[int, float]:
-        """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
-        if not isinstance(problem, Problem):
-            raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
-        dt = problem.dynamics.dt
-        H = problem.N if horizon is None else count("horizon", horizon)
-        rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
-        if rate * dt > 1.0 + 1e-9:
-            raise PlannerError(
-                f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
-                f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
-            )
-        if rate * H * dt < 1.0 - 1e-9:
-            raise PlannerError(
-                f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least "
-                f"{1.0 / (H * dt):.4g} Hz, or a longer horizon."
-            )
-        return H, rate
 
     def __repr__(self) -> str:
         return (
@@ -169,6 +116,7 @@ class Controller:
         self._xs, self._us, self._K = self._plan_now = (
             self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n], self.plan.K[n],
         )  # fmt: skip
+        self._window.hinge(self.plan, self.problem.kept)  # multipliers that calls have changed begin again
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
@@ -200,19 +148,8 @@ class Controller:
                 shape = (3,) if np.ndim(places) < 2 else (self.horizon + 1, 3)
                 self._window.point(str(frame), array(f"the goal of {frame}", places, shape))
         else:
-            self._new_goal = self.state_of(goal)  # the next plan leads there
+            self._new_goal = goal_states(self.problem, goal, self.horizon)  # the next plan leads there
         self._goal = goal
-
-    def state_of(self, goal: Any) -> np.ndarray:
-        """The state (nx,) of a goal, a keyframe, positions (nq,) or a state; or states (horizon + 1, nx) ahead."""
-        mechanism = getattr(self.problem.dynamics, "mechanism", None)
-        if isinstance(goal, str):
-            if mechanism is None:
-                raise PlannerError(f"goal is {shown(goal)}, expected a state: the machine has no keyframes.")
-            return mechanism.keyframe(goal)
-        if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (self._space.nx,):
-            goal = np.concatenate([np.asarray(goal, dtype=float), np.zeros(self._space.nx - mechanism.nq)])
-        return states("goal", goal, self._space, () if np.ndim(goal) < 2 else (self.horizon + 1,))
 
     def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,): it plans where a plan is due.
@@ -220,11 +157,11 @@ class Controller:
         Time does not go back between resets. The state is MuJoCo's own, qpos, qvel and act, for a Mechanism.
         """
         self.planned, self.seconds = False, 0.0
-        if (t - self._asked) * self.rate >= 1.0 - _LITTLE:
+        if (t - self._asked) * self.rate >= 1.0 - LITTLE:
             began = time.perf_counter()
             self._asked = t
             if self.latency:
-                t, x = t + self.latency, self._ahead(x)
+                t, x = t + self.latency, after(self.problem, x, self._acting, self.latency)
             self.make_plan(t, x)
             self.planned, self.seconds = True, time.perf_counter() - began
             if self.status is Doing.PLANNING:
@@ -233,21 +170,11 @@ class Controller:
         self._acting = self.control(t, x)
         return self._acting
 
-    def _ahead(self, x: np.ndarray) -> np.ndarray:
-        """Where the control that acts now takes a state within the latency."""
-        left, lengths = self.latency, []
-        while left > _LITTLE * self._dt:
-            lengths.append(min(left, self._dt))
-            left -= lengths[-1]
-        for length in lengths:
-            x = self.problem.dynamics.step(x[None], self._acting[None], np.array([length]))[0]
-        return x
-
     def make_plan(self, t: float, x: np.ndarray) -> bool:
         """Plan from x (nx,) at time t, s; whether it succeeded. `control` then follows it."""
         if math.isnan(self._begin):
             self._begin = self._made = t - self.latency
-        stage = int((t - self._begin) / self._dt + _LITTLE)
+        stage = int((t - self._begin) / self._dt + LITTLE)
         if self._new_goal is not None:
             last = np.atleast_2d(self._new_goal)[-1]
             self._rest = keeping(self.problem, last, self._us[-1] if self._rest is None else self._rest)
@@ -297,6 +224,7 @@ class Controller:
         if plan is None:
             return "the plan is not finite"
         self._xs, self._us, self._K = self._plan_now = plan
+        self._window.update_multipliers(self._xs, cost)
         return ""
 
     def _within(self, began: float, done: int) -> bool:
@@ -327,10 +255,10 @@ class Controller:
         if math.isnan(self._made):
             raise PlannerError("the controller has not planned yet, expected controller(t, x) before control(t, x).")
         stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + _LITTLE)
+        n = int(stages + LITTLE)
         if n >= self.horizon and self.status is not Doing.PLANNING:
             self._hold(t, "the plan has ended")
-        at = min(int((t - self._begin) / self._dt + _LITTLE), self.problem.N - 1)
+        at = min(int((t - self._begin) / self._dt + LITTLE), self.problem.N - 1)
         if not math.isfinite(x.dot(x)):  # nothing is known of such a state
             u = self._acting
         elif self.status is Doing.HOLDING:
@@ -343,10 +271,10 @@ class Controller:
     def expected(self, t: float) -> np.ndarray:
         """The state (nx,) of the plan at time t, s: its own integrator over a part of a stage."""
         stages = max((t - self._made) / self._dt, 0.0)
-        n = int(stages + _LITTLE)
+        n = int(stages + LITTLE)
         if n >= self.horizon:
             return self._xs[-1].copy()
         part = stages - n
-        if part <= _LITTLE:
+        if part <= LITTLE:
             return self._xs[n].copy()  # the memory is another plan's soon
         return self.problem.dynamics.step(self._xs[n : n + 1], self._us[n : n + 1], np.array([part * self._dt]))[0]

@@ -1,8 +1,7 @@
-"""The verdict of a loop: does it arrive and stay, and what does it bear beside its plan with the gains alone?
+"""The verdict of a loop: does it arrive and stay? What it bears is sought in planner.control.surviving.
 
     arrives    every goal within its tolerance in time; paths and waypoints at their times
     stays      and over the last second
-    survives   the largest push at any of 20 times, the latency and the mass with which it still ends near every goal
 
 A machine that differs from the planned one, or is pushed, passes within five tolerances: the rule of the proof's
 perturbed rollouts. Where a case has a rule of its own for these, the way of a step or the rest at a hop's apex, that
@@ -13,31 +12,22 @@ What is measured and bounded is said in the words of a proof: Sections of Measur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from planner.base.measured import Measured, Section
-from planner.control.controller import Controller
-from planner.control.simulating import Loop, simulate
+from planner.base.measured import Measured, Section, dicts_of, rows_of
+from planner.control.goal_states import goal_states
+from planner.control.simulating import Loop
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import LEAST, Goal, goals_of
-from planner.problem.plan import Plan
-from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.robustness.campaign import LEVELS
-from planner.proof.robustness.pushes import Push
 from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, Rule, rule_of
-from planner.proof.tracking import misses, word_of
+from planner.proof.tracking import misses, word_of, worst_of
 
-PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
-LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s
-TIMES = 20
 LAST = 1.0  # s, over which it must stay
-AFTER = 2.0  # s after the task, in which a push at its end may be got over
-ALONE = "plan with its gains alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +78,14 @@ class LoopVerdict:
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
         """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
-        return [row for section in self.sections.values() for row in section.rows()]
+        return rows_of(self.sections)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         run = self.loop
         return {
             "verdict": self.verdict, "headline": self.headline,
-            **{name: section.to_dict() for name, section in self.sections.items()},
+            **dicts_of(self.sections),
             "asked": run.errors, "events": list(run.events),
             "map": {"times": self.times.tolist(), **{who: values.tolist() for who, values in self.maps.items()}},
         }  # fmt: skip
@@ -161,11 +151,9 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
     last, found = loop.t >= loop.t[-1] - LAST, []
     for unit in dict.fromkeys(one.unit for one in end):
         of_unit = [one for one in end if one.unit == unit]
-        values = [float(np.max(one.missed(loop.xs[last]))) for one in of_unit]
-        shares = [value / one.tolerance for value, one in zip(values, of_unit, strict=True)]
-        worst = int(np.argmax(np.where(np.isfinite(shares), shares, np.inf)))
-        note = f"largest over the last {LAST:g} s, {of_unit[worst].name}"
-        found.append(Measured(f"stayed_{word_of(unit)}_miss", values[worst], unit, of_unit[worst].tolerance, note))
+        value, worst = worst_of(of_unit, [float(np.max(one.missed(loop.xs[last]))) for one in of_unit])
+        note = f"largest over the last {LAST:g} s, {worst.name}"
+        found.append(Measured(f"stayed_{word_of(unit)}_miss", value, unit, worst.tolerance, note))
     return Section("stays", tuple(found))
 
 
@@ -193,7 +181,8 @@ def _follows(loop: Loop) -> Section:
                 Measured(f"{frame}_from_its_goal_on_average", float(off.mean()), "m", None, "over the second half"),
             ]
         return Section("follows", tuple(found))
-    there = np.array([np.atleast_2d(loop.controller.state_of(loop.goal(float(t))))[0] for t in loop.t[half]])
+    H = loop.controller.horizon
+    there = np.array([np.atleast_2d(goal_states(problem, loop.goal(float(t)), H))[0] for t in loop.t[half]])
     off = np.abs(loop.plan.space.difference(loop.xs[half], there))
     coordinates = coordinates_of(problem.dynamics)
     for unit in dict.fromkeys(one.unit for one in coordinates if not one.is_rate):
@@ -251,77 +240,6 @@ def _won(loop: Loop, rule: Rule) -> bool:
     if not np.isfinite(loop.xs).all():
         return False
     if rule.follows is not None:
-        return bool(rule.follows(way[None], plan.xs[stages], stages)[0])
+        return bool(rule.followed(way[None], plan.xs[stages], stages)[0])
     stays = _own_rule(loop) is None and getattr(loop.controller, "keeps_goal", True)
     return bool(rule.won(loop.xs[-1:] if stays else way[-1:])[0])
-
-
-def margins(
-    controller: Controller, body: str, *, times: int = TIMES, latency: float = 0.0, direction: Any = (1.0, 0.0, 0.0),
-    duration: float | None = None, push_duration: float = 0.1, progress: Callable[[int, int], object] | None = None,
-) -> tuple[Section, dict[str, np.ndarray], np.ndarray]:  # fmt: skip
-    """How large a push at each time, latency and mass error the loop survives, beside the plan with its gains alone.
-
-    Each is the largest of some levels, found by bisection as if less were survived always.
-
-    Args:
-        controller: To be judged; it is reset for each run.
-        body: That is pushed.
-        times: How many times of pushes, spread over the task.
-        latency: s, of the runs that have pushes and masses.
-        direction: (3,) of the pushes.
-        duration: s, of each run; by default the task and two seconds.
-        push_duration: s.
-        progress: Called with (parts done, parts in all).
-
-    Returns:
-        The section, the map by who ("loop", "gains"), and the times.
-    """
-    T = controller.problem.duration
-    compiled = CompiledTwin(controller.problem.twin)  # type: ignore[arg-type]
-    at = np.linspace(0.0, T, times)
-    duration = T + AFTER if duration is None else duration
-    along = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    parties: dict[str, Controller | Plan] = {"loop": controller, "gains": controller.plan}
-    maps = {who: np.zeros(times) for who in parties}
-    measured, done, total = [], 0, len(parties) * (times + 2)
-
-    def told() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
-    for who, party in parties.items():
-
-        def run(party: Controller | Plan = party, **errors: Any) -> bool:
-            given: dict[str, Any] = {"latency": latency} | errors
-            return survives(simulate(party, duration=duration, compiled=compiled, **given))
-
-        for k, t in enumerate(at.tolist()):
-            maps[who][k] = _largest(
-                PUSHES, lambda F, t=t, run=run: run(pushes=[Push(body, F * along, t, push_duration)])
-            )
-            told()
-        late = _largest(LATENCIES, lambda s, run=run: run(latency=s)) if who == "loop" else np.nan
-        told()
-        mass = _largest(LEVELS, lambda error, run=run: run(mass=error))
-        told()
-        words = "" if who == "loop" else f"; {ALONE}"
-        measured += [
-            Measured(f"{who}_least_push", float(maps[who].min()), "N", None, f"{body}, at any of {times} times{words}"),
-            Measured(f"{who}_median_push", float(np.median(maps[who])), "N", None, f"of these times{words}"),
-            Measured(f"{who}_mass_margin", mass, "", None, f"all bodies heavier by this share{words}"),
-        ]  # fmt: skip
-        if who == "loop":
-            measured.append(Measured("loop_latency_margin", late, "s", None, "from asking for a plan until it acts"))
-    return Section("survives", tuple(measured)), maps, at
-
-
-def _largest(levels: Sequence[float], survives: Callable[[float], bool]) -> float:
-    """The largest level that is survived, by bisection; 0 where not even the least is."""
-    low, high = -1, len(levels)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if survives(levels[middle]) else (low, middle)
-    return levels[low] if low >= 0 else 0.0

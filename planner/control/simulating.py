@@ -82,6 +82,11 @@ class Loop(Replay):
         return any(bool(self.errors.get(name)) for name in asked)
 
     @property
+    def pushes(self) -> tuple[Push, ...]:
+        """What pushed the machine."""
+        return tuple(Push(**one) for one in self.errors.get("pushes", ()))
+
+    @property
     def title(self) -> str:
         """Title of a section about it."""
         return "loop"

@@ -10,14 +10,13 @@ from another row on, or to copy a slice of them into its memory.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.base.errors import PlannerError
+from planner.control.window_parts import at_stages, first_stages, frame_rows, lengthened, parts_of
 from planner.dynamics import ResidualDynamics
 from planner.kernels.lq.workspace import W
 from planner.model.space import space_of
@@ -25,15 +24,10 @@ from planner.problem.costs.residuals.arrays import ResidualArrays, joined
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
-from planner.problem.goals import terms_of
-from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
 from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
-
-AIMED = "position of "
-"""How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
 
 
 class Window:
@@ -57,7 +51,7 @@ class Window:
 
     def __init__(self, problem: Problem, H: int, keeps: bool = True) -> None:
         self.H, self.N, self._space = H, problem.N, space_of(problem.dynamics)
-        tracking, residuals = _parts(problem)
+        tracking, residuals = parts_of(problem)
         N, self._at = self.N, np.minimum(np.arange(self.N + H + 1), self.N)
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
@@ -66,23 +60,25 @@ class Window:
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
         self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
         self.keeps = keeps
+        self._own_x_ref = self.x_ref.copy()
         self._to_goal = np.all(self.x_ref == self.x_ref[-1], axis=1)
         self._end_rows = joined([cost.measures_for(N) for cost in residuals]) if residuals else None
-        self._residuals = None if self._end_rows is None else _lengthened(self._end_rows, H, dt, keeps)
-        self._frames, self._points = _frame_rows(residuals, N), dict[str, np.ndarray]()
+        self._residuals = None if self._end_rows is None else lengthened(self._end_rows, H, dt, keeps)
+        self._frames, self._points = frame_rows(residuals, N), dict[str, np.ndarray]()
         Q = np.concatenate([self._Q[:H], self._final[None]])
         Q[0] = self._Q.sum(axis=0)  # the kernels' tables have the entries that any stage ever weighs
         cost: Any = TrackingCost(Q, self._R[:H], self.x_ref[: H + 1], self.u_ref[:H], self._space)
         if residuals:
-            first = _at_stages(self._residuals, slice(0, H + 1))
+            first = at_stages(self._residuals, slice(0, H + 1))
             cost = SumCost(cost, *[_Measured(residuals, first)])
-        limits = _first_stages(problem.limits, H, N)
+        limits = first_stages(problem.limits, H, N)
         self.problem = replace(
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
             recipe=None, wanted=None, requirements=None, periodic=None, tolerance="soft",
         )  # fmt: skip
         self.engine, self._residual_costs = borrow(self.problem), residuals
         self._hinges: Hinges | None = None
+        self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
         self._lay_out(problem)
         self.stage, self._stale = -1, True
 
@@ -129,11 +125,49 @@ class Window:
         lower, upper = (kept.lower, kept.upper) if plan.hinges is None else plan.hinges[:2]
         most = np.tile(weight.max(axis=0), (len(self._at), 1))
         past = (self._at == self.N)[:, None]
+        self._kept = kept.lower[self._at], kept.upper[self._at]
         self._hinges = Hinges(
             np.where(past, kept.lower[self._at], lower[self._at]),
             np.where(past, kept.upper[self._at], upper[self._at]), most,
         )  # fmt: skip
+        self._move_ranges(self._own_x_ref)
         self._stale = True
+
+    def _move_ranges(self, before: np.ndarray) -> None:
+        """Ranges are of the deviation from the reference: move them with it, from a reference before."""
+        ranges = self.problem.ranges
+        if self._hinges is None or ranges is None:
+            return
+        moved = self._space.difference(self.x_ref, before)[:, ranges.component]
+        for side in (*self._hinges[:2], *self._kept):
+            side[:, : moved.shape[1]] -= moved[: len(side)]
+
+    def update_multipliers(self, xs: np.ndarray, cost: float) -> None:
+        """After a plan: the multipliers of ranges at its stages, as an augmented Lagrangian has them after a solve.
+
+        They belong to stages of the task, so that they slide with the window as its controls do. Ranges that no plan
+        has met yet get their weight when one first breaks them. Those of constraints stay as the first plan left them.
+
+        Args:
+            xs: (H+1, nx) the states of the plan.
+            cost: Of the plan.
+        """
+        ranges = self.problem.ranges
+        if self._hinges is None or ranges is None:
+            return
+        here, columns = slice(self.stage, self.stage + self.H), slice(0, len(ranges.component))
+        e = self._space.difference(xs[:-1], self.x_ref[here])[:, ranges.component]
+        lower, upper, weight = (part[here, columns] for part in self._hinges)
+        kept = [side[here, columns] for side in self._kept]
+        low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
+        if not (low.any() or high.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
+            return
+        new = np.any((low > 0.0) | (high > 0.0), axis=0) & ~np.any(weight > 0.0, axis=0)
+        if new.any():
+            outside = float(np.sum((low**2 + high**2)[:, new]))
+            self._hinges.weight[:, columns][:, new] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
+            low[:, new] = high[:, new] = 0.0
+        lower[:], upper[:], self._stale = kept[0] + low, kept[1] - high, True
 
     def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
         """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.
@@ -145,11 +179,7 @@ class Window:
         first = min(max(stage, 0), self.N)
         at = np.clip(np.arange(len(self.x_ref)) - first, 0, len(goals) - 1)
         self.x_ref[self._to_goal] = goals[at[self._to_goal]]
-        ranges = self.problem.ranges
-        if self._hinges is not None and ranges is not None:  # they are of the deviation from the reference
-            moved = self._space.difference(self.x_ref, before)[:, ranges.component]
-            for side in self._hinges[:2]:
-                side[:, : moved.shape[1]] -= moved[: len(side)]
+        self._move_ranges(before)
         self.rest(control)
 
     def rest(self, control: np.ndarray | None) -> None:
@@ -234,7 +264,7 @@ class Window:
         cost.nx, cost.ndx = self._space.nx, self._space.ndx
         if self._residuals is None or self._end_rows is None:
             return cost
-        parts = _at_stages(self._residuals, slice(stage, stage + H + 1))
+        parts = at_stages(self._residuals, slice(stage, stage + H + 1))
         bound, weight = np.array(parts.bound), np.array(parts.weight)
         for frame, places in self._points.items():
             bound[self._frames[frame]] = places.T
@@ -249,57 +279,3 @@ class _Measured(ResidualCost):
 
     def __init__(self, costs: list[ResidualCost], measures: ResidualArrays) -> None:
         super().__init__(costs[0].mechanism, measures, measures.weight.shape[1] - 1)
-
-
-def _parts(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
-    """The TrackingCost of a problem and its costs of residuals; what else there is has no window."""
-    terms = terms_of(problem.cost)
-    tracking = [term for term in terms if type(term) is TrackingCost]
-    residuals = [term for term in terms if isinstance(term, ResidualCost)]
-    if len(tracking) != 1 or len(terms) != 1 + len(residuals):
-        others = sorted({type(term).__name__ for term in terms if type(term) not in (TrackingCost,)})
-        raise PlannerError(
-            f"the cost has {len(tracking)} TrackingCost and {', '.join(others) or 'nothing else'}, expected one "
-            "TrackingCost, alone or with FrameCosts and PenaltyCosts: a controller asks it for weights past its end."
-        )
-    return tracking[0], residuals
-
-
-def _lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:
-    """The terms of a whole task and of H stages after it, where the end's weights go on per second if it is kept."""
-    N = measures.weight.shape[1] - 1
-    longer = measures.along(np.minimum(np.arange(N + H + 1), N))
-    weight, bound = np.array(longer.weight), np.array(longer.bound)
-    weight[:, N + 1 :] = keeps * (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
-    # A window that ends before the task does asks its end for the goal, whose rows are off there.
-    off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
-    bound = np.where(off, measures.bound[:, -1:], bound)
-    return replace(longer, weight=weight, bound=bound)
-
-
-def _at_stages(measures: ResidualArrays | None, stages: slice) -> ResidualArrays:
-    """The terms at some stages, the last of which is an end."""
-    assert measures is not None
-    part = measures.along(stages)
-    return ResidualArrays(**{f.name: np.array(getattr(part, f.name)) for f in fields(ResidualArrays)})
-
-
-def _frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
-    """The rows of the joined terms that hold the position of a frame, by the frame's name."""
-    found, first = dict[str, np.ndarray](), 0
-    for cost in residuals:
-        for name, rows in cost.goal_rows().items():
-            if name.startswith(AIMED):
-                frame = name.removeprefix(AIMED)
-                found[frame] = np.concatenate([found.get(frame, np.zeros(0, dtype=int)), first + rows])
-        first += len(cost.measures_for(N).weight)
-    return {frame: rows for frame, rows in found.items() if len(rows) == 3}
-
-
-def _first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
-    """Limits of a window: bounds of controls that are per stage for its stages."""
-    if limits is None or isinstance(limits.control, (str, Mapping)) or not isinstance(limits.control, (tuple, list)):
-        return limits
-    at = np.minimum(np.arange(H), N - 1)
-    sides = [np.asarray(side, dtype=float)[at] if np.ndim(side) == 2 else side for side in limits.control]
-    return replace(limits, control=tuple(sides))

@@ -7,6 +7,7 @@ step of the simulator. A machine's own rules (Requirements) come first and take 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -133,13 +134,21 @@ def misses(who: str, t: np.ndarray, xs: np.ndarray, goals: tuple[Goal, ...]) -> 
     for unit in dict.fromkeys(one.unit for one in shared):
         judged = [one for one in shared if one.unit == unit and math.isfinite(one.tolerance)]
         of_unit = judged or [one for one in shared if one.unit == unit]
-        values = [one.miss(t, xs) for one in of_unit]
-        scales = [value / one.tolerance if judged else value for value, one in zip(values, of_unit, strict=True)]
-        worst = int(np.argmax(np.where(np.isfinite(scales), scales, np.inf)))
-        most = of_unit[worst]
+        value, most = worst_of(of_unit, [one.miss(t, xs) for one in of_unit])
         note = f"{whose}'s end from the goal, {most.name}" + ("" if judged else "; a soft goal is not judged")
-        measured.append(Measured(f"{who}_{word_of(unit)}_miss", values[worst], unit, _bound(most), note))
+        measured.append(Measured(f"{who}_{word_of(unit)}_miss", value, unit, _bound(most), note))
     return measured
+
+
+def worst_of(goals: Sequence[Goal], missed: Sequence[float]) -> tuple[float, Goal]:
+    """The goal that is nearest to its tolerance, or beyond it by the most, and by how much it is missed.
+
+    Of goals without a tolerance that which is missed most; what is no number is the worst.
+    """
+    judged = all(math.isfinite(one.tolerance) for one in goals)
+    scales = [value / one.tolerance if judged else value for value, one in zip(missed, goals, strict=True)]
+    worst = int(np.argmax(np.where(np.isfinite(scales), scales, np.inf)))
+    return missed[worst], goals[worst]
 
 
 def _bound(goal: Goal) -> float | None:

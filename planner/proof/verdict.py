@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planner.base.gl import load_mujoco
-from planner.base.measured import Section
+from planner.base.measured import Section, dicts_of, rows_of
 from planner.base.shown import Filmed
 from planner.proof.growth import Growth
 from planner.proof.hold import Held
@@ -107,7 +107,7 @@ class Proof(Filmed):
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
         """Every measured value as step, name, value, bound and "ok" or "FAIL"."""
-        return [row for section in self.sections.values() for row in section.rows()]
+        return rows_of(self.sections)
 
     def table(self) -> str:
         """All measured beside their bounds, one line each, then the verdict."""
@@ -124,11 +124,10 @@ class Proof(Filmed):
             "engine": "MuJoCo", "version": load_mujoco().__version__, "integrator": run.integrator,
             "timestep": run.timestep, "steps_per_stage": run.substeps, "warnings": list(run.warnings),
         }  # fmt: skip
-        sections = {name: section.to_dict() for name, section in self.sections.items()}
         found = None if self.monte_carlo is None else self.monte_carlo.to_dict()
         head = {
             "verdict": self.verdict, "mode": self.mode, "headline": self.headline, "feasible": self.feasible,
             "optimal": self.optimal, "robustness": self.robustness, "not_checked": list(self.not_checked),
             "reason": self.reason,
         }  # fmt: skip
-        return {**head, **sections, "asked": self.asked, "monte_carlo": found, "simulator": simulator}
+        return {**head, **dicts_of(self.sections), "asked": self.asked, "monte_carlo": found, "simulator": simulator}

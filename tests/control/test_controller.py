@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.control.controller import Doing
+from planner.control.doing import Doing
 from planner.control.holding import Holding, keeping
 
 N = 40  # of conftest.py
@@ -188,3 +188,40 @@ def test_a_plan_stays_as_it_was_while_the_next_is_made(problem, controller):
     controller._engine.sweep(0.0, True)
     for part, before in zip((controller._xs, controller._us, controller._K), kept, strict=True):
         np.testing.assert_array_equal(part, before)
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_limits_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, iterations):
+    """The first plan stays within them by itself, so that it has no multipliers; the way to the new goal does not."""
+    fastest = 1.02 * np.abs(planner.solve(problem).xs[:, 2:]).max(axis=0)
+    speeds = {name: (-most, most) for name, most in zip(("shoulder", "elbow"), fastest, strict=True)}
+    c = planner.Controller(replace(problem, limits=planner.Limits(velocity=speeds)), iterations=iterations)
+    assert c.plan.hinges is None
+    c.goal = [1.0, -7.0]
+    xs = driven(c, 2 * N)
+    assert np.abs(xs[-1] - [1.0, -7.0, 0, 0]).max() < 0.05
+    assert (np.abs(xs[:, 2:]).max(axis=0) < 1.02 * fastest).all()  # by a multiplier a call: nearly
+
+
+def test_multipliers_begin_again_with_the_task(problem):
+    limited = replace(problem, limits=planner.Limits(velocity={"elbow": (-6.0, 6.0)}))
+    c = planner.Controller(limited)
+    first = driven(c, N, (N // 2, np.array([0.2, -0.3, 1.0, 0.0])))
+    np.testing.assert_array_equal(first, driven(c, N, (N // 2, np.array([0.2, -0.3, 1.0, 0.0]))))
+
+
+def test_the_first_guess_of_compiled_calls_is_that_of_numpy(problem, controller):
+    """Two stages on, from another state: the rollout of the plan moved by arrays."""
+    controller.reset()
+    controller(0.0, problem.x0)
+    engine, (xs, us, K) = controller._engine, [part.copy() for part in controller._plan_now]
+    x = xs[2] + np.array([0.05, -0.02, 0.3, 0.1])
+    engine.follow(x, controller._plan_now, 2.0)
+    found = engine.trajectory()
+    dynamics, at = problem.dynamics, np.minimum(np.arange(2, N + 2), N - 1)
+    expected = [x]
+    for n in range(N):
+        u = us[at[n]] + K[at[n]] @ (expected[-1] - xs[min(n + 2, N)])
+        np.testing.assert_allclose(found[1][n], u, rtol=1e-9, atol=1e-9)
+        expected.append(dynamics.step(expected[-1][None], u[None])[0])
+    np.testing.assert_allclose(found[0], expected, rtol=1e-9, atol=1e-9)

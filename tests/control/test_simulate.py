@@ -11,7 +11,8 @@ from places import ROOT
 
 import planner
 from planner.base.errors import PlannerError
-from planner.control.judging import judge, margins, survives
+from planner.control.judging import judge, survives
+from planner.control.surviving import margins
 from planner.model.mjcf.survey import compile_model
 from planner.proof.robustness.pushes import Push, pushed_step
 
@@ -240,3 +241,30 @@ def test_a_loop_is_filmed(controller, tmp_path):
     loop = planner.simulate(controller, latency=0.0, duration=0.5)
     film = planner.render_video(loop, tmp_path / "loop.mp4", width=320, height=180, fps=10)
     assert film.stat().st_size > 1000
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_a_push_is_an_arrow_in_the_film_while_it_acts(controller):
+    push = [Push("forearm", [0.0, 50.0, 0.0], 0.2)]
+    loops = [planner.simulate(controller, latency=0.0, duration=0.5, pushes=one) for one in (push, [])]
+    yellow = []
+    for loop in loops:
+        for t in (0.1, 0.25, 0.4):
+            picture = planner.render_frame(loop, t, width=320, height=180).astype(float)
+            r, g, b = np.moveaxis(picture, -1, 0)
+            yellow.append(int(np.sum((r > 150.0) & (g > 0.75 * r) & (b < 0.5 * g))))
+    assert yellow[1] > 20
+    assert max(yellow[0], yellow[2], *yellow[3:]) == 0
+
+
+def test_a_controller_that_knows_its_latency_does_not_tremble_at_rest():
+    """Its gains are stiff: a control that comes a stage late shakes the arm, one for the state to come does not."""
+    problem = planner.load_problem(ROOT / "examples" / "tasks" / "reach.toml")
+    plan, speeds = planner.solve(problem), {}
+    for known, late in ((0.005, 0.005), (0.01, 0.01), (0.0, 0.01)):
+        loop = planner.simulate(planner.Controller(problem, plan=plan, latency=known), latency=late)
+        speeds[known, late] = np.abs(loop.xs[loop.t > loop.t[-1] - 0.5, problem.dynamics.mechanism.nq :]).max()
+    assert speeds[0.005, 0.005] < 1e-3  # rad/s
+    assert speeds[0.01, 0.01] < 1e-3
+    assert speeds[0.0, 0.01] > 0.1

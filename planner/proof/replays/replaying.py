@@ -100,6 +100,11 @@ class Replay(Filmed):
         return "refined, feedback" if self.feedback else "refined, open loop"
 
     @property
+    def pushes(self) -> tuple[Any, ...]:
+        """The proof.robustness.pushes.Push that acted; none on a replay of a plan."""
+        return ()
+
+    @property
     def error(self) -> np.ndarray:
         """(M+1, ndx) the deviation of the simulated state from the planned one."""
         return self.plan.space.difference(self.xs, self.plan_xs)

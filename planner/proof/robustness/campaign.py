@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.proof.robustness.batches import Batches
+from planner.proof.robustness.levels import largest_survived
 from planner.proof.robustness.partial import Partial, fingerprint
 from planner.proof.robustness.perturbation import Draw, Perturbation, draw, draw_masses
 from planner.proof.robustness.rollouts import MODES, Rollouts
@@ -83,16 +84,19 @@ class Campaign:
 
     def _margin(self, mode: str, others: int) -> float:
         """The largest level at which enough succeed, as if they did at all below; `others` are still to come."""
-        sizes, low, high, left = self.simulator.nominal.sizes, -1, len(LEVELS), _MOST_LEVELS * self.per_level
-        while high - low > 1:
-            level, left = (low + high) // 2, left - self.per_level
+        sizes, left = self.simulator.nominal.sizes, _MOST_LEVELS * self.per_level
+
+        def survives(level: int) -> bool:
+            nonlocal left
+            left -= self.per_level
+            part, least = f"level {level}", self.per_level
             self._extend(
-                f"level {level}", mode, self.per_level,
-                lambda k, level=level: draw_masses(LEVELS[level], self._seed, level, k, sizes), to_come=left + others,
-            )  # fmt: skip
-            kept = self._won(f"level {level}", mode)[: self.per_level]
-            low, high = (level, high) if kept.mean() >= ENOUGH else (low, level)
-        return LEVELS[low] if low >= 0 else 0.0
+                part, mode, least, lambda k: draw_masses(LEVELS[level], self._seed, level, k, sizes), left + others
+            )
+            return bool(self._won(part, mode)[:least].mean() >= ENOUGH)
+
+        most = largest_survived(len(LEVELS), survives)
+        return LEVELS[most] if most >= 0 else 0.0
 
     def _won(self, part: str, mode: str) -> np.ndarray:
         """(K,) the successes among all the store has of a part."""
@@ -103,13 +107,13 @@ class Campaign:
 
     def _extend(self, part: str, mode: str, wanted: int, draw_one: Callable[[int], Draw], to_come: int) -> None:
         """Run the rollouts of a part that the store does not have, in batches; at most `to_come` are left after it."""
-        simulator, plan, follows = self.simulator, self.simulator.plan, self.rule.follows
+        simulator, plan = self.simulator, self.simulator.plan
         done = len(self._store.arrays.get(f"{part} {mode} end", ()))
         draws = [draw_one(k) for k in range(done, wanted)]
         for xs in self._batches.run(draws, mode, self._deadline):
             more = {"end": xs[:, -1]}
-            if follows is not None:
-                more["won"] = _following(follows, xs, plan.xs[simulator.knots], simulator.knots)
+            if self.rule.follows is not None:
+                more["won"] = self.rule.followed(xs, plan.xs[simulator.knots], simulator.knots)
             if part == "cases":  # in single precision: for plots
                 with np.errstate(all="ignore"):  # of what has exploded
                     more["deviation"] = plan.space.difference(xs, plan.xs[simulator.knots]).astype(np.float32)
@@ -119,13 +123,3 @@ class Campaign:
             self._total = self._finished + wanted - done + to_come
             if self._progress is not None:
                 self._progress(self._finished, self._total)
-
-
-def _following(
-    follows: Callable[..., np.ndarray], xs: np.ndarray, plan_xs: np.ndarray, knots: np.ndarray
-) -> np.ndarray:
-    """(K,) successes among states (K, T, nx) at the kept knots; none that has exploded is one."""
-    won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
-    if sound.any():
-        won[sound] = follows(xs[sound], plan_xs, knots)
-    return won

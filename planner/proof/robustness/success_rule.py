@@ -42,6 +42,14 @@ class Rule:
             won[sound] = self.succeeds(ends[sound])
         return won
 
+    def followed(self, xs: np.ndarray, plan_xs: np.ndarray, stages: np.ndarray) -> np.ndarray:
+        """(K,) successes of states (K, T, nx) at some stages (T,), by the way; none that has exploded is one."""
+        assert self.follows is not None
+        won, sound = np.zeros(len(xs), dtype=bool), np.isfinite(xs).all(axis=(1, 2))
+        if sound.any():
+            won[sound] = self.follows(xs[sound], plan_xs, stages)
+        return won
+
 
 def rule_of(plan: Plan) -> Rule:
     """The rule for a plan with its problem."""

@@ -35,9 +35,12 @@ def draw_loop(verdict: LoopVerdict) -> Figure:
         charts.append(Chart(f"{title}, from the start", unit or "state", curves, spans=_pushes(verdict)))
     us = run.ctrl[np.minimum(few, len(run.ctrl) - 1)]
     charts.append(Chart("Controls", "control", [Curve(f"u{a}", us[:, a]) for a in range(min(us.shape[1], most))]))
-    for who, values in verdict.maps.items():
-        words = "the loop" if who == "loop" else "its plan with gains alone"
-        charts.append(Chart(f"Largest push that {words} survives", "N", [Curve("push", values, t=verdict.times)]))
+    if verdict.maps:
+        words = {"loop": "the loop", "gains": "its plan with the gains alone"}
+        curves = [
+            Curve(words[who], values, dashed=who != "loop", t=verdict.times) for who, values in verdict.maps.items()
+        ]
+        charts.append(Chart("Largest push that is survived, by the time at which it begins", "N", curves))
     return draw_charts(Charts("", t, charts, title=verdict.headline, span_label="pushed"))
 
 

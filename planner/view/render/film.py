@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
     from planner.proof.replays.contact_history import ContactHistory
     from planner.proof.replays.replaying import Replay
+    from planner.proof.robustness.pushes import Push
 
 # A frame shows the mean force over this time, s: a light foot rings with each simulator step, and an arrow of single
 # samples would flicker.
@@ -55,6 +56,7 @@ class Film:
     caption: Caption | None = None
     assets: dict[str, bytes] = field(default_factory=dict)  # files that the model's text names
     words: tuple[str, ...] = ()  # under each pose of a strip, in place of its time
+    pushes: tuple[Push, ...] = ()  # of the simulated machine
 
     @classmethod
     def of(cls, replay: Replay, t: np.ndarray, caption: Caption | None = None) -> Film:
@@ -93,6 +95,7 @@ class Film:
             unstable=float(replay.t[known]) if known < len(replay.t) else math.inf,
             caption=caption,
             assets=replay.twin.assets,
+            pushes=replay.pushes,
         )
 
     @classmethod

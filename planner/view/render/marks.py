@@ -2,7 +2,7 @@
 
 A goal is a ball, with short thick axes where its orientation is asked for, or an arrow where a direction is. The frame
 itself has longer, thinner axes, so that both can be told where they coincide. Sizes are parts of the machine's own.
-Goals that are passed are faint.
+Goals that are passed are faint. A push is an arrow at its body while it acts; the strongest is the longest.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from planner.view.render.camera import scenery_of, swept_box
 from planner.view.render.film import Film
 from planner.view.render.shapes import Paint, Rod, Shapes
 
+PUSH = (0.98, 0.85, 0.10, 1.0)
 TRAIL = (0.80, 0.25, 0.10, 1.0)
 GOAL = (0.84, 0.06, 0.50, 1.0)
 PATH = (0.16, 0.17, 0.20, 1.0)
@@ -33,6 +34,7 @@ _BALL = 0.015
 _ARROW = 0.12
 _GOAL_AXES = Rod(0.08, 0.0055)
 _FRAME_AXES = Rod(0.105, 0.0035)
+_PUSH = 0.4  # the strongest
 _ALIKE = 0.03  # goals that are nearer to each other than that share a label
 
 
@@ -76,7 +78,9 @@ class Marks:
         self._trails = self._of_trails([named[name] for name in trails if name], ghost)
         self._goals = [_Place(one, self._place(one, named[one.frame])) for one in seen.goals]
         self._size = 0.0
-        if self._frames or self._goals:
+        self._pushes = [(model.body(one.body).id, one.force, one.time, one.time + one.duration) for one in film.pushes]
+        self._strongest = max((float(np.linalg.norm(force)) for _, force, *_ in self._pushes), default=0.0) or 1.0
+        if self._frames or self._goals or self._pushes:
             box = swept_box(model, film.path_qpos[:1], scenery_of(model, seen)[0])
             self._size = float(np.max(box.high - box.low))
 
@@ -95,6 +99,11 @@ class Marks:
             shapes.ball(position, _BALL * self._size, (*GOAL[:3], opacity))
             if mark.direction is not None:
                 shapes.arrow(position, _ARROW * self._size * np.asarray(mark.direction), (*GOAL[:3], opacity))
+
+        for body, force, begins, ends in self._pushes:
+            if begins <= t < ends:
+                vector = _PUSH * self._size / self._strongest * force
+                shapes.arrow(data.xipos[body] - vector, vector, PUSH)
 
     def apart(self, other: Marks, t: float) -> float:
         """The largest distance between the trails of two films of one plan at time t, s, in the model's unit."""

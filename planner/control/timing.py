@@ -1,0 +1,41 @@
+"""When a controller plans, and for which instant: its rate and horizon, and where the machine is after its latency."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.arguments import count, number, shown
+from planner.base.errors import PlannerError
+from planner.problem.problem import Problem
+
+LITTLE = 1e-6  # of a stage: instants that are nearer are the same
+
+
+def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
+    """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
+    if not isinstance(problem, Problem):
+        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+    dt = problem.dynamics.dt
+    H = problem.N if horizon is None else count("horizon", horizon)
+    rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)
+    if rate * dt > 1.0 + 1e-9:
+        raise PlannerError(
+            f"the rate is {rate:.6g} Hz and the horizon has stages of {dt:.4g} s, expected at most one plan per "
+            f"stage, {1.0 / dt:.6g} Hz, or a problem with dt = {1.0 / rate:.4g}; in between the gains act."
+        )
+    if rate * H * dt < 1.0 - 1e-9:
+        raise PlannerError(
+            f"the rate is {rate:.4g} Hz and a plan ends after {H * dt:.4g} s, expected at least "
+            f"{1.0 / (H * dt):.4g} Hz, or a longer horizon."
+        )
+    return H, rate
+
+
+def after(problem: Problem, x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
+    """Where a control u (nu,) that is held takes a state x (nx,) in the problem's own dynamics."""
+    left, dt = seconds, problem.dynamics.dt
+    while left > LITTLE * dt:
+        length = min(left, dt)
+        left -= length
+        x = problem.dynamics.step(x[None], u[None], np.array([length]))[0]
+    return x

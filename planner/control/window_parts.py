@@ -1,0 +1,73 @@
+"""What a window is made of: the terms of a problem's cost over its task and after it, and its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.problem.costs.residuals.arrays import ResidualArrays
+from planner.problem.costs.residuals.cost import ResidualCost
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.goals import terms_of
+from planner.problem.limits import Limits
+from planner.problem.problem import Problem
+
+AIMED = "position of "
+"""How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
+
+
+def parts_of(problem: Problem) -> tuple[TrackingCost, list[ResidualCost]]:
+    """The TrackingCost of a problem and its costs of residuals; what else there is has no window."""
+    terms = terms_of(problem.cost)
+    tracking = [term for term in terms if type(term) is TrackingCost]
+    residuals = [term for term in terms if isinstance(term, ResidualCost)]
+    if len(tracking) != 1 or len(terms) != 1 + len(residuals):
+        others = sorted({type(term).__name__ for term in terms if type(term) not in (TrackingCost,)})
+        raise PlannerError(
+            f"the cost has {len(tracking)} TrackingCost and {', '.join(others) or 'nothing else'}, expected one "
+            "TrackingCost, alone or with FrameCosts and PenaltyCosts: a controller asks it for weights past its end."
+        )
+    return tracking[0], residuals
+
+
+def lengthened(measures: ResidualArrays, H: int, dt: float, keeps: bool) -> ResidualArrays:
+    """The terms of a whole task and of H stages after it, where the end's weights go on per second if it is kept."""
+    N = measures.weight.shape[1] - 1
+    longer = measures.along(np.minimum(np.arange(N + H + 1), N))
+    weight, bound = np.array(longer.weight), np.array(longer.bound)
+    weight[:, N + 1 :] = keeps * (measures.weight[:, N - 1] + dt * measures.weight[:, N])[:, None]
+    # A window that ends before the task does asks its end for the goal, whose rows are off there.
+    off = (longer.weight == 0.0) & (measures.weight[:, -1:] > 0.0)
+    bound = np.where(off, measures.bound[:, -1:], bound)
+    return replace(longer, weight=weight, bound=bound)
+
+
+def at_stages(measures: ResidualArrays | None, stages: slice) -> ResidualArrays:
+    """The terms at some stages, the last of which is an end."""
+    assert measures is not None
+    part = measures.along(stages)
+    return ResidualArrays(**{f.name: np.array(getattr(part, f.name)) for f in fields(ResidualArrays)})
+
+
+def frame_rows(residuals: list[ResidualCost], N: int) -> dict[str, np.ndarray]:
+    """The rows of the joined terms that hold the position of a frame, by the frame's name."""
+    found, first = dict[str, np.ndarray](), 0
+    for cost in residuals:
+        for name, rows in cost.goal_rows().items():
+            if name.startswith(AIMED):
+                frame = name.removeprefix(AIMED)
+                found[frame] = np.concatenate([found.get(frame, np.zeros(0, dtype=int)), first + rows])
+        first += len(cost.measures_for(N).weight)
+    return {frame: rows for frame, rows in found.items() if len(rows) == 3}
+
+
+def first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
+    """Limits of a window: bounds of controls that are per stage for its stages."""
+    if limits is None or isinstance(limits.control, (str, Mapping)) or not isinstance(limits.control, (tuple, list)):
+        return limits
+    at = np.minimum(np.arange(H), N - 1)
+    sides = [np.asarray(side, dtype=float)[at] if np.ndim(side) == 2 else side for side in limits.control]
+    return replace(limits, control=tuple(sides))
