@@ -40,6 +40,7 @@ class Regularisation:
         self._most = HELD_MOST if holds else MOST_BOUNDED if bounded else MOST
         self._engine, self._exact, self._holds = engine, exact, holds
         self._relative, self._tried_plain, self._second_order = 0.0, False, exact
+        self._given_up = 0.0  # the weight that a kink set to zero
 
     @property
     def mu(self) -> float:  # noqa: D102
@@ -67,7 +68,8 @@ class Regularisation:
 
     def raise_(self) -> None:
         """After a sweep or search that failed."""
-        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else FACTOR) * self._relative))
+        self._set(max(LEAST, (HELD_FACTOR**2 if self._holds else FACTOR) * self._relative, self._given_up))
+        self._given_up = 0.0
 
     def lower(self, step: float, at_kink: bool) -> None:
         """After a step of this length; at a kink of bounds or hinges full steps may never come."""
@@ -75,6 +77,7 @@ class Regularisation:
             factor = HELD_FACTOR if self._holds else FACTOR
             self._set(self._relative / factor if self._relative > LEAST else 0.0)
         elif at_kink:
+            self._given_up = self._relative  # if the plain model fails there is no need to climb up again
             self._set(0.0)
         elif self._holds:
             self._set(max(LEAST, HELD_FACTOR * self._relative) if step < SHORT else self._relative)

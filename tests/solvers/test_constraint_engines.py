@@ -5,7 +5,7 @@ import pytest
 from hypothesis import strategies as st
 from trees import drawn, machines, relative_error
 
-from planner import Constraint, Limits, Problem
+from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics
 from planner.constraints import MassCentre, Place, Power, Tilt, Turn
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.dynamics.protocol import INTEGRATORS
@@ -107,3 +107,25 @@ def test_derivatives_are_differences(text, seed):
         for i, e in enumerate(h * np.eye(nu)):
             slope = (at(0.0 * x[: space.ndx], e) - at(0.0 * x[: space.ndx], -e)) / (2.0 * h)
             assert slope == pytest.approx(by_u[0, :, i], rel=1e-5, abs=1e-6 * size), constraint
+
+
+HINGE = """<mujoco><worldbody><body><joint name="turn" axis="0.6 0 0.8" range="-360 360"/>
+  <geom type="capsule" fromto="0 0 0 0 0.4 0" size=".03"/><site name="cup" pos="0 0.4 0"/></body></worldbody>
+  <actuator><motor joint="turn"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("q", [0.3, 1.2, 2.8, -2.0])
+def test_the_bend_of_a_tilt_is_its_second_derivative(q):
+    """Exactly so where one hinge turns an axis at a right angle to its own: nothing else is curved then."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(HINGE), 0.01)
+    measure, n, h = Tilt("cup", (0.1, -0.3, 0.5), (0.0, 1.0, 0.0)).measure(dynamics, 1), np.zeros(1, dtype=int), 1e-5
+
+    def slope(at):
+        return measure.derivatives(np.array([[at, 0.0]]), np.zeros((1, 1)), n)[0][0, 0, 0]
+
+    second = (slope(q + h) - slope(q - h)) / (2.0 * h)
+    both = [measure.bends(np.array([[q, 0.0]]), n, np.array([[pull]]))[0] for pull in (1.0, -1.0)]
+    # what keeps it finite at the kink is 1e-6 of the squared sine
+    assert [one[0, 0] for one in both] == pytest.approx([max(second, 0.0), max(-second, 0.0)], rel=1e-4, abs=1e-6)
+    assert max(np.abs(one).max() for one in both) > 0.01
+    assert not any(one[1].any() or one[:, 1].any() for one in both)

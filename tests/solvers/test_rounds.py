@@ -1,12 +1,15 @@
 """Rounds of the augmented Lagrangian: early ones are not solved to the end, and it stops once they are in vain."""
 
 import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from planner import Constraint, FunctionDynamics, Problem, Status, TrackingCost, solve
+from planner import Constraint, FunctionDynamics, Problem, Status, TrackingCost, load_problem, solve
 from planner.solvers import augmented
+from planner.solvers.regularisation import FACTOR, LEAST, Regularisation
 
 N, DT = 15, 0.1
 
@@ -45,3 +48,25 @@ def test_it_ends_after_rounds_that_come_no_nearer(errors):
     assert ended.status is Status.OUTSIDE_LIMITS
     nearest = int(np.argmin(errors)) if errors[1] < augmented.LESS * errors[0] else 0
     assert len(solved) == nearest + 1 + augmented.MOST_IN_VAIN
+
+
+def test_a_weight_that_a_kink_set_to_zero_comes_back_at_once():
+    engine = SimpleNamespace(largest_control_weight=1.0)
+    regularisation = Regularisation(engine, exact=False)
+    for _ in range(5):
+        regularisation.raise_()
+    before = regularisation.mu
+    assert before == pytest.approx(LEAST * FACTOR**4)
+    regularisation.lower(0.5, at_kink=True)
+    assert regularisation.plain
+    regularisation.raise_()
+    assert regularisation.mu == before
+    regularisation.raise_()
+    assert regularisation.mu == pytest.approx(FACTOR * before)
+
+
+def test_a_narrow_cone_costs_few_iterations():
+    problem = load_problem(Path(__file__).parents[2] / "examples" / "tasks" / "reach_upright_cup.toml")
+    plan = solve(problem)
+    assert plan.status is Status.CONVERGED
+    assert plan.nit <= 26  # 14; without the tilt's own curvature steps along the cone are short, and it takes 52

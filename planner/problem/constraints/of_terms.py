@@ -27,7 +27,9 @@ from planner.model.space import space_of
 from planner.problem.costs.penalty_terms import Penalty
 from planner.problem.costs.residuals.arrays import ResidualArrays, ResidualList
 from planner.problem.costs.residuals.cost import measured, values_of
+from planner.problem.costs.residuals.frames import tilt_bend
 from planner.problem.costs.residuals.of_penalties import measures_of
+from planner.problem.costs.residuals.seen import Seen
 from planner.problem.costs.residuals.turns import rotation_of
 
 
@@ -52,6 +54,18 @@ class ResidualMeasure:
         own = measured(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
+
+    def bends(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray:
+        """(K, ndx, ndx) what the rows' own second derivatives add to a Hessian, pulled (K, R) by the cost: of tilts.
+
+        Only where that is positive; other terms add nothing, as of Gauss and Newton.
+        """
+        found = np.zeros((len(xs), self._ndx, self._ndx))
+        if TILT in self.arrays.kind:
+            bend, across = tilt_bend(Seen(self.mechanism, self.arrays.along(n), xs[:, : self._nx]), 0)
+            nv = across.shape[1]
+            found[:, :nv, :nv] = np.einsum("k,ki,kj->kij", np.maximum(bend * pulls[:, 0], 0.0), across, across)
+        return found
 
 
 def measure_of_term(term: Penalty, dynamics: Dynamics, N: int) -> ResidualMeasure:

@@ -19,6 +19,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.measures import Measure, measure_of, sides_of
+from planner.problem.constraints.of_terms import ResidualMeasure
 
 
 class Violation(NamedTuple):
@@ -174,6 +175,14 @@ class Rows:
                 if measure.of_controls:
                     by_u[n, columns] = Hu
         return by_x * self.scale[:, None], by_u * self.scale[:, None]
+
+    def bends(self, xs: np.ndarray, n: np.ndarray, pulls: np.ndarray) -> np.ndarray | float:
+        """(K, ndx, ndx) what the curvature of rows adds at knots n (K,), pulled (K, C) by the cost; 0 for nothing."""
+        own = pulls * self.scale
+        return sum(
+            part.measure.bends(xs[n], n, own[:, part.columns])
+            for part in self.parts if isinstance(part.measure, ResidualMeasure)
+        )  # fmt: skip
 
     def beyond(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """How far (M+1, C) is beyond, in the constraints' own units; 0 within. Of states (M+1, nx), controls (M, nu).

@@ -5,6 +5,7 @@ The twin is problem.costs.residuals.cost. With the value e of a row, its bound b
     1/2 w r^2,    r = e - b for a target, ramp(e - b) for at most b, ramp(b - e) for at least b,
 
 the gradient w r r' J and the Hessian of Gauss and Newton w r'^2 J'J, J the derivative of e and r' the slope of r by e.
+A tilt adds w r r' times its own second derivative across (see frames) where that is positive, as a row without a value.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from planner.kernels.numba.lanes import (
     load,
     load4,
     pointer,
+    select,
     spread,
     store,
 )
@@ -43,6 +45,7 @@ from planner.kernels.tree.residuals.table import (
     POSE,
     RESIDUALS,
     TILT,
+    TILT_BEND,
     VELOCITY,
 )
 from planner.kernels.tree.residuals.turns import turn_rows, turn_value
@@ -210,5 +213,11 @@ def quadratize_residuals(w, m, r, p, solids):
                     moved = moved or any_less(0.0, weight * slope * slope)
                 if moved:
                     _differentiate(m, p, ws, t, solids)
-                    _add_term(p, t, end - start)
+                    rows = end - start
+                    if load(integers(p, RESIDUALS.kind), t) == TILT:
+                        bend = load(lanes(p, RESIDUALS.factor), 0) * load(lanes(p, RESIDUALS.kept), TILT_BEND)
+                        store(lanes(p, RESIDUALS.factor), rows, spread(0.0))
+                        store(lanes(p, RESIDUALS.curvature), rows, select(bend, 0.0, spread(0.0), bend))
+                        rows += 1
+                    _add_term(p, t, rows)
         _scatter(w, p, first, min(WIDTH, stages - first))

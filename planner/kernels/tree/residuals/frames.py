@@ -7,8 +7,11 @@ With the screw (w_i, v_i) of a dof that moves the frame, its origin p, moving at
     position       d p / dq_i = v_i + w_i x p
     pointing       d b / dq_i = w_i x b, b the axis; a target d for it leaves |b - d| = 2 sin(angle / 2)
     linear         d V / dq_i = Y_i(p) + w_i x V,              d V / dqd_i = v_i + w_i x p,    Y_i = V_base x S_i
-    tilt           theta = atan2(|b x d|, b'd),    d theta / dq_i = -w_i'(b x d) / |b x d|
+    tilt           theta = atan2(|b x d|, b'd),    d theta / dq_i = -w_i'(b x d) / |b x d| = -w_i'n
     angular        d W / dq_i = W_base x w_i + w_i x W,        d W / dqd_i = w_i
+
+A tilt has a second row, which has no value: how far the axis moves across the arc from b to d, w_i'(b x n). Along it
+theta has the second derivative 1 / tan(theta), which is large where theta is small (the axis is on a narrow cone).
 
 The twin is problem.costs.residuals.frames.
 """
@@ -24,7 +27,17 @@ from planner.kernels.numba.lanes import integers, lanes, load, select, spread, s
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.recursion import RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.residuals.points import constants_of, point_of
-from planner.kernels.tree.residuals.table import ANGULAR, LINEAR, MOST_ROWS, PLACE_SIZE, POINTING, RESIDUALS, TINY
+from planner.kernels.tree.residuals.table import (
+    ANGULAR,
+    BLUNT,
+    LINEAR,
+    MOST_ROWS,
+    PLACE_SIZE,
+    POINTING,
+    RESIDUALS,
+    TILT_BEND,
+    TINY,
+)
 
 
 @inline
@@ -50,24 +63,29 @@ def frame_value(p, ws, t, kind):
 
 @part
 def tilt_value(p, ws, t):
-    """The angle between an axis of a frame and a direction; b x d / |b x d| goes to KEPT."""
+    """The angle between an axis of a frame and a direction; n, b x n and 1 / tan(angle) go to KEPT."""
     own, link, zero = constants_of(p, t), link_of(p, t), spread(0.0)
     b, d = load3(own, 0), load3(own, 3)
     b = rotated(load9(ws, link * RECORD), b) if link >= 0 else add((zero, zero, zero), b)
     about, cosine = cross(b, d), dot(b, d)
     sine = sqrt(dot(about, about) + TINY)
     angle = quarter_angle(sine, select(cosine, 0.0, -1.0 * cosine, cosine))
-    store3(lanes(p, RESIDUALS.kept), 0, scaled(1.0 / sine, about))
+    normal, kept = scaled(1.0 / sine, about), lanes(p, RESIDUALS.kept)
+    store3(kept, 0, normal)
+    store3(kept, 3, cross(b, normal))
+    store(kept, TILT_BEND, cosine * sine / (sine * sine + BLUNT))
     store(lanes(p, RESIDUALS.value), 0, select(cosine, 0.0, math.pi - angle, angle))
 
 
 @part
 def tilt_row(m, p, ws, t):
-    """The derivative of a tilt, after its value."""
+    """The derivative of a tilt and the row across, after its value."""
     parent, row, j = integers(m, TREE.parent), lanes(p, RESIDUALS.row), link_of(p, t)
-    about = load3(lanes(p, RESIDUALS.kept), 0)
+    normal, across = load3(lanes(p, RESIDUALS.kept), 0), load3(lanes(p, RESIDUALS.kept), 3)
     while j >= 0:
-        store(row, MOST_ROWS * j, -1.0 * dot(load3(ws, j * RECORD + SCREW_AXIS), about))
+        sw = load3(ws, j * RECORD + SCREW_AXIS)
+        store(row, MOST_ROWS * j, -1.0 * dot(sw, normal))
+        store(row, MOST_ROWS * j + 1, dot(sw, across))
         j = load(parent, j)
 
 

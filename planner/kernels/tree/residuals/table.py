@@ -37,6 +37,8 @@ POINT_SIZE = 4  # of a point's constants: its place in the link's frame (3), sha
 PLACE_SIZE = 9  # of a point where it is: about its tree's origin (3), as terms see it (3); how its link moves it (3)
 LAW_SIZE = 3  # of a row: side (0 for a target, 1 for most, -1 for least), ramp and its inverse
 KEPT_SIZE = 32  # lanes that a term's value leaves for its derivative
+TILT_BEND = 6  # of these, the one where a tilt leaves its second derivative across
+BLUNT = 1e-6  # rad^2, added to squares of sines: at the kink of a tilt of zero the second derivative would be infinite
 
 RESIDUALS = Layout(
     "points terms stride constants columns ld moved fast massive",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kernels.tree.residuals.table import ANGULAR, POINTING, POSITION, TILT, TINY
+from planner.kernels.tree.residuals.table import ANGULAR, BLUNT, POINTING, POSITION, TILT, TINY
 from planner.model.space import cross
 from planner.problem.costs.residuals.seen import Seen
 
@@ -30,13 +30,27 @@ def framed(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     return value, np.concatenate([seen.jacobian_rates(frame)[:, rows], J], axis=2) if moving else np.empty(0)
 
 
+def tilt_bend(seen: Seen, t: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of a tilt the second derivative (K,) by how far the axis moves across its arc, and that by q, (K, nv)."""
+    frame = seen.frame(int(seen.arrays.ends[t, 0]))
+    b, n, sine, cosine = _arc(seen, t)
+    return cosine * sine / (sine**2 + BLUNT), np.einsum("na,nai->ni", cross(b, n), seen.jacobian(frame)[:, 3:])
+
+
 def _tilted(seen: Seen, t: int, moving: bool) -> tuple[np.ndarray, np.ndarray]:
     """The angle (K, 1) between a frame's axis and a direction, and its derivative (K, 1, nv)."""
-    frame, own = seen.frame(int(seen.arrays.ends[t, 0])), seen.arrays.constant[t]
-    b, d = seen.pose(frame)[:, :3, :3] @ own[:3], own[3:6]
+    _, n, sine, cosine = _arc(seen, t)
+    value = np.arctan2(sine, cosine)[:, None]
+    if not moving:
+        return value, np.empty(0)
+    frame = seen.frame(int(seen.arrays.ends[t, 0]))
+    return value, -np.einsum("na,nai->ni", n, seen.jacobian(frame)[:, 3:])[:, None]
+
+
+def _arc(seen: Seen, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The axis b (K, 3), the direction n (K, 3) about which it would turn to d, sine and cosine (K,) of the tilt."""
+    own = seen.arrays.constant[t]
+    b, d = seen.pose(seen.frame(int(seen.arrays.ends[t, 0])))[:, :3, :3] @ own[:3], own[3:6]
     about = cross(b, np.broadcast_to(d, b.shape))
-    sine = np.sqrt(np.sum(about**2, axis=1, keepdims=True) + TINY)
-    value = np.arctan2(sine, (b @ d)[:, None])
-    return value, -np.einsum("na,nai->ni", about / sine, seen.jacobian(frame)[:, 3:])[:, None] if moving else np.empty(
-        0
-    )
+    sine = np.sqrt(np.sum(about**2, axis=1) + TINY)
+    return b, about / sine[:, None], sine, b @ d
