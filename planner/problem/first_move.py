@@ -45,6 +45,7 @@ def first_move(model: Any, mechanism: Mechanism, joints: list[Record]) -> FirstM
     driven = _of_their_own(mechanism, driven_joints(mechanism))
     standing = bool(free_bases(model))
     ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
+    ways = _off_tendons(mechanism, start, ways)
     goal = _allowed(model, mechanism, joints, start, ways)
     if not standing:
         goal = _with_balance(mechanism, start, goal)
@@ -73,6 +74,20 @@ def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
         if np.linalg.matrix_rank(more) > len(rows):
             rows, kept = more, [*kept, j]
     return sorted(kept)
+
+
+def _off_tendons(
+    mechanism: Mechanism, start: np.ndarray, ways: dict[int, float]
+) -> dict[int, float]:  # fmt: skip
+    """The ways without those that would take a fixed tendon out of its range, in either direction."""
+    number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
+    for tendon in mechanism.tendons:
+        c, own = np.array(tendon.coefficients), [number[i] for i in tendon.dofs]
+        room = min(float(start[mechanism.q_address[list(tendon.dofs)]] @ c - tendon.range[0]),
+                   float(tendon.range[1] - start[mechanism.q_address[list(tendon.dofs)]] @ c))  # fmt: skip
+        if sum(abs(k) * ways.get(j, 0.0) for k, j in zip(c, own, strict=True)) > (1.0 - _INSIDE) * room:
+            ways = {j: way for j, way in ways.items() if j not in own}
+    return ways
 
 
 def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:

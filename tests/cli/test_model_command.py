@@ -61,7 +61,7 @@ GRIPPER = """<mujoco model="gripper"><compiler angle="radian"/><worldbody>
 
 
 def test_what_is_written_is_accepted(folder):
-    """A finger that follows is not asked for, a stiff one gets a step of its own; what would be refused is not written."""
+    """A finger that follows is not asked for, a stiff one gets its own step; what would be refused is not written."""
     (folder / "gripper.xml").write_text(GRIPPER.format(least=0, most=0.04))
     (folder / "stiff.xml").write_text(GRIPPER.format(least=0, most=0.04).replace('damping="1"', 'damping="1e4"'))
     for name in ("gripper", "stiff"):
