@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
@@ -21,12 +22,18 @@ OWN = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", "max_
 
 
 def cured(
-    asked: ProblemOf, plan: Plan, proof: Proof | None, arguments: argparse.Namespace, console: Console,
+    asked: ProblemOf, plan: Plan, proof: Proof | None, end: float, arguments: argparse.Namespace, console: Console,
     prove: Callable[[Plan], Proof],
 ) -> tuple[Plan, Proof] | None:  # fmt: skip
-    """The plan of a problem file with the first cure written into it, and its proof; None where it does not pass."""
+    """The plan of a problem file with the first cure written into it, and its proof; None where it does not pass.
+
+    No solve begins after `end`, a time of time.monotonic(), and one that runs then is ended.
+    """
     found = next(iter(cures(plan, proof)), None)
     if plan.case != PROBLEM_FILE or found is None or found.value is None or not _is_own(found.key):
+        return None
+    if time.monotonic() > end:
+        console.say(f"not tried, for want of time: {found}")
         return None
     console.note(f"the plan does not pass; trying {found}")
     problem, given = asked.problem, arguments
@@ -36,13 +43,16 @@ def cured(
     else:
         problem = written(problem, found)
     starts = problem.parameters["starts"]
-    other, _ = solved(asked._replace(problem=problem, starts=starts), given, console)
+    other, _ = solved(asked._replace(problem=problem, starts=starts), given, console, end=end)
     if not other.success:
-        if other.status is Status.INTERRUPTED:
+        if other.status is Status.INTERRUPTED and time.monotonic() <= end:
             raise KeyboardInterrupt
+        late = "the time for it was over" if other.status is Status.INTERRUPTED else other.status.name
+        console.say(f"tried in vain ({late}): {found}")
         return None
     again = prove(other)
     if not again.passed:
+        console.say(f"tried in vain ({again.reason}): {found}")
         return None
     console.say(f"written by itself: {found}")
     return other, again

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from planner import cases
 from planner.base.arguments import count, number, shown
@@ -103,9 +104,13 @@ def name_of(arguments: argparse.Namespace) -> str:
 
 
 def solved(
-    asked: ProblemOf, arguments: argparse.Namespace, console: Console, executor: Executor | None = None
+    asked: ProblemOf,
+    arguments: argparse.Namespace,
+    console: Console,
+    executor: Executor | None = None,
+    end: float = math.inf,
 ) -> tuple[Plan, float]:
-    """The plan and the time of its solve, s."""
+    """The plan and the time of its solve, s; it ends at `end`, a time of time.monotonic()."""
     problem = asked.problem
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
@@ -118,7 +123,13 @@ def solved(
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
         "rank": RANKS[arguments.rank], "executor": executor,
     }  # fmt: skip
-    progress = console.iteration if asked.durations is None and asked.starts == 1 else console.row
+    shown = console.iteration if asked.durations is None and asked.starts == 1 else console.row
+
+    def progress(line: Any) -> None:
+        if time.monotonic() > end:
+            raise StopIteration
+        shown(line)
+
     if problem.periodic is not None:
         plan = solve_periodic(problem, callback=console.row, **options)
     elif asked.objective is None:

@@ -34,6 +34,7 @@ from planner.proof.wider import kept_wider
 from planner.sweeps.executors import executor_of
 
 INTERRUPTED = 130
+TRYING = 40.0  # s for all that is tried after a FAIL: finer steps, cures, more room; a proof is never cut
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
          "durations", "control_limit", "exact_goal")  # fmt: skip
@@ -90,14 +91,16 @@ def _run(
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
     digest = plan_digest(folder.path / "plan.npz")
     results.show_plan(plan, seconds, console)
+    end = time.monotonic() + TRYING
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
     if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
-        plan, proof, path = _refined(plan, proof, arguments, console)
+        plan, proof, path = _refined(plan, proof, end, arguments, console)
         if path:
             folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
             digest = plan_digest(folder.path / "plan.npz")
     if not (resumed or arguments.no_refine or plan.status is Status.INTERRUPTED or (proof and proof.passed)):
-        better = cured(asked, plan, proof, arguments, console, partial(prove, rollouts=0, hold_seconds=arguments.hold))
+        judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
+        better = cured(asked, plan, proof, end, arguments, console, judge)
         if better is not None:
             plan, proof = better
             path = ()
@@ -106,7 +109,7 @@ def _run(
             results.show_plan(plan, None, console)
     if proof is not None and not (resumed or proof.passed or arguments.no_refine or plan.status is Status.INTERRUPTED):
         judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
-        wider = kept_wider(plan, proof, prove=judge, max_iterations=arguments.max_iterations)
+        wider = kept_wider(plan, proof, seconds=_left(end), prove=judge, max_iterations=arguments.max_iterations)
         if wider.notes:
             plan, proof, path = wider.plan, wider.proof, ()
             console.say("\n".join(f"planned again: {note}" for note in wider.notes))
@@ -144,10 +147,17 @@ def _run(
     }  # fmt: skip
 
 
+def _left(end: float) -> float:
+    """Seconds until then, none afterwards."""
+    return max(0.0, end - time.monotonic())
+
+
 def _refined(
-    plan: Plan, proof: Proof, arguments: argparse.Namespace, console: Console
+    plan: Plan, proof: Proof, end: float, arguments: argparse.Namespace, console: Console
 ) -> tuple[Plan, Proof, tuple[Refinement, ...]]:
-    """Solve a failed plan again at finer steps; returns it unchanged where the step is not the cause."""
+    """Solve a failed plan again at finer steps; returns it unchanged where the step is not the cause, or no cure is."""
+    if any(one.value is None for one in cures(plan, proof)[:1]):
+        return plan, proof, ()
     lines: list[Refinement] = []
 
     def show(line: Refinement) -> None:
@@ -159,8 +169,8 @@ def _refined(
             console.note(str(line))
 
     began = time.perf_counter()
-    done = refine(plan, proof, callback=show, update=arguments.update, line_search=arguments.line_search,
-                  hessian=arguments.hessian, max_iterations=arguments.max_iterations,
+    done = refine(plan, proof, seconds=_left(end), callback=show, update=arguments.update,
+                  line_search=arguments.line_search, hessian=arguments.hessian, max_iterations=arguments.max_iterations,
                   prove=lambda plan: prove(plan, rollouts=0, hold_seconds=arguments.hold))  # fmt: skip
     if len(done.path) == 1:
         return plan, proof, ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.mjcf.facts import Record, coupled_joints, free_bases, overlaps
+from planner.model.mjcf.facts import Record, free_bases, overlaps
 from planner.problem.troubles import holding, within
 
 _WAY = 0.15  # of a joint's range
@@ -43,9 +43,10 @@ def first_move(model: Any, mechanism: Mechanism, joints: list[Record]) -> FirstM
     keyframe, start = _start(model, mechanism, joints)
     moved = {j: float(start[one["position"]]) for j, one in enumerate(joints)
              if one["unit"] and start[one["position"]] != model.qpos0[one["position"]]}  # fmt: skip
-    driven = [j for j in driven_joints(mechanism) if j not in coupled_joints(model)]
+    driven = _of_their_own(mechanism, driven_joints(mechanism))
     standing = bool(free_bases(model))
     ways = {j: (_WAY_ON_FEET if standing else _WAY) * _room(model, joints[j]) for j in driven}
+    ways = _off_tendons(mechanism, start, ways)
     goal = _allowed(model, mechanism, joints, start, ways)
     if not standing:
         goal = _with_balance(mechanism, start, goal)
@@ -59,6 +60,35 @@ def driven_joints(mechanism: Mechanism) -> list[int]:
         j for j, links in enumerate(mechanism.joint_links)
         if links.stop - links.start == 1 and mechanism.kind[links.start] == SCREW and reached[links.start]
     ]  # fmt: skip
+
+
+def _of_their_own(mechanism: Mechanism, driven: list[int]) -> list[int]:
+    """The joints that couplings let move by themselves: of a finger whose joints all follow one, that one."""
+    cams = {dof for cam in mechanism.cams for dof in cam.dofs}
+    driven = [j for j in driven if mechanism.joint_links[j].start not in cams]
+    if mechanism.reduction is None:
+        return driven
+    dof = {j: mechanism.joint_links[j].start for j in driven}
+    rows, kept = np.zeros((0, mechanism.reduction.G.shape[1])), list[int]()
+    for j in sorted(driven, key=lambda j: dof[j] not in mechanism.reduction.independent):  # pyright: ignore
+        more = np.vstack([rows, mechanism.reduction.G[dof[j]]])
+        if np.linalg.matrix_rank(more) > len(rows):
+            rows, kept = more, [*kept, j]
+    return sorted(kept)
+
+
+def _off_tendons(
+    mechanism: Mechanism, start: np.ndarray, ways: dict[int, float]
+) -> dict[int, float]:  # fmt: skip
+    """The ways without those that would take a fixed tendon out of its range, in either direction."""
+    number = {links.start: j for j, links in enumerate(mechanism.joint_links)}
+    for tendon in mechanism.tendons:
+        c, own = np.array(tendon.coefficients), [number[i] for i in tendon.dofs]
+        room = min(float(start[mechanism.q_address[list(tendon.dofs)]] @ c - tendon.range[0]),
+                   float(tendon.range[1] - start[mechanism.q_address[list(tendon.dofs)]] @ c))  # fmt: skip
+        if sum(abs(k) * ways.get(j, 0.0) for k, j in zip(c, own, strict=True)) > (1.0 - _INSIDE) * room:
+            ways = {j: way for j, way in ways.items() if j not in own}
+    return ways
 
 
 def _start(model: Any, mechanism: Mechanism, joints: list[Record]) -> tuple[str, np.ndarray]:
@@ -142,11 +172,11 @@ def _holds(mechanism: Mechanism, pose: np.ndarray) -> bool:
 def _with_balance(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -> dict[int, float]:
     """The goal with the joints that nothing drives where gravity and springs let them rest, by Newton's method.
 
-    Only hinges and slides; the goal itself where there is no such place near the start.
+    Only hinges and slides without couplings; the goal itself where there is no such place near the start.
     """
     reached = np.any(mechanism.actuators.moment != 0.0, axis=0)
     loose = np.flatnonzero(~reached)
-    if mechanism.nu == 0 or not len(loose) or not np.all(mechanism.kind[loose] == SCREW):
+    if mechanism.nu == 0 or mechanism.couplings or not len(loose) or not np.all(mechanism.kind[loose] == SCREW):
         return goal
     pose, still = start.copy(), np.zeros(mechanism.nv)
     number = {links.start: j for j, links in enumerate(mechanism.joint_links)}

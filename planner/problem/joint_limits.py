@@ -9,11 +9,11 @@ import numpy as np
 
 from planner.base.arguments import choice, number, shown
 from planner.base.errors import PlannerError
-from planner.model.coordinates import LENGTH, Coordinate
+from planner.model.coordinates import ANGLE, LENGTH, Coordinate
 from planner.model.mechanism import SCREW, Mechanism
 
 SHARE = 0.01  # of a range, the margin by default
-LEAST = {"rad": 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
+LEAST = {ANGLE: 0.01, LENGTH: 1e-3}  # and at least so much: a held control bulges out by a dt^2 / 8 between knots
 WIDEST = 0.1  # of a range: the fingers of a gripper move by few millimetres
 OFF = 1e-4  # rad or m, of a start at the end of a range: the tolerance of limits
 ROUNDING = 1e-6  # of a range: a start outside by less is at its end
@@ -100,8 +100,9 @@ def check_margin(mechanism: Mechanism, margin: Any) -> None:
     """Raise a PlannerError where a margin is neither a number nor a table of numbers by joint."""
     if isinstance(margin, Mapping):
         for joint, value in margin.items():
-            choice("the joint in the limits' margin", joint, [name for name in mechanism.joint_names if name])
-            number(f"the margin of joint {joint!r}", value, least=0.0)
+            known = (*mechanism.joint_names, *(tendon.name for tendon in mechanism.tendons))
+            choice("the joint in the limits' margin", joint, [name for name in known if name])
+            number(f"the margin of {joint!r}", value, least=0.0)
     elif margin is not None:
         if isinstance(margin, str):
             raise PlannerError(f"the limits' margin is {shown(margin)}, expected a number or a table by joint.")
@@ -110,10 +111,15 @@ def check_margin(mechanism: Mechanism, margin: Any) -> None:
 
 def _margin(mechanism: Mechanism, name: str, i: int, margin: Any) -> float:
     given = margin.get(name) if isinstance(margin, Mapping) else margin
+    unit = ANGLE if np.any(mechanism.S[i, :3]) else LENGTH
+    return margin_of(float(np.ptp(mechanism.joint_range[i])), unit, given)
+
+
+def margin_of(width: float, unit: str, given: float | None) -> float:
+    """How far a plan stays off the ends of a range of some width, in rad or m: as given, else by default."""
     if given is not None:
         return float(given)
-    width = float(np.ptp(mechanism.joint_range[i]))
     if not np.isfinite(width):
         width = 0.0
-    least = LEAST["rad" if np.any(mechanism.S[i, :3]) else LENGTH]
+    least = LEAST[unit]
     return max(SHARE * width, min(least, WIDEST * width) if width else least)

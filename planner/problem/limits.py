@@ -25,11 +25,13 @@ from planner.model.coupled_ranges import contradiction
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.space import space_of
 from planner.problem.actuator_limits import model_bounds, servo_bounds, unbounded_actuators
+from planner.problem.constraints.constraint import Constraint
 from planner.problem.control_bounds import ControlBounds, Servos
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
 from planner.problem.joint_limits import Range, check_margin, model_ranges
 from planner.problem.state_ranges import StateRanges
+from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
 MODEL, OFF, EXACT = "model", "off", "exact"
@@ -48,7 +50,7 @@ class Limits:
             by the names of actuators; "model" for the model's ctrlrange, forcerange and actuatorfrcrange. Those of
             servos bound controls that depend on the state; some bound none (planner.problem.actuator_limits.unbounded).
         position: (lower, upper) by the names of hinge and slide joints, or "model" for their ranges less the margin.
-            rad or m. Joints whose stops the mechanism has have none.
+            rad or m. Joints whose stops the mechanism has have none. Names of fixed tendons likewise, of their lengths.
         velocity: A number for all joints, or by joint a number or (lower, upper), or "model" for the limits that a
             URDF has. rad/s or m/s.
         state: (lower, upper) by the index of a component of the deviation, for a machine without named joints.
@@ -212,6 +214,31 @@ class Limits:
         component = np.array([*found, *at_end], dtype=np.int64)
         return StateRanges(space, np.asarray(reference), component, lower, upper, len(at_end), limited)
 
+    def tendons(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray) -> tuple[Constraint, ...]:
+        """The ranges of fixed tendons.
+
+        Raises:
+            PlannerError: As for the class; a start or a goal outside its range.
+        """
+        mechanism = getattr(dynamics, "mechanism", None)
+        if mechanism is None or not mechanism.tendons or self.position is None or _is(self.position, OFF):
+            return ()
+        table = {} if _is(self.position, MODEL) else _table("position", self.position)
+        given = {}
+        for tendon in mechanism.tendons:
+            if tendon.name in table and not _is(table[tendon.name], MODEL):
+                scale = float(np.abs(tendon.coefficients).max())
+                low, high = _pair(f"the range of tendon {tendon.name!r}", table[tendon.name])
+                given[tendon.name] = Range.of(low / scale, high / scale)
+        Q, x_ref, found = getattr(cost, "Q", None), getattr(cost, "x_ref", None), []
+        weighed = np.abs(Q[-1]).max(axis=0) > 0.0 if Q is not None and x_ref is not None else np.zeros(0)
+        for length, kept in tendon_ranges(
+            mechanism, self.margin, given, self._found(mechanism, space_of(dynamics).ndx)
+        ):
+            aims = x_ref is not None and len(weighed) and weighed[list(length.tendon.dofs)].all()
+            found.append(kept_tendon(length, kept, x0, x_ref[-1] if aims else None, self.tolerance))  # pyright: ignore
+        return tuple(found)
+
     def _found(self, mechanism: Mechanism | None, ndx: int) -> dict[int, Range]:
         """Ranges by component."""
         found: dict[int, Range] = {}
@@ -227,7 +254,10 @@ class Limits:
                                  for i in range(machine.nv)])  # fmt: skip
                 if said := contradiction(machine, wide):
                     raise PlannerError(said)
+            tendons = {tendon.name for tendon in machine.tendons} - set(machine.joint_names)
             for joint, value in {} if _is(self.position, MODEL) else _table("position", self.position).items():
+                if joint in tendons:
+                    continue
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:
                     expected = "expected ranges of hinge and slide joints only"

@@ -180,7 +180,10 @@ class Problem(Built):
     def _keep(self, us: np.ndarray) -> None:
         """Set what a plan keeps: ranges of the limits, and constraints."""
         tolerance = TOLERANCE if self.limits is None else self.limits.tolerance
-        rows = Rows(self.constraints, self.dynamics, self.x0, us, tolerance) if self.constraints else None
+        goal = tracking_of(self.cost) or self.cost
+        tendons = () if self.limits is None else self.limits.tendons(self.dynamics, goal, self.x0)
+        kept = (*self.constraints, *tendons)
+        rows = Rows(kept, self.dynamics, self.x0, us, tolerance) if kept else None
         if rows is not None or self.ranges is not None:
             object.__setattr__(self, "kept", Kept(self.ranges, rows, tolerance))
 

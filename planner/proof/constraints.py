@@ -26,7 +26,7 @@ def planned_violations(plan: Plan, problem: Problem) -> list[Measured]:
     rows = _rows(problem)
     if rows is None:
         return []
-    allowed = {id(one): (one.allowed(), "at the plan's knots") for one in problem.constraints}
+    allowed = {id(one): (one.allowed(), "at the plan's knots") for one in rows.constraints}
     return _measured(rows, plan.xs, plan.us, plan.t, allowed)
 
 
@@ -40,7 +40,7 @@ def replayed_violations(run: Replay, problem: Problem) -> list[Measured]:
     reach, note = _reach(rows, plan), "in MuJoCo; the bound is what errors of the path make of it that pass"
     allowed = {
         id(one): (one.allowed(), "in MuJoCo") if one.allowed() >= reach[id(one)] else (reach[id(one)], note)
-        for one in problem.constraints
+        for one in rows.constraints
     }
     return _measured(rows, run.xs, us, run.t, allowed)
 

@@ -113,7 +113,7 @@ def refine(
         plan: A plan with its problem.
         proof: Of the plan.
         limit: Most refinements.
-        seconds: After which no other solve begins, and one that runs is ended; a proof is never cut.
+        seconds: After which no other solve begins, and one that runs is ended and forgotten; a proof is never cut.
         prove: Judges the plans on the way; by default without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
@@ -153,7 +153,7 @@ def refine(
     while True:
         reason = _done(proof, len(path) - 1, limit) or ("It was interrupted." if interrupted else "")
         if reason or time.monotonic() > end:
-            reason = reason or f"The time limit of {seconds:g} s was reached."
+            reason = reason or f"The time limit of {seconds:.3g} s was reached."
             break
         began = time.monotonic()
         assert plan.problem is not None
@@ -167,6 +167,9 @@ def refine(
             reason = f"At a stage of {problem.dynamics.dt:.3g} s the plan's controls lead to infinite states."
             break
         interrupted = better.status is Status.INTERRUPTED and time.monotonic() <= end  # Ctrl-C
+        if better.status is Status.INTERRUPTED and not interrupted:
+            reason = f"The time limit of {seconds:.3g} s was reached at a stage of {problem.dynamics.dt:.3g} s."
+            break
         plan, proof = better, prove(better)
         interrupted |= ended(_line(plan, proof, time.monotonic() - began))
     return Refined(plan, proof, tuple(path), reason)

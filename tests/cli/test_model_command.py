@@ -6,6 +6,7 @@ import pytest
 from commands import refused, run
 
 from planner.base.gl import backend
+from planner.cases.problem_file import load
 
 TEXT = """<mujoco model="lift"><worldbody>
   <body name="car"><joint name="rise" type="slide" axis="0 0 1" range="0 2" limited="true" damping="1"/>
@@ -48,6 +49,29 @@ def test_the_written_problem_runs_and_is_not_overwritten(folder):
     again = run("model", "lift.xml", "--no-picture", "--write", "first.toml", cwd=folder)
     refused(again, "first.toml is there already")
     assert (folder / "first.toml").read_text() == text
+
+
+GRIPPER = """<mujoco model="gripper"><compiler angle="radian"/><worldbody>
+  <body><joint name="left" type="slide" axis="1 0 0" range="0 {most}" limited="true" damping="1"/>
+    <geom size=".02" mass=".1"/></body>
+  <body pos=".3 0 0"><joint name="right" type="slide" axis="-1 0 0" range="{least} .04" limited="true" damping="1"/>
+    <geom size=".02" mass=".1"/></body></worldbody>
+  <actuator><motor name="squeeze" joint="left" ctrlrange="-9 9"/></actuator>
+  <equality><joint joint1="right" joint2="left"/></equality></mujoco>"""
+
+
+def test_what_is_written_is_accepted(folder):
+    """A finger that follows is not asked for, a stiff one gets its own step; what would be refused is not written."""
+    (folder / "gripper.xml").write_text(GRIPPER.format(least=0, most=0.04))
+    (folder / "stiff.xml").write_text(GRIPPER.format(least=0, most=0.04).replace('damping="1"', 'damping="1e4"'))
+    for name in ("gripper", "stiff"):
+        done = run("model", f"{name}.xml", "--no-picture", "--write", f"{name}.toml", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert "goal = { left = 0.006 }" in (folder / f"{name}.toml").read_text()
+        load(folder / f"{name}.toml")
+    (folder / "apart.xml").write_text(GRIPPER.format(least=0.03, most=0.02))
+    refused(run("model", "apart.xml", "--write", "apart.toml", cwd=folder), "`planner run` would refuse it")
+    assert not (folder / "apart.toml").exists()
 
 
 def test_what_cannot_be_described_is_one_sentence(folder):

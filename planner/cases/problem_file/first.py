@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, write_atomically
+from planner.cases.problem_file.build import loaded
 from planner.cases.problem_file.keys import KEYS
+from planner.cases.problem_file.step import AUTO
 from planner.model.mjcf.opened import Opened
 from planner.problem.description import Description
 from planner.problem.first_move import FirstMove, driven_joints, first_move
@@ -26,7 +29,8 @@ def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: De
 
     Raises:
         FileError: There is a file of that name, or it cannot be written.
-        PlannerError: The machine cannot be planned with, or nothing in it can be moved.
+        PlannerError: The machine cannot be planned with, nothing in it can be moved, or what would be written does not
+            load.
     """
     path = Path(path)
     if path.suffix != ".toml":
@@ -34,6 +38,10 @@ def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: De
     if path.exists():
         raise FileError(f"{path} is there already, expected a new name: nothing is overwritten.")
     text = first_problem(os.path.relpath(model, path.parent), str(path), file, known)
+    try:
+        loaded(tomllib.loads(text), path)
+    except PlannerError as error:
+        raise PlannerError(f"no problem file is written, since `planner run` would refuse it: {error}") from None
     with write_atomically(path) as hidden:
         hidden.write_text(text, encoding="utf-8")
     return path
@@ -59,7 +67,7 @@ def first_problem(model: str, name: str, file: Opened, known: Description) -> st
         lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
     lines += ["", *_start(move, known, named), *_goal(move, known, named)]
     lines += _line("duration", f"{move.duration:.1f}", KEYS["duration"])
-    lines += _line("dt", '"auto"', KEYS["dt"])
+    lines += _line("dt", json.dumps(AUTO), KEYS["dt"])
     way = max(abs(end - move.start[known.joints[j]["position"]]) for j, end in move.goal.items())
     if way < _SMALL:
         lines += _line("tolerance", f"{_PART * way:.2g}", "how far from the goal passes, rad or m: a part of the way")

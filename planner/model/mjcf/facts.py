@@ -101,21 +101,6 @@ def _target(model: Any, i: int) -> str:
     return kind if element == "undefined" else named(model, element, int(model.actuator_trnid[i, 0]))
 
 
-def coupled_joints(model: Any) -> set[int]:
-    """Joints that an active equality ties to others."""
-    mujoco = load_mujoco()
-    tied: set[int] = set()
-    for i in np.flatnonzero(model.eq_active0):
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT:
-            tied |= {int(j) for j in (model.eq_obj1id[i], model.eq_obj2id[i]) if j >= 0}
-        elif model.eq_type[i] == mujoco.mjtEq.mjEQ_TENDON:
-            for tendon in (t for t in (model.eq_obj1id[i], model.eq_obj2id[i]) if t >= 0):
-                wraps = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-                joints = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-                tied |= set(map(int, model.wrap_objid[wraps][joints]))
-    return tied
-
-
 class Overlap(NamedTuple):
     """Two bodies whose shapes are within each other."""
 

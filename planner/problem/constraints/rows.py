@@ -131,6 +131,11 @@ class Rows:
                         f"{high[n, r]:.6g} at t = {n * dt:.4g} s, expected bounds that leave something between them."
                     )
 
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """What the rows are of: a problem's own constraints, and the ranges of tendons."""
+        return tuple({id(part.constraint): part.constraint for part in self.parts}.values())
+
     def only(self, parts: Sequence[Part]) -> tuple[Rows, np.ndarray]:
         """The rows of some of the parts, and which columns of these they are."""
         few, first, columns = copy(self), 0, [np.arange(len(self.scale))[part.columns] for part in parts]

@@ -1,0 +1,63 @@
+"""What `planner run` tries by itself after a FAIL: one cure, said beside what came of it, and not after its time."""
+
+import time
+from argparse import Namespace
+
+import pytest
+
+import planner
+from planner.cases.problem_file import NAME
+from planner.cli import curing
+from planner.cli.console import Console
+from planner.proof.cures import Cure
+
+CURE = Cure("dt", 0.005, "`dt = 0.005`: at 0.01 s plan and MuJoCo part")
+
+
+@pytest.fixture
+def attempt(monkeypatch):
+    """A function of `end` and the status of the second solve; returns what came of it."""
+
+    def attempted(end, status, judge):
+        plan = Namespace(case=NAME, status=planner.Status.CONVERGED, success=True)
+        other = Namespace(case=NAME, status=status, success=status is planner.Status.CONVERGED)
+        asked = Namespace(problem=None, _replace=lambda **_: None)
+        monkeypatch.setattr(curing, "cures", lambda plan, proof: (CURE,))
+        monkeypatch.setattr(curing, "written", lambda problem, cure: Namespace(parameters={"starts": 1}))
+        monkeypatch.setattr(curing, "solved", lambda *_, end: (other, 0.0))
+        return curing.cured(asked, plan, None, end, Namespace(), Console(), judge), other
+
+    return attempted
+
+
+def fails(_):
+    return Namespace(passed=False, reason="it falls.")
+
+
+def test_a_cure_that_does_not_help_is_said(attempt, capsys):
+    found, _ = attempt(time.monotonic() + 60.0, planner.Status.CONVERGED, fails)
+    assert found is None
+    assert capsys.readouterr().out == f"tried in vain (it falls.): {CURE}\n"
+
+
+def test_a_cure_that_helps_is_written(attempt, capsys):
+    found, other = attempt(time.monotonic() + 60.0, planner.Status.CONVERGED, lambda _: Namespace(passed=True))
+    assert found[0] is other
+    assert capsys.readouterr().out == f"written by itself: {CURE}\n"
+
+
+def test_nothing_is_tried_after_its_time(attempt, capsys):
+    assert attempt(time.monotonic() - 1.0, planner.Status.CONVERGED, fails)[0] is None
+    assert capsys.readouterr().out == f"not tried, for want of time: {CURE}\n"
+
+
+def test_a_solve_that_its_time_ends_is_no_ctrl_c(attempt, capsys):
+    with pytest.raises(KeyboardInterrupt):
+        attempt(time.monotonic() + 60.0, planner.Status.INTERRUPTED, fails)
+    seconds = iter([0.0, 2.0, 2.0])
+    curing.time, clock = Namespace(monotonic=lambda: next(seconds)), curing.time
+    try:
+        assert attempt(1.0, planner.Status.INTERRUPTED, fails)[0] is None
+    finally:
+        curing.time = clock
+    assert "tried in vain (the time for it was over)" in capsys.readouterr().out
