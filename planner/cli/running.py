@@ -28,6 +28,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof import Proof, prove
 from planner.proof.compare.model_parity import parity
 from planner.proof.cures import cures
+from planner.proof.cures.balance import standing_goal
 from planner.proof.hold import hold_gain
 from planner.proof.refinement import Refinement, refine
 from planner.proof.wider import kept_wider
@@ -155,8 +156,8 @@ def _left(end: float) -> float:
 def _refined(
     plan: Plan, proof: Proof, end: float, arguments: argparse.Namespace, console: Console
 ) -> tuple[Plan, Proof, tuple[Refinement, ...]]:
-    """Solve a failed plan again at finer steps; returns it unchanged where the step is not the cause, or no cure is."""
-    if any(one.value is None for one in cures(plan, proof)[:1]):
+    """Solve a failed plan again at finer steps; returns it unchanged where the step is no cause or nothing helps."""
+    if plan.problem is not None and standing_goal(plan, plan.problem, proof):
         return plan, proof, ()
     lines: list[Refinement] = []
 

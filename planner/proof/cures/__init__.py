@@ -9,11 +9,11 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from planner.problem.plan import Plan, Status
-from planner.proof.cures.balance import standing_goal
+from planner.proof.cures.balance import falling, standing_goal
 from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
-from planner.proof.cures.limits import left_no_room, wider_margin, within_limits
+from planner.proof.cures.limits import left_no_room, not_driven, wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
 from planner.proof.cures.stage import calmer_gains, shorter_stage
 from planner.proof.cures.straight import shorter_way
@@ -23,8 +23,9 @@ from planner.proof.verdict import Proof
 __all__ = ["Cure", "cures"]
 
 _CAUSES = (
-    standing_goal, first_guess, left_no_room, out_of_touch, more_time, shorter_way, within_limits, without_ignored,
+    standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits, without_ignored,
     more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses,
+    falling,
 )  # fmt: skip
 _found: WeakKeyDictionary[Plan, tuple[str, tuple[Cure, ...]]] = WeakKeyDictionary()  # by the reason of the FAIL
 

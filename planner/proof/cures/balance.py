@@ -1,4 +1,4 @@
-"""A goal on which a machine cannot stand: no plan stays there, and no weight changes it."""
+"""Machines on their feet: a goal on which one cannot stand, and one that falls on its way."""
 
 from __future__ import annotations
 
@@ -16,3 +16,26 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cur
         return []
     _, falls, why = problem.parameters["resolved"]["reasons"].get("settle", "").partition(FALLS)
     return [no_cure("goal", f"No plan stays at the goal: {why.split(' goal goes ')[0]}")] if falls else []
+
+
+def loses_balance(proof: Proof) -> bool:
+    """Whether a machine on the ground falls whose gains keep its ranges: the stops that it meets then are no cause."""
+    problem = proof.replay.plan.problem
+    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    if mechanism is None or not mechanism.contacts or proof.mode is not None or not proof.plan.passed:
+        return False
+    kept = not any(one.name == "position_range_violation" for one in proof.refined_feedback.failures)
+    return kept and proof.errors.predicted["open-loop"].max() > 1.0
+
+
+def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """That the machine does not balance on its way, after all cures that there are for it."""
+    if proof is None or not loses_balance(proof):
+        return []
+    rate = next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
+    share = float(proof.errors.measured["feedback"].max())
+    why = (
+        f"The machine loses its balance: an error grows by {rate:.3g} per s, and with the plan's gains it becomes "
+        f"{share:.3g} times what passes; no key of the problem is known that mends it"
+    )
+    return [no_cure("goal", why)]

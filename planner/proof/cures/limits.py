@@ -12,6 +12,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.proof.cures.balance import loses_balance
 from planner.proof.cures.cure import Cure, cure, no_cure, rounded_up
 from planner.proof.replays.limits_hit import OVERLAP, ROUNDING
 from planner.proof.replays.ranges import Excess, efforts_in, joints_in
@@ -40,6 +41,29 @@ def _joints(problem: Problem, proof: Proof) -> list[Cure]:
         return []
     worst = max(found, key=lambda one: one.beyond.max() / np.ptp(one.range))
     return [cure(problem, "limits.position", MODEL, f"the plan does not know that {_excess(worst, run.t)}")]
+
+
+def not_driven(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """A joint that nothing drives and that the plan cannot keep off its stop, which only MuJoCo has."""
+    mechanism, ranges, limits = getattr(problem.dynamics, "mechanism", None), problem.ranges, problem.limits
+    if not isinstance(mechanism, Mechanism) or ranges is None or limits is None or not mechanism.nu:
+        return []
+    if not np.isfinite(plan.xs).all():
+        return []
+    beyond = ranges.beyond(plan.xs).max(axis=0)
+    h = int(np.argmax(beyond))
+    dof = int(ranges.component[h])
+    prescribed = bool(getattr(problem.dynamics, "prescribed", ()))
+    if beyond[h] <= limits.tolerance or dof >= mechanism.nv or prescribed or mechanism.couplings or mechanism.loops:
+        return []
+    if np.any(mechanism.actuators.moment[:, dof] != 0.0):
+        return []
+    why = (
+        f"Nothing drives {mechanism.joint_of(dof)}, which leaves its range by {beyond[h]:.3g}: in MuJoCo its stop "
+        "holds it, and a plan has no force there; couple it to a driven joint in the file, or start where it does not lean "
+        "on its stop"
+    )
+    return [no_cure("start", why)]
 
 
 def left_no_room(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
@@ -131,7 +155,9 @@ def _at_stops(proof: Proof) -> bool:
 
 
 def _stops_matter(proof: Proof) -> bool:
-    """Whether a step fails because a joint is beyond its range."""
+    """Whether a step fails because a joint is beyond its range, and not because a machine on its feet falls."""
+    if loses_balance(proof):
+        return False
     judged = (proof.refined_open_loop, proof.refined_feedback) if proof.mode is None else ()
     failures = [one.name for section in (proof.your_file, *judged) for one in section.failures]
     return "unknown_stops" in failures or "position_range_violation" in failures
