@@ -105,8 +105,8 @@ NAME = "problem-file"
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 TOLD = ("contacts", "closed", "settle", "stops", "avoid", "dt", "substeps")  # of what is done by itself: told at once
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
-# counts what is gained, not only what is promised: Gauss and Newton leave out how forces of chains turn, and full steps
-# then go twice as far as they should.
+# counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
+# because Gauss-Newton leaves out how the forces of chains turn.
 DECREASE = 1e-7
 
 
