@@ -42,7 +42,8 @@ def proof(rate=14.7, mode=None, failures=(), contacts=("a foot",)):
     mechanism = SimpleNamespace(contacts=contacts)
     problem = SimpleNamespace(dynamics=SimpleNamespace(mechanism=mechanism))
     return SimpleNamespace(
-        mode=mode, plan=SimpleNamespace(passed=True), replay=SimpleNamespace(plan=SimpleNamespace(problem=problem, t=np.array([0.0, 1.0]))),
+        mode=mode, plan=SimpleNamespace(passed=True),
+        replay=SimpleNamespace(plan=SimpleNamespace(problem=problem, t=np.array([0.0, 1.0]))),
         refined_feedback=SimpleNamespace(failures=[SimpleNamespace(name=name) for name in failures]),
         growth=SimpleNamespace(measured=[SimpleNamespace(name="growth_rate_open_loop", value=rate)]),
         errors=SimpleNamespace(

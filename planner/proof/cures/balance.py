@@ -41,7 +41,7 @@ def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     rate = _growth(proof)
     share = float(proof.errors.measured["feedback"].max())
     why = (
-        f"The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it becomes "
-        f"{share:.3g} times what passes; no key of the problem is known that mends it"
+        f"The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
+        f"becomes {share:.3g} times what passes; no key of the problem is known that mends it"
     )
     return [no_cure("goal", why)]
