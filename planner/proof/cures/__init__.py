@@ -23,9 +23,8 @@ from planner.proof.verdict import Proof
 __all__ = ["Cure", "cures"]
 
 _CAUSES = (
-    standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits, without_ignored,
-    more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses,
-    falling,
+    standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits,
+    without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses, falling,
 )  # fmt: skip
 _found: WeakKeyDictionary[Plan, tuple[str, tuple[Cure, ...]]] = WeakKeyDictionary()  # by the reason of the FAIL
 

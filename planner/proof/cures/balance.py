@@ -7,6 +7,7 @@ from planner.problem.problem import Problem
 from planner.proof.cures.cure import FILE, Cure, no_cure
 from planner.proof.verdict import Proof
 
+FALLS_BY = 5.0  # in a motion an error grows by exp(5), 150 times: more than from a hundredth to all of it
 FALLS = "goal is put on the ground, where it does not balance by itself: "  # as cases.problem_file.on_ground says it
 
 
@@ -25,17 +26,22 @@ def loses_balance(proof: Proof) -> bool:
     if mechanism is None or not mechanism.contacts or proof.mode is not None or not proof.plan.passed:
         return False
     kept = not any(one.name == "position_range_violation" for one in proof.refined_feedback.failures)
-    return kept and proof.errors.predicted["open-loop"].max() > 1.0
+    return kept and _growth(proof) * proof.replay.plan.t[-1] > FALLS_BY
+
+
+def _growth(proof: Proof) -> float:
+    """The rate at which errors grow without gains, 1/s; NaN where it is not known."""
+    return next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
 
 
 def falling(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
     """That the machine does not balance on its way, after all cures that there are for it."""
     if proof is None or not loses_balance(proof):
         return []
-    rate = next((one.value for one in proof.growth.measured if one.name == "growth_rate_open_loop"), float("nan"))
+    rate = _growth(proof)
     share = float(proof.errors.measured["feedback"].max())
     why = (
-        f"The machine loses its balance: an error grows by {rate:.3g} per s, and with the plan's gains it becomes "
-        f"{share:.3g} times what passes; no key of the problem is known that mends it"
+        f"The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
+        f"becomes {share:.3g} times what passes; no key of the problem is known that mends it"
     )
     return [no_cure("goal", why)]
