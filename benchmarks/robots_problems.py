@@ -300,7 +300,7 @@ def _of_urdf(file: Path, kind: str) -> tuple[str, str]:
 
 def _share_without_touch(file: Path, starts: dict[str, float], ways: dict[str, float]) -> float:
     """How much of the way of a URDF is free of shapes that meet: halved as in _of_model."""
-    model = opened_model(file).survey.model
+    model = opened_model(file)[0].survey.model
     start, way = model.qpos0.copy(), np.zeros(model.nq)
     for name, value in starts.items():
         address = model.jnt_qposadr[model.joint(name).id]
