@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, shown
+from planner.base.arguments import choice, number, shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.model.coordinates import coordinates_of
@@ -30,12 +30,22 @@ from planner.problem.control_bounds import ControlBounds, Servos
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.weights import places
 from planner.problem.joint_limits import Range, check_margin, model_ranges
+from planner.problem.limit_values import (
+    OFF,
+    component_of,
+    is_word,
+    pair_of,
+    plain,
+    sides_of,
+    spread,
+    table_of,
+    with_names,
+)
 from planner.problem.state_ranges import StateRanges
 from planner.problem.tendon_ranges import kept_tendon, tendon_ranges
 
 TOLERANCE = 1e-4  # rad, m, rad/s, m/s
-MODEL, OFF, EXACT = "model", "off", "exact"
-Pair = tuple[float, float]
+MODEL, EXACT = "model", "exact"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,17 +94,17 @@ class Limits:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; what is infinite is None."""
-        return {name: _plain(value) for name, value in vars(self).items() if value is not None}
+        return {name: plain(value) for name, value in vars(self).items() if value is not None}
 
     @property
     def keeps_clamps(self) -> bool:
         """Whether the model's clamps bound controls, but for those of a table."""
-        return _is(self.control, MODEL) or isinstance(self.control, Mapping)
+        return is_word(self.control, MODEL) or isinstance(self.control, Mapping)
 
     def without_clamps(self, mechanism: Mechanism) -> frozenset[int]:
         """The actuators whose clamps do not bound a control, or not all of them."""
         own = self.control if isinstance(self.control, Mapping) else {}
-        given = {a for a, name in enumerate(mechanism.actuators.names) if not _is(own.get(name, MODEL), MODEL)}
+        given = {a for a, name in enumerate(mechanism.actuators.names) if not is_word(own.get(name, MODEL), MODEL)}
         return unbounded_actuators(mechanism) | given
 
     def repeated(self, parts: int) -> Limits:
@@ -125,29 +135,29 @@ class Limits:
         """
         nu, mechanism = dynamics.nu, getattr(dynamics, "mechanism", None)
         servos: Servos | None = None
-        if self.control is None or _is(self.control, OFF):
+        if self.control is None or is_word(self.control, OFF):
             return None
         if isinstance(self.control, str):
             choice("the limits' control", self.control, (MODEL, OFF))
-            machine = _named(mechanism, "control")
+            machine = with_names(mechanism, "control")
             lower, upper = model_bounds(machine, nu)
             servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx)
         elif isinstance(self.control, Mapping):
-            machine = _named(mechanism, "control")
+            machine = with_names(mechanism, "control")
             inputs, given = places(machine, getattr(dynamics, "prescribed", ()))[1], set()
             lower, upper = model_bounds(machine, nu)
             for name, value in self.control.items():
                 place = inputs[choice("the actuator in the limits' control", name, inputs)]
-                if not _is(value, MODEL):
-                    lower[place], upper[place] = _pair(f"the limit of control {name!r}", value)
+                if not is_word(value, MODEL):
+                    lower[place], upper[place] = pair_of(f"the limit of control {name!r}", value)
                     given |= set(np.arange(nu)[place].ravel().tolist())
             servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx, frozenset(given))
         elif isinstance(self.control, Sequence) and len(self.control) == 2:
-            lower, upper = _sides("the limits' control", self.control)
+            lower, upper = sides_of("the limits' control", self.control)
         else:
             upper = np.asarray(number("the limits' control", self.control, above=0.0))
             lower = -upper
-        lower, upper = _spread(lower, N, nu), _spread(upper, N, nu)
+        lower, upper = spread(lower, N, nu), spread(upper, N, nu)
         wrong = np.argwhere(~(lower <= upper) | (lower == np.inf) | (upper == -np.inf))
         if len(wrong):
             n, a = map(int, wrong[0])
@@ -162,7 +172,7 @@ class Limits:
         Raises:
             PlannerError: As for the class.
         """
-        mechanism = _named(getattr(dynamics, "mechanism", None), "position")
+        mechanism = with_names(getattr(dynamics, "mechanism", None), "position")
         found = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
         for i, kept in self._found(mechanism, space_of(dynamics).ndx).items():
             if i < mechanism.nv:
@@ -221,14 +231,14 @@ class Limits:
             PlannerError: As for the class; a start or a goal outside its range.
         """
         mechanism = getattr(dynamics, "mechanism", None)
-        if mechanism is None or not mechanism.tendons or self.position is None or _is(self.position, OFF):
+        if mechanism is None or not mechanism.tendons or self.position is None or is_word(self.position, OFF):
             return ()
-        table = {} if _is(self.position, MODEL) else _table("position", self.position)
+        table = {} if is_word(self.position, MODEL) else table_of("position", self.position)
         given = {}
         for tendon in mechanism.tendons:
-            if tendon.name in table and not _is(table[tendon.name], MODEL):
+            if tendon.name in table and not is_word(table[tendon.name], MODEL):
                 scale = float(np.abs(tendon.coefficients).max())
-                low, high = _pair(f"the range of tendon {tendon.name!r}", table[tendon.name])
+                low, high = pair_of(f"the range of tendon {tendon.name!r}", table[tendon.name])
                 given[tendon.name] = Range.of(low / scale, high / scale)
         Q, x_ref, found = getattr(cost, "Q", None), getattr(cost, "x_ref", None), []
         weighed = np.abs(Q[-1]).max(axis=0) > 0.0 if Q is not None and x_ref is not None else np.zeros(0)
@@ -243,32 +253,32 @@ class Limits:
         """Ranges by component."""
         found: dict[int, Range] = {}
         if self.margin is not None:
-            check_margin(_named(mechanism, "margin"), self.margin)
-        if self.position is not None and not _is(self.position, OFF):
-            machine = _named(mechanism, "position")
+            check_margin(with_names(mechanism, "margin"), self.margin)
+        if self.position is not None and not is_word(self.position, OFF):
+            machine = with_names(mechanism, "position")
             if isinstance(self.position, str):
                 choice("the limits' position", self.position, (MODEL, OFF))
             found = model_ranges(machine, self.margin)
-            if _is(self.position, MODEL) and machine.couplings:
+            if is_word(self.position, MODEL) and machine.couplings:
                 wide = np.array([[one.least, one.most] if (one := found.get(i)) else [-np.inf, np.inf]
                                  for i in range(machine.nv)])  # fmt: skip
                 if said := contradiction(machine, wide):
                     raise PlannerError(said)
             tendons = {tendon.name for tendon in machine.tendons} - set(machine.joint_names)
-            for joint, value in {} if _is(self.position, MODEL) else _table("position", self.position).items():
+            for joint, value in {} if is_word(self.position, MODEL) else table_of("position", self.position).items():
                 if joint in tendons:
                     continue
                 links = machine.joint(joint)
                 if links.stop - links.start != 1 or machine.kind[links.start] != SCREW:
                     expected = "expected ranges of hinge and slide joints only"
                     raise PlannerError(f"joint {joint!r} is a ball or free joint, {expected}.")
-                if not _is(value, MODEL):
-                    found[links.start] = Range.of(*_pair(f"the range of joint {joint!r}", value))
-        if self.velocity is not None and not _is(self.velocity, OFF):
-            found |= self._velocities(_named(mechanism, "velocity"))
-        for i, value in ({} if self.state is None else _table("state", self.state)).items():
-            i = _index("state", i, ndx)
-            found[i] = Range.of(*_pair(f"the range of component {i}", value))
+                if not is_word(value, MODEL):
+                    found[links.start] = Range.of(*pair_of(f"the range of joint {joint!r}", value))
+        if self.velocity is not None and not is_word(self.velocity, OFF):
+            found |= self._velocities(with_names(mechanism, "velocity"))
+        for i, value in ({} if self.state is None else table_of("state", self.state)).items():
+            i = component_of("state", i, ndx)
+            found[i] = Range.of(*pair_of(f"the range of component {i}", value))
         return {i: kept for i, kept in sorted(found.items()) if np.isfinite([kept.low, kept.high]).any()}
 
     def _velocities(self, machine: Mechanism) -> dict[int, Range]:
@@ -284,8 +294,8 @@ class Limits:
             return found
         for joint, value in given.items():
             links = machine.joint(joint)
-            if not _is(value, MODEL):
-                pair = _pair(f"the velocity range of joint {joint!r}", value)
+            if not is_word(value, MODEL):
+                pair = pair_of(f"the velocity range of joint {joint!r}", value)
                 found |= {machine.nv + i: Range.of(*pair) for i in range(links.start, links.stop)}
         return found
 
@@ -307,90 +317,10 @@ class Limits:
         at_end = []
         for part in self.final:
             if isinstance(part, str):
-                machine = _named(mechanism, "final")
+                machine = with_names(mechanism, "final")
                 links = machine.joint(part)
                 inside = range(links.start, links.stop)
                 at_end += [*inside, *(machine.nv + i for i in inside)]
             else:
-                at_end.append(_index("final", part, ndx))
+                at_end.append(component_of("final", part, ndx))
         return sorted(set(at_end))
-
-
-def _named(mechanism: Mechanism | None, what: str) -> Mechanism:
-    if mechanism is None:
-        raise PlannerError(f"the limits' {what} has names, but the dynamics have no mechanism: expected numbers.")
-    return mechanism
-
-
-def _table(name: str, value: Any) -> Mapping[Any, Any]:
-    if not isinstance(value, Mapping):
-        raise PlannerError(f"the limits' {name} is {shown(value)}, expected a table of (lower, upper).")
-    return value
-
-
-def _index(name: str, value: Any, ndx: int) -> int:
-    value = int(value) if isinstance(value, str) and value.isdigit() else value  # a key of JSON
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < ndx:
-        raise PlannerError(f"the limits' {name} has {shown(value)}, expected an index of 0 to {ndx - 1}.")
-    return int(value)
-
-
-def _is(value: Any, word: str) -> bool:
-    """Whether a limit is this word; an array never is."""
-    return isinstance(value, str) and value == word
-
-
-def _pair(name: str, value: Any) -> Pair:
-    """(lower, upper) from a pair, from a number b for -b to b, or "off" for none."""
-    if _is(value, OFF):
-        return -np.inf, np.inf
-    if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str):
-        if len(value) != 2:
-            raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
-        sides = _sides(name, value)
-        if any(side.ndim for side in sides):
-            raise PlannerError(f"{name} is {shown(value)}, expected (lower, upper).")
-        low, high = map(float, sides)
-    else:
-        high = number(name, value, above=0.0)
-        low = -high
-    if not low <= high or low == np.inf or high == -np.inf:
-        raise PlannerError(f"{name} is {shown(value)}, expected a lower bound below the upper.")
-    return low, high
-
-
-def _plain(value: Any) -> Any:
-    """A limit as JSON values."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    value = value.item() if isinstance(value, np.number) else value
-    if isinstance(value, float) and not np.isfinite(value):  # an int may be larger than any float
-        return None
-    return value
-
-
-def _sides(name: str, pair: Any) -> list[np.ndarray]:
-    """Lower and upper bounds with infinity in the place of None; NaN is refused."""
-    sides = [numbers(name, _filled(part, none)) for part, none in zip(pair, (-np.inf, np.inf), strict=True)]
-    if any(np.isnan(side).any() for side in sides):
-        raise PlannerError(f"{name} has a bound that is not a number, expected numbers or None.")
-    return sides
-
-
-def _filled(value: Any, none: float) -> Any:
-    if value is None:
-        return none
-    return [_filled(part, none) for part in value] if isinstance(value, (list, tuple)) else value
-
-
-def _spread(bound: np.ndarray, N: int, nu: int) -> np.ndarray:
-    """Bounds (N, nu) from a number, (nu,) or (N, nu)."""
-    if bound.ndim == 1:
-        bound = array("the limits' control", bound, (nu,), any_value=True)
-    if bound.ndim <= 1:
-        bound = np.broadcast_to(bound, (N, nu))
-    return array("the limits' control", bound, (N, nu), any_value=True)

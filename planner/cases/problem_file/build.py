@@ -45,7 +45,6 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -55,16 +54,16 @@ import numpy as np
 
 from planner import cases
 from planner.base.arguments import choice, count, shown
-from planner.base.errors import ModelError, PlannerError
+from planner.base.errors import PlannerError
 from planner.cases.problem_file.arrival import check_arrival, check_departure
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.guess import first_guess
-from planner.cases.problem_file.keys import GROUND, LAW, REQUIRED, RESOLVED, URDF
+from planner.cases.problem_file.keys import REQUIRED, RESOLVED
+from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.on_ground import on_ground
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.table import (
-    check_keys,
     checked_starts,
     checked_values,
     read_table,
@@ -83,13 +82,9 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import stored_attachments
-from planner.model.mjcf.contact_choice import MODES
-from planner.model.mjcf.refuse import KINDS
 from planner.model.twin import Twin
-from planner.model.urdf.read import read_model
 from planner.problem.avoid import Avoid
 from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
@@ -144,8 +139,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         raise PlannerError(f"model is {shown(table['model'])}, expected the name of an MJCF or URDF file.")
     if "attach" in table:
         table["attach"] = stored_attachments(table["attach"], path.parent)
-    folders = {"package_path": _folders(path.parent, table["package_path"])} if "package_path" in table else {}
-    problem = _problem(table, _mechanism(path.parent / table["model"], table | folders, None), str(path))
+    folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
+    problem = _problem(table, machine_of(path.parent / table["model"], table | folders, None), str(path))
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
@@ -177,7 +172,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
     if twin is None:
         raise PlannerError("its model is missing.")
     table = with_defaults({"substeps": 1} | table, "the plan", stored=True)  # older plans know of no substeps
-    mechanism = replace(_mechanism(twin.planned, table, twin.assets), original=twin.original)
+    mechanism = replace(machine_of(twin.planned, table, twin.assets), original=twin.original)
     return _problem(table, mechanism, "the plan")
 
 
@@ -202,51 +197,6 @@ def again(mechanism: Mechanism, **table: Any) -> Problem:
     return _problem(with_defaults(table, "the problem file", stored=True), mechanism, "the problem file")
 
 
-def _folders(beside: Path, given: Any) -> list[str]:
-    """Folders of packages, relative to the problem file."""
-    folders = [given] if isinstance(given, str) else given
-    if not isinstance(folders, list) or not all(isinstance(folder, str) for folder in folders):
-        raise PlannerError(f"package_path is {shown(given)}, expected a folder of packages, or a list of some.")
-    return [str(beside / folder) for folder in folders]
-
-
-def _mechanism(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
-    ignore = table["ignore"]
-    if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
-        raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
-    of_urdf = {key: table[key] for key in URDF if key in table}
-    attach = table.get("attach") if assets is None else None  # a stored model carries it already
-    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
-    contacts = table["contacts"]
-    if not isinstance(contacts, dict):
-        choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
-    if assets is not None and contacts not in ("avoid", "off"):  # a stored model has the law already
-        contacts = "auto"
-    elif isinstance(contacts, dict):
-        contacts = _contact_law(contacts, opened(contacts="off"))
-    mechanism = opened(contacts=contacts)
-    if "avoid" in table and contacts == "auto" and mechanism.contacts_mode == "model":
-        mechanism = opened(contacts="avoid")  # the shapes are not to touch
-    if mechanism.nu == 0 and not table.get("prescribed"):
-        name = "the model" if assets is not None else f"the model {model}"
-        joints = json.dumps([joint for joint in mechanism.joint_names if joint], ensure_ascii=False)
-        raise ModelError(
-            f"{name} has no actuators, expected at least one, or joints whose accelerations are planned: "
-            f"prescribed = {joints}."
-        )
-    return mechanism
-
-
-def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
-    """The law of a table of GROUND for the machine's mass, or of a table of LAW."""
-    if "stiffness" in law:
-        check_keys(law, LAW, "a contacts table with stiffness")
-        return ContactLaw(**law)
-    check_keys(law, GROUND, "a contacts table without stiffness")
-    gravity = float(np.linalg.norm(mechanism.gravity))
-    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
-
-
 def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem:
     for key in (*REQUIRED, *(() if "follow" in table else ("goal",))):
         if key not in table:
@@ -266,7 +216,7 @@ def _problem(table: dict[str, Any], mechanism: Mechanism, where: str) -> Problem
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
     x0, goal, notes = on_ground(mechanism, table, x0, goal)
     x0, goal, stops = _off_stops(mechanism, table, x0, goal)
-    prescribed = _prescribed(table, mechanism)
+    prescribed = prescribed_of(table, mechanism)
     table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
     table, N = checked_values(table)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
@@ -351,11 +301,3 @@ def _resolved(
     chosen = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     return table | {RESOLVED: {"weights": {**chosen, **given}, "reasons": reasons}}
-
-
-def _prescribed(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
-    names = table.get("prescribed", [])
-    known = [name for name in mechanism.joint_names if name]
-    if not isinstance(names, list):
-        raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
-    return tuple(choice("a joint in prescribed", name, known) for name in names)

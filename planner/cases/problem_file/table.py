@@ -16,7 +16,8 @@ from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL
 from planner.dynamics.rigid_body import MOST_SUBSTEPS
 from planner.problem.costs.wanted import checked_tolerance, stored_tolerance
 from planner.problem.discretisation import MOST_STAGES
-from planner.problem.limits import OFF, Limits
+from planner.problem.limit_values import OFF
+from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.solvers.multistart import MOST_STARTS
 

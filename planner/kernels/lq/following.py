@@ -9,10 +9,10 @@ dozen calls of some microseconds each while the caches are full of other things.
 
 from __future__ import annotations
 
-from planner.kernels.algebra.rotations import difference_floats
+from planner.kernels.lq.deviation import deviation
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
-from planner.kernels.numba.lanes import at, floats, integers, load, pointer, store
+from planner.kernels.numba.lanes import at, floats, load, pointer, store
 from planner.kernels.numba.layout import Layout
 
 # A plan that is followed: the stages by which it moves; the measured state (nx,), xs (N+1, nx), us (N, nu), and
@@ -44,13 +44,7 @@ def begin_following(w, f):
     k, e = floats(w, W.k), floats(w, W.error)
     for i in range(N * nu):
         store(k, i, 0.0)
-    vector_x, vector_dx = integers(w, W.vector_x), integers(w, W.vector_dx)
-    for i in range(w[W.vectors]):
-        a = load(vector_x, i)
-        store(e, load(vector_dx, i), load(x0, a) - load(xs, a))
-    for b in range(w[W.quaternions]):
-        a, d = load(integers(w, W.quaternion_x), b), load(integers(w, W.quaternion_dx), b)
-        difference_floats(at(x0, a), at(xs, a), at(e, d))
+    deviation(w, x0, xs, e)
     for i in range(nu):
         u = load(us, i)
         for j in range(w[W.ndx]):

@@ -10,23 +10,18 @@ deviation e (see planner.solvers.augmented); where both bounds are the same, tha
 
 from __future__ import annotations
 
-from planner.kernels.algebra.rotations import difference_floats, inverse_right_jacobian_floats
+from planner.kernels.algebra.rotations import inverse_right_jacobian_floats
+from planner.kernels.lq.deviation import deviation
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, store, store4
 
 
 @inline
-def _deviation(w, x, x_ref, e, turn):
-    """The deviation e (ndx) of a state from its reference, and the J (9) of each rotation."""
-    vector_x, vector_dx = integers(w, W.vector_x), integers(w, W.vector_dx)
-    for i in range(w[W.vectors]):
-        a = load(vector_x, i)
-        store(e, load(vector_dx, i), load(x, a) - load(x_ref, a))
+def _turns(w, e, turn):
+    """The J (9) of the rotation vector of each quaternion in a deviation e."""
     for b in range(w[W.quaternions]):
-        a, d = load(integers(w, W.quaternion_x), b), load(integers(w, W.quaternion_dx), b)
-        difference_floats(at(x, a), at(x_ref, a), at(e, d))
-        inverse_right_jacobian_floats(at(e, d), at(turn, 9 * b))
+        inverse_right_jacobian_floats(at(e, load(integers(w, W.quaternion_dx), b)), at(turn, 9 * b))
 
 
 @inline
@@ -105,7 +100,8 @@ def gradients(w):
         if terms == 0 and hinged == 0:
             continue
         J = at(turn, n * 9 * balls)
-        _deviation(w, at(floats(w, W.xs), n * nx), at(floats(w, W.x_ref), n * nx), e, J)
+        deviation(w, at(floats(w, W.xs), n * nx), at(floats(w, W.x_ref), n * nx), e)
+        _turns(w, e, J)
         g = at(l, first)
         _add_gradient(row, column, value, terms, e, g)
         if hinged > 0:

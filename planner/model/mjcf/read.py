@@ -20,7 +20,6 @@ import numpy as np
 from planner.base.arguments import choice, shown
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
 from planner.model.mjcf.attached import attachments, with_attached
@@ -34,17 +33,16 @@ from planner.model.mjcf.friction import joint_friction
 from planner.model.mjcf.ground_law import laws_of_ground
 from planner.model.mjcf.loops import read_cams, read_loops
 from planner.model.mjcf.opened import Opened, opened
+from planner.model.mjcf.read_actuators import actuators_of, armature_and_damping
 from planner.model.mjcf.refuse import (  # fmt: skip
     KINDS,
     Refusal,
-    actuator_disabled,
-    adheres_to_nothing,
     modelled,
     no_compensation,
     unmodelled,
 )
-from planner.model.mjcf.survey import Pair, Survey, compile_model, disabled, field, pose
-from planner.model.mjcf.tendons import read_tendons, row_of
+from planner.model.mjcf.survey import Pair, Survey, compile_model, disabled, field, names_of, pose, ranges_of
+from planner.model.mjcf.tendons import read_tendons
 from planner.model.space import unit
 
 MOST_PHRASES = 30  # in one sentence
@@ -177,27 +175,27 @@ def _mechanism(survey: Survey, text: str, files: dict[str, bytes], ignored: tupl
     springs = not disabled(model, "spring", "passive")
     stiffness = model.jnt_stiffness[model.dof_jntid] * springs
     rest = np.where(kind == SCREW, model.qpos_spring[screws["q_address"]], 0.0)
-    armature, damping = _armature_and_damping(model)
+    armature, damping = armature_and_damping(model)
     dofs = [int(address) for address in model.jnt_dofadr] + [int(model.nv)]
     contacts, body_contacts = read_contacts(survey)
     sites = {
         site: Frame(int(links[body]), poses[body] @ pose(model.site_pos[i], model.site_quat[i]))
-        for i, (site, body) in enumerate(zip(_names(model, "site", model.nsite), model.site_bodyid, strict=True))
+        for i, (site, body) in enumerate(zip(names_of(model, "site", model.nsite), model.site_bodyid, strict=True))
         if site
     }
     states = np.concatenate([model.key_qpos, model.key_qvel, model.key_act], axis=1)
-    keyframes = {key: state for key, state in zip(_names(model, "key", model.nkey), states, strict=True) if key}
+    keyframes = {key: state for key, state in zip(names_of(model, "key", model.nkey), states, strict=True) if key}
     return Mechanism(
         nq=int(model.nq), parent=parent, base=base, **screws, T_home=T_home, qpos0=np.array(model.qpos0),
         **_masses(model, links, poses), armature=armature, damping=damping,
         stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=_actuators(model),
-        joint_names=_names(model, "joint", model.njnt), joint_range=_joint_ranges(model),
+        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators_of(model),
+        joint_names=names_of(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
-        joint_force_range=_ranges(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
+        joint_force_range=ranges_of(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],
         velocity_limit=velocity_limits(model), **joint_friction(model), **_lifted(model, links, poses),
-        body_names=("world", *_names(model, "body", model.nbody)[1:]),
+        body_names=("world", *names_of(model, "body", model.nbody)[1:]),
         bodies=tuple(Frame(int(link), T) for link, T in zip(links, poses, strict=True)),
         contacts=contacts, body_contacts=body_contacts, stops=read_stops(model), tendons=read_tendons(model),
         sites=sites, keyframes=keyframes, mjcf=text, assets=files, ignored=ignored, couplings=read_couplings(model),
@@ -216,12 +214,6 @@ def _check_sizes(model: Any, name: str) -> None:
             raise ModelError(f"{name} has {largest:g} in {field_name}, expected numbers of at most {LARGEST:g}.")
     if not np.all(np.abs(model.opt.gravity) <= LARGEST):
         raise ModelError(f"the gravity of {name} is {model.opt.gravity}, expected numbers of at most {LARGEST:g}.")
-
-
-def _names(model: Any, kind: str, count: int) -> tuple[str, ...]:
-    mujoco = load_mujoco()
-    objects = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-    return tuple(mujoco.mj_id2name(model, objects, i) or "" for i in range(count))
 
 
 def _screws(model: Any) -> dict[str, Any]:
@@ -274,81 +266,12 @@ def _lifted(model: Any, links: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
     return {"lifted_mass": mass, "lifted_moment": moment}
 
 
-def _armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Armature and damping (nv,) of the joints, with that of their actuators where this MuJoCo has it."""
-    armature, damping = np.array(model.dof_armature), np.array(model.dof_damping)
-    n = len(model.actuator_trntype)
-    for own, total in (("armature", armature), ("damping", damping)):
-        values = field(model, f"actuator_{own}", n)
-        for i in map(int, np.flatnonzero(values)):
-            joint = model.actuator_trnid[i, 0]
-            scalar = np.count_nonzero(model.dof_jntid == joint) == 1
-            total[model.dof_jntid == joint] += values[i] * (_gear(model, i)[0] ** 2 if scalar else 1.0)
-    return armature, damping * (not disabled(model, "damper", "passive"))
-
-
-def _gear(model: Any, actuator: int) -> np.ndarray:
-    """(6,) MuJoCo 4 keeps it by force rather than by actuator."""
-    return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
-
-
-def _ranges(limited: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    return np.where(np.asarray(limited, dtype=bool)[:, None], ranges, [-np.inf, np.inf])
-
-
 def _joint_ranges(model: Any) -> np.ndarray:
     """(nv, 2) of hinges and slides; the first of a ball has that of its angle. A stop acts from its margin on."""
     limited = model.jnt_limited * (not disabled(model, "constraint", "limit"))
     half = 0.5 * np.ptp(model.jnt_range, axis=1)
     margin = np.minimum(model.jnt_margin, np.where(half > 0.0, half, np.inf))
-    ranges = _ranges(limited, model.jnt_range + margin[:, None] * np.array([1.0, -1.0]))
+    ranges = ranges_of(limited, model.jnt_range + margin[:, None] * np.array([1.0, -1.0]))
     result = np.tile([-np.inf, np.inf], (model.nv, 1))
     result[model.jnt_dofadr] = ranges
     return result
-
-
-def _actuators(model: Any) -> Actuators:
-    mujoco = load_mujoco()
-    nu = int(model.nu)
-    moment, gain, bias = np.zeros((nu, model.nv)), np.zeros(nu), np.zeros((nu, 3))
-    dynamics, time_constant = np.full(nu, DIRECT, dtype=np.int64), np.ones(nu)
-    force_range = _ranges(model.actuator_forcelimited, model.actuator_forcerange)
-    for i in range(nu):
-        off = actuator_disabled(model, i)
-        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-            dynamics[i] = INTEGRATOR
-        elif model.actuator_actadr[i] >= 0:
-            dynamics[i], time_constant[i] = FILTER, max(model.actuator_dynprm[i, 0], mujoco.mjMINVAL)
-        if off and dynamics[i] != DIRECT:  # MuJoCo leaves the activation where it is
-            dynamics[i], time_constant[i] = FILTER, np.inf
-        if off or adheres_to_nothing(model, i):
-            continue
-        moment[i] = _moment(model, i)
-        gain[i] = model.actuator_gainprm[i, 0]
-        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
-            bias[i] = model.actuator_biasprm[i, :3]
-        target = model.actuator_trnid[i, 0]
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
-            if field(model, "tendon_actfrclimited", model.ntendon)[target]:
-                low, high = model.tendon_actfrcrange[target]
-                force_range[i] = max(low, force_range[i, 0]), min(high, force_range[i, 1])
-        elif model.jnt_type[target] == mujoco.mjtJoint.mjJNT_FREE:
-            bias[i, 1] = 0.0  # a free joint has no length
-    clamped = not disabled(model, "clampctrl")
-    return Actuators(
-        names=_names(model, "actuator", nu), moment=moment, gain=gain, bias=bias, dynamics=dynamics,
-        activation=np.array(model.actuator_actadr, dtype=np.int64), time_constant=time_constant,
-        control_range=_ranges(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange), force_range=force_range,
-        activation_range=_ranges(model.actuator_actlimited, model.actuator_actrange),
-    )  # fmt: skip
-
-
-def _moment(model: Any, actuator: int) -> np.ndarray:
-    """(nv,) the generalized force per force of an actuator on a joint or fixed tendon."""
-    mujoco = load_mujoco()
-    gear, target = _gear(model, actuator), model.actuator_trnid[actuator, 0]
-    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
-        return gear[0] * row_of(model, target)
-    row, dofs = np.zeros(model.nv), np.flatnonzero(model.dof_jntid == target)
-    row[dofs] = gear[: len(dofs)]
-    return row

@@ -182,3 +182,15 @@ def _combined(model: Any, a: int, b: int) -> Pair:
         solref = np.minimum(*model.geom_solref[[a, b]])
     solimp = mix * model.geom_solimp[a] + (1.0 - mix) * model.geom_solimp[b]
     return Pair((a, b), int(condim), friction[[0, 0, 1, 2, 2]], solref, np.zeros(2), solimp, margin)
+
+
+def names_of(model: Any, kind: str, count: int) -> tuple[str, ...]:
+    """The names of all elements of a kind, empty where one has none."""
+    mujoco = load_mujoco()
+    objects = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+    return tuple(mujoco.mj_id2name(model, objects, i) or "" for i in range(count))
+
+
+def ranges_of(limited: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """(n, 2) ranges, infinite where they do not limit."""
+    return np.where(np.asarray(limited, dtype=bool)[:, None], ranges, [-np.inf, np.inf])

@@ -1,0 +1,83 @@
+"""The machine of a problem.toml: its model, read as the table's contacts, ignore, attach and URDF keys ask for it."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import choice, shown
+from planner.base.errors import ModelError, PlannerError
+from planner.cases.problem_file.keys import GROUND, LAW, URDF
+from planner.cases.problem_file.table import check_keys
+from planner.model.contact.laws import ContactLaw
+from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_choice import MODES
+from planner.model.mjcf.refuse import KINDS
+from planner.model.urdf.read import read_model
+
+
+def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes] | None) -> Mechanism:
+    """The machine of a model file, or of the model that a plan keeps with its `assets`.
+
+    Raises:
+        PlannerError: A key is wrong, or the model cannot be used.
+    """
+    ignore = table["ignore"]
+    if not isinstance(ignore, list) or not all(isinstance(kind, str) for kind in ignore):
+        raise PlannerError(f"ignore is {shown(ignore)}, expected a list of some of: {', '.join(KINDS)}.")
+    of_urdf = {key: table[key] for key in URDF if key in table}
+    attach = table.get("attach") if assets is None else None  # a stored model carries it already
+    opened = partial(read_model, model, ignore=tuple(ignore), assets=assets, attach=attach, **of_urdf)
+    contacts = table["contacts"]
+    if not isinstance(contacts, dict):
+        choice("contacts", "model" if contacts == "on" and assets is not None else contacts, MODES)
+    if assets is not None and contacts not in ("avoid", "off"):  # a stored model has the law already
+        contacts = "auto"
+    elif isinstance(contacts, dict):
+        contacts = _contact_law(contacts, opened(contacts="off"))
+    mechanism = opened(contacts=contacts)
+    if "avoid" in table and contacts == "auto" and mechanism.contacts_mode == "model":
+        mechanism = opened(contacts="avoid")  # the shapes are not to touch
+    if mechanism.nu == 0 and not table.get("prescribed"):
+        name = "the model" if assets is not None else f"the model {model}"
+        joints = json.dumps([joint for joint in mechanism.joint_names if joint], ensure_ascii=False)
+        raise ModelError(
+            f"{name} has no actuators, expected at least one, or joints whose accelerations are planned: "
+            f"prescribed = {joints}."
+        )
+    return mechanism
+
+
+def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:
+    """The law of a table of GROUND for the machine's mass, or of a table of LAW."""
+    if "stiffness" in law:
+        check_keys(law, LAW, "a contacts table with stiffness")
+        return ContactLaw(**law)
+    check_keys(law, GROUND, "a contacts table without stiffness")
+    gravity = float(np.linalg.norm(mechanism.gravity))
+    return ContactLaw.resting(float(mechanism.mass.sum()), gravity=gravity, **law)
+
+
+def folders_of(beside: Path, given: Any) -> list[str]:
+    """Folders of packages, relative to the problem file."""
+    folders = [given] if isinstance(given, str) else given
+    if not isinstance(folders, list) or not all(isinstance(folder, str) for folder in folders):
+        raise PlannerError(f"package_path is {shown(given)}, expected a folder of packages, or a list of some.")
+    return [str(beside / folder) for folder in folders]
+
+
+def prescribed_of(table: dict[str, Any], mechanism: Mechanism) -> tuple[str, ...]:
+    """The joints whose accelerations are planned, by their names.
+
+    Raises:
+        PlannerError: The key is no list of joints.
+    """
+    names = table.get("prescribed", [])
+    known = [name for name in mechanism.joint_names if name]
+    if not isinstance(names, list):
+        raise PlannerError(f"prescribed is {shown(names)}, expected a list of some of: {', '.join(known)}.")
+    return tuple(choice("a joint in prescribed", name, known) for name in names)

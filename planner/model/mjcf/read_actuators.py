@@ -1,0 +1,80 @@
+"""The actuators of a compiled model: what each pushes with, on which joints, and between which bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.gl import load_mujoco
+from planner.model.actuators import DIRECT, FILTER, INTEGRATOR, Actuators
+from planner.model.mjcf.refuse import actuator_disabled, adheres_to_nothing
+from planner.model.mjcf.survey import disabled, field, names_of, ranges_of
+from planner.model.mjcf.tendons import row_of
+
+
+def actuators_of(model: Any) -> Actuators:
+    """The actuators; one that is disabled, or that adheres to nothing, pushes with nothing."""
+    mujoco = load_mujoco()
+    nu = int(model.nu)
+    moment, gain, bias = np.zeros((nu, model.nv)), np.zeros(nu), np.zeros((nu, 3))
+    dynamics, time_constant = np.full(nu, DIRECT, dtype=np.int64), np.ones(nu)
+    force_range = ranges_of(model.actuator_forcelimited, model.actuator_forcerange)
+    for i in range(nu):
+        off = actuator_disabled(model, i)
+        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            dynamics[i] = INTEGRATOR
+        elif model.actuator_actadr[i] >= 0:
+            dynamics[i], time_constant[i] = FILTER, max(model.actuator_dynprm[i, 0], mujoco.mjMINVAL)
+        if off and dynamics[i] != DIRECT:  # MuJoCo leaves the activation where it is
+            dynamics[i], time_constant[i] = FILTER, np.inf
+        if off or adheres_to_nothing(model, i):
+            continue
+        moment[i] = _moment(model, i)
+        gain[i] = model.actuator_gainprm[i, 0]
+        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
+            bias[i] = model.actuator_biasprm[i, :3]
+        target = model.actuator_trnid[i, 0]
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
+            if field(model, "tendon_actfrclimited", model.ntendon)[target]:
+                low, high = model.tendon_actfrcrange[target]
+                force_range[i] = max(low, force_range[i, 0]), min(high, force_range[i, 1])
+        elif model.jnt_type[target] == mujoco.mjtJoint.mjJNT_FREE:
+            bias[i, 1] = 0.0  # a free joint has no length
+    clamped = not disabled(model, "clampctrl")
+    return Actuators(
+        names=names_of(model, "actuator", nu), moment=moment, gain=gain, bias=bias, dynamics=dynamics,
+        activation=np.array(model.actuator_actadr, dtype=np.int64), time_constant=time_constant,
+        control_range=ranges_of(model.actuator_ctrllimited * clamped, model.actuator_ctrlrange),
+        force_range=force_range,
+        activation_range=ranges_of(model.actuator_actlimited, model.actuator_actrange),
+    )  # fmt: skip
+
+
+def _moment(model: Any, actuator: int) -> np.ndarray:
+    """(nv,) the generalized force per force of an actuator on a joint or fixed tendon."""
+    mujoco = load_mujoco()
+    gear, target = _gear(model, actuator), model.actuator_trnid[actuator, 0]
+    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
+        return gear[0] * row_of(model, target)
+    row, dofs = np.zeros(model.nv), np.flatnonzero(model.dof_jntid == target)
+    row[dofs] = gear[: len(dofs)]
+    return row
+
+
+def armature_and_damping(model: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Armature and damping (nv,) of the joints, with that of their actuators where this MuJoCo has it."""
+    armature, damping = np.array(model.dof_armature), np.array(model.dof_damping)
+    n = len(model.actuator_trntype)
+    for own, total in (("armature", armature), ("damping", damping)):
+        values = field(model, f"actuator_{own}", n)
+        for i in map(int, np.flatnonzero(values)):
+            joint = model.actuator_trnid[i, 0]
+            scalar = np.count_nonzero(model.dof_jntid == joint) == 1
+            total[model.dof_jntid == joint] += values[i] * (_gear(model, i)[0] ** 2 if scalar else 1.0)
+    return armature, damping * (not disabled(model, "damper", "passive"))
+
+
+def _gear(model: Any, actuator: int) -> np.ndarray:
+    """(6,) MuJoCo 4 keeps it by force rather than by actuator."""
+    return model.actuator_gear[model.actuator_outadr[actuator] if hasattr(model, "actuator_outadr") else actuator]
