@@ -8,6 +8,8 @@ of its own size too, since gains correct.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from planner.base.measured import Measured
@@ -30,8 +32,8 @@ def planned_violations(plan: Plan, problem: Problem) -> list[Measured]:
     return _measured(rows, plan.xs, plan.us, plan.t, allowed)
 
 
-def replayed_violations(run: Replay, problem: Problem) -> list[Measured]:
-    """The largest violation of each constraint in a replay, at any step of the simulator."""
+def replayed_violations(run: Replay, problem: Problem, among: Sequence[Constraint] | None = None) -> list[Measured]:
+    """The largest violation of each constraint in a replay, at any of its steps; of all, or of those `among`."""
     rows = _rows(problem)
     if rows is None:
         return []
@@ -42,7 +44,8 @@ def replayed_violations(run: Replay, problem: Problem) -> list[Measured]:
         id(one): (one.allowed(), "in MuJoCo") if one.allowed() >= reach[id(one)] else (reach[id(one)], note)
         for one in rows.constraints
     }
-    return _measured(rows, run.xs, us, run.t, allowed)
+    wanted = {id(one) for one in (rows.constraints if among is None else among)}
+    return _measured(rows, run.xs, us, run.t, {key: bound for key, bound in allowed.items() if key in wanted})
 
 
 def _rows(problem: Problem) -> Rows | None:
@@ -70,7 +73,7 @@ def _measured(
 ) -> list[Measured]:
     measured, used = [], set[str]()
     known = bool(np.isfinite(xs).all() and np.isfinite(us).all())
-    parts = {id(part.constraint): part.constraint for part in rows.parts}
+    parts = {id(part.constraint): part.constraint for part in rows.parts if id(part.constraint) in allowed}
     found = rows.violations(xs, us) if known else []
     values = {id(one.constraint): (one.value, one.at) for one in found}
     for key, constraint in parts.items():

@@ -122,7 +122,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[Goal]) -> list[Meas
         for name, (found, meaning) in sentences.items()
     ]
     step = Measured("timestep", run.timestep, "s", None, f"of MuJoCo's {run.integrator}, for this step of the proof")
-    kept = replayed_violations(run, problem)
+    kept = replayed_violations(run, problem, problem.constraints)  # ranges have stops in the file, which are looked at
     return [
         *judged,
         *_goals(run, problem, goals),
