@@ -6,10 +6,8 @@ After an interruption the same command continues with the missing files.
 from __future__ import annotations
 
 import argparse
-import time
 from concurrent.futures import Executor
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +17,20 @@ from planner.base.versions import installed_versions
 from planner.cases.plan_file import load_plan
 from planner.cli import results
 from planner.cli.console import Console
-from planner.cli.curing import cured
 from planner.cli.filming import Filming
+from planner.cli.mending import mended
 from planner.cli.problems import ProblemOf, asked_problem, name_of, solved
 from planner.cli.run_folder import ROLLOUTS, RunFolder, run_folder
 from planner.problem.archive import plan_digest
 from planner.problem.plan import Plan, Status
-from planner.proof import Proof, prove
+from planner.proof import prove
 from planner.proof.compare.model_parity import parity
 from planner.proof.cures import cures
-from planner.proof.cures.balance import standing_goal
 from planner.proof.hold import hold_gain
-from planner.proof.refinement import Refinement, refine
-from planner.proof.wider import kept_wider
+from planner.proof.refinement import Refinement
 from planner.sweeps.executors import executor_of
 
 INTERRUPTED = 130
-TRYING = 40.0  # s for all that is tried after a FAIL: finer steps, cures, more room; a proof is never cut
 BUDGET = 20.0  # s, time limit of the perturbed simulations; `planner prove` has none
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "objective",
          "durations", "control_limit", "exact_goal")  # fmt: skip
@@ -90,33 +85,16 @@ def _run(
         console.note(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
         resumed, plan, seconds = True, stored, float(folder.notes.get("seconds", 0.0))
         path = tuple(Refinement(**{**row, "status": Status[row["status"]]}) for row in folder.notes.get("path", []))
-    digest = plan_digest(folder.path / "plan.npz")
     results.show_plan(plan, seconds, console)
-    end = time.monotonic() + TRYING
     proof = prove(plan, rollouts=0, hold_seconds=arguments.hold) if results.is_finite(plan) else None
-    if proof is not None and not (proof.passed or path or arguments.no_refine or plan.status is Status.INTERRUPTED):
-        plan, proof, path = _refined(plan, proof, end, arguments, console)
-        if path:
-            folder.begin("plan.npz", plan.save, seconds=seconds, path=[results.refinement_row(line) for line in path])
-            digest = plan_digest(folder.path / "plan.npz")
-    if not (resumed or arguments.no_refine or plan.status is Status.INTERRUPTED or (proof and proof.passed)):
-        judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
-        better = cured(asked, plan, proof, end, arguments, console, judge)
-        if better is not None:
-            plan, proof = better
-            path = ()
-            folder.begin("plan.npz", plan.save, seconds=seconds)
-            digest = plan_digest(folder.path / "plan.npz")
-            results.show_plan(plan, None, console)
-    if proof is not None and not (resumed or proof.passed or arguments.no_refine or plan.status is Status.INTERRUPTED):
-        judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
-        wider = kept_wider(plan, proof, seconds=_left(end), prove=judge, max_iterations=arguments.max_iterations)
-        if wider.notes:
-            plan, proof, path = wider.plan, wider.proof, ()
-            console.say("\n".join(f"planned again: {note}" for note in wider.notes))
-            folder.begin("plan.npz", plan.save, seconds=seconds)
-            digest = plan_digest(folder.path / "plan.npz")
-            results.show_plan(plan, None, console)
+
+    def keep(better: Plan, path: tuple[Refinement, ...]) -> None:
+        notes = {"path": [results.refinement_row(line) for line in path]} if path else {}
+        folder.begin("plan.npz", better.save, seconds=seconds, **notes)
+
+    if not (arguments.no_refine or plan.status is Status.INTERRUPTED or (proof is not None and proof.passed)):
+        plan, proof, path = mended(asked, plan, proof, path, arguments, console, resumed=resumed, keep=keep)
+    digest = plan_digest(folder.path / "plan.npz")
     results.write_proof(plan, proof, folder.path, digest, path)  # without the rollouts, which may be interrupted
     films = None
     with ExitStack() as drawing:
@@ -146,40 +124,6 @@ def _run(
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": note, "cures": [one.to_dict() for one in cures(plan, proof)],
     }  # fmt: skip
-
-
-def _left(end: float) -> float:
-    """Seconds until then, none afterwards."""
-    return max(0.0, end - time.monotonic())
-
-
-def _refined(
-    plan: Plan, proof: Proof, end: float, arguments: argparse.Namespace, console: Console
-) -> tuple[Plan, Proof, tuple[Refinement, ...]]:
-    """Solve a failed plan again at finer steps; returns it unchanged where the step is no cause or nothing helps."""
-    if plan.problem is not None and standing_goal(plan, plan.problem, proof):
-        return plan, proof, ()
-    lines: list[Refinement] = []
-
-    def show(line: Refinement) -> None:
-        lines.append(line)
-        if len(lines) == 2:  # the first is the failed plan
-            console.note("the proof fails at a finer step; solving again with dt / 2")
-            console.note(f"{Refinement.header()}\n{lines[0]}")
-        if len(lines) > 1:
-            console.note(str(line))
-
-    began = time.perf_counter()
-    done = refine(plan, proof, seconds=_left(end), callback=show, update=arguments.update,
-                  line_search=arguments.line_search, hessian=arguments.hessian, max_iterations=arguments.max_iterations,
-                  prove=lambda plan: prove(plan, rollouts=0, hold_seconds=arguments.hold))  # fmt: skip
-    if len(done.path) == 1:
-        return plan, proof, ()
-    if done.plan.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt  # the next run begins an interrupted refinement again
-    console.say(f"refinements: {len(done.path) - 1}, in {time.perf_counter() - began:.1f} s; {done.reason}")
-    results.show_plan(done.plan, None, console)
-    return done.plan, done.proof, done.path
 
 
 def _flags(arguments: argparse.Namespace) -> dict[str, Any]:

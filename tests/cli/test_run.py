@@ -7,6 +7,7 @@ import pytest
 import planner
 from planner.__main__ import main
 from planner.cases.plan_file import load_plan
+from planner.cli import mending
 from planner.cli import running as run_command
 from planner.cli.run_folder import MARK, run_folder
 
@@ -55,7 +56,7 @@ def test_interrupted_pictures_are_drawn_by_the_next_run(tmp_path, capsys, monkey
 def test_a_refinement_that_was_interrupted_is_done_by_the_next_run(tmp_path, capsys, monkeypatch):
     words = [*EULER, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]
     with monkeypatch.context() as patch:
-        patch.setattr(run_command, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(mending, "refine", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(words) == 130
     capsys.readouterr()
     assert main(words) == 0
