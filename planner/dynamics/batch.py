@@ -16,6 +16,7 @@ from planner.kernels.tree.model import Model
 from planner.model.mechanism import Mechanism
 
 _models: WeakKeyDictionary[Mechanism, dict[bytes, Model]] = WeakKeyDictionary()
+_idle: WeakKeyDictionary[Model, dict[bool, list[TreeMemory]]] = WeakKeyDictionary()  # scratch that no call is using
 
 
 def kernel_model(mechanism: Mechanism, prescribed: np.ndarray | None = None) -> Model:
@@ -60,10 +61,16 @@ class Batch:
         return value[0] if self.single else value
 
     def call(self, kernel: Any, model: Model, *arrays: np.ndarray, linearizing: bool = False) -> None:
-        """Run a kernel on the states, with scratch of its own, which must outlive the call."""
+        """Run a kernel on the states, with scratch that is kept for later calls, being slow to make."""
         announce(kernel)
-        memory = TreeMemory(model, EULER, 0, linearizing)
+        # Taken out and put back: a call in another thread finds none, or another one.
+        idle = _idle.setdefault(model, {}).setdefault(linearizing, [])
+        try:
+            memory = idle.pop()
+        except IndexError:
+            memory = TreeMemory(model, EULER, 0, linearizing)
         kernel(model.table, memory.table, self["q"], *arrays)
+        idle.append(memory)
 
 
 def _dimensions(value: Any) -> int:

@@ -13,7 +13,7 @@ from planner.dynamics.batch import Batch, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.model import chain_of
 from planner.model.mechanism import Frame, Mechanism
-from planner.model.space import hat
+from planner.model.space import cross, hat
 
 
 def link_places(b: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,10 +103,11 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     T, screws, origin = link_places(b)
     J = np.zeros((b.K, 6, mechanism.nv))
     if f.link >= 0:
-        p = (T[:, f.link] @ f.T)[:, :3, 3] - origin[:, f.link]
-        for i in _moving(mechanism, f.link):
-            J[:, 3:, i] = screws[:, i, :3]
-            J[:, :3, i] = screws[:, i, 3:] + np.cross(screws[:, i, :3], p)
+        p = (T[:, f.link] @ f.T)[:, None, :3, 3] - origin[:, None, f.link]
+        chain = _moving(mechanism, f.link)
+        angular, linear = screws[:, chain, :3], screws[:, chain, 3:]
+        J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
+        J[:, :3, chain] = np.swapaxes(linear + cross(angular, p), 1, 2)
     return b.out(J)
 
 
@@ -133,7 +134,7 @@ def points_of(
     for p, link in enumerate(links):
         chain = _moving(mechanism, int(link))
         arm = places[:, p] - origin[:, link]
-        J[:, p, chain] = screws[:, chain, 3:] + np.cross(screws[:, chain, :3], arm[:, None])
+        J[:, p, chain] = screws[:, chain, 3:] + cross(screws[:, chain, :3], arm[:, None])
     return b.out(places), b.out(np.swapaxes(J, 2, 3))
 
 
@@ -185,5 +186,5 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
                 D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])
                 D[:, :3, j, k] = np.einsum("nab,nb->na", turn, J[:, :3, j])
             else:
-                D[:, :3, j, k] = np.cross(J[:, 3:, j], J[:, :3, k])
+                D[:, :3, j, k] = cross(J[:, 3:, j], J[:, :3, k])
     return b.out(D)

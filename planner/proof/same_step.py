@@ -25,7 +25,7 @@ from planner.base.gl import load_mujoco
 from planner.base.measured import Measured, Section
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.driven import driven_dofs
-from planner.model.space import StateSpace, cross
+from planner.model.space import StateSpace
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -236,7 +236,8 @@ def munthe_kaas(
     def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         result = np.zeros_like(a)
         for _, j in space.quaternions:
-            result[j : j + 3] = cross(a[j : j + 3], b[j : j + 3])
+            (ax, ay, az), (bx, by, bz) = a[j : j + 3].tolist(), b[j : j + 3].tolist()  # cross() takes longer
+            result[j : j + 3] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         return result
 
     k1 = dt * rates(x, u)

@@ -8,6 +8,8 @@ import planner
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.text import edited, model_path
+from planner.proof.compare.model_parity import parity_in
+from planner.proof.replays.compiled_twin import CompiledTwin
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +147,16 @@ def test_states_are_all_over_the_space(tree):
     knee = xs[:, tree.q_address[tree.joint("knee").start]]
     assert -np.pi < knee.min() < -3.0
     assert 3.0 < knee.max() < np.pi
+
+
+def test_what_was_compared_before_planning_is_not_compared_again_and_anything_else_is():
+    problem = planner.cases.two_link()
+    before = planner.parity(problem)
+    assert planner.parity(problem) is before
+    compiled = CompiledTwin(problem.twin)
+    assert parity_in(compiled, problem) is before
+    assert parity_in(compiled, problem, seed=1) != before  # other states
+    heavier = compiled.changed(lambda model: model.body_mass.__imul__(1.1))
+    assert not parity_in(heavier, problem).passed
+    assert planner.parity(problem).passed
+    assert planner.parity(problem, problem.twin.mjcf.replace("<body ", "<body gravcomp='1' ", 1)).passed is False

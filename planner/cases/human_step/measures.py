@@ -7,6 +7,7 @@ began. Step 5 counts how often another patient walks as planned for this one. St
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ from planner.model.mechanism import Frame
 from planner.problem.periodicity import Periodic
 
 if TYPE_CHECKING:
+    from planner.problem.plan import Plan
     from planner.proof.replays.replaying import Replay
 
 CLEAR = 5e-3  # m, of heel and toe in the middle of a swing
@@ -76,6 +78,12 @@ def measures(step: Step, xs: np.ndarray) -> Measures:
         straightest_knee=float(np.degrees(max(q[:, legs[f"{side}_knee"]].max() for side in sides))),
         pelvis=np.stack([away[:, pelvis].min(axis=0), away[:, pelvis].max(axis=0)], axis=1),
     )
+
+
+@lru_cache(maxsize=1)
+def _of_plan(step: Step, plan: Plan) -> Measures:
+    """Of a plan's states: each of its replays is set beside them."""
+    return measures(step, plan.xs)
 
 
 def places(step: Step) -> tuple[dict[str, int], list[int]]:
@@ -172,8 +180,9 @@ def closing(step: Step) -> Periodic:
 def judge_step(step: Step, run: Replay, promised: bool, closes: bool = False) -> Section:
     """Measure the plan and MuJoCo's replay; `promised`: check the clearance, `closes`: check the end of a gait."""
     measured = []
-    for who, xs in (("planned", run.plan.xs), ("replayed", run.xs[:: run.substeps])):
-        found = measures(step, xs)
+    motions = {"planned": run.plan.xs, "replayed": run.xs[:: run.substeps]}
+    for who, xs in motions.items():
+        found = _of_plan(step, run.plan) if who == "planned" else measures(step, xs)
         least = min(found.clearance.values())
         note = f"how far heel or toe is below {1e3 * CLEAR:g} mm in mid-swing; the least height is {1e3 * least:.1f} mm"
         measured += [

@@ -12,6 +12,7 @@ is the inertia of MuJoCo's friction (walker.IMPRATIO), and integration.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,7 @@ def unsmoothed(mechanism: Mechanism) -> Mechanism:
     return replace(mechanism, contacts=tuple(contacts), stops=tuple(stops))
 
 
+@lru_cache(maxsize=1)  # both replays of a plan are set beside it
 def without_smoothing(plan: Plan, parts: int) -> np.ndarray:
     """States (N+1, nx) of a plan's controls, open loop and unsmoothed, with so many steps of RK4 per stage."""
     assert plan.problem is not None

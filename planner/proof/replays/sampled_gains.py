@@ -104,7 +104,7 @@ class Gains:
         """The controls (held, nu) from step i on, whose state is w (nw,)."""
         w = w if self._encoders is None else self._encoders(w)
         x = self._twin.x_of(w)
-        dx = self._plan.space.difference(x, self._plan_xs[i])
+        dx = self._plan.space.single_difference(x, self._plan_xs[i])
         self._late.append(self._plan.K[self._stage[i]] @ dx)
         until = slice(i, i + self.held)
         return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft(), x)
