@@ -21,6 +21,7 @@ DOCUMENTS = sorted(
 @cache
 def anchors(page):
     """What GitHub and the site call the headings of a page."""
+    found = []
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
     for heading in _HEADING.findall(text):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").lower()
