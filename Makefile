@@ -34,8 +34,9 @@ docs: ## build the documentation site: docs/_build/index.html
 	@.ci/setup docs
 	$(PYTHON) -m sphinx -W --keep-going -q -b html -d docs/_build/.doctrees docs docs/_build
 
-linkcheck: ## ask every link out of the documentation whether it still answers; needs the network
-	@.ci/setup docs
+linkcheck: ## check every link: files, headings, and pages of others (none so far, for which it would need the network)
+	@.ci/setup docs test
+	$(PYTHON) -m pytest -q tests/test_links.py
 	$(PYTHON) -m sphinx -W --keep-going -q -b linkcheck -d docs/_build/.doctrees docs docs/_build/linkcheck
 
 gallery: setup ## make the committed pictures and videos again
