@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,6 +91,17 @@ class Section:
             "passed": self.passed,
             "figures": {one.name: one.to_dict() for one in self.measured},
         }
+
+
+def beyond_bounds(sections: Iterable[Section]) -> float:
+    """The largest value beyond its bound, over the bound: how far sections are from passing. 0 where all pass."""
+    failures = [one for section in sections for one in section.failures]
+    return max((_over(one.value, one.bound) for one in failures), default=0.0)
+
+
+def _over(value: float, bound: float | None) -> float:
+    over = value / bound if bound else math.inf  # one warning is one too many
+    return math.inf if math.isnan(over) else over
 
 
 def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, str]]:

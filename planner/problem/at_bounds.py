@@ -23,11 +23,11 @@ def control_name(problem: Problem, place: int) -> str:
     return f"actuator {names[place]!r}" if place < len(names) and names[place] else f"control {place}"
 
 
-def control_at_bound(problem: Problem, us: np.ndarray) -> str:
-    """The control that is most often at a bound along us (N, nu), and in how many stages; "" where none is often."""
+def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> str:
+    """The control that is most often at a bound along xs (N+1, nx), us (N, nu), and in how many stages; "" for none."""
     if problem.bounds is None:
         return ""
-    lower, upper = problem.bounds.lower, problem.bounds.upper
+    lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
     with np.errstate(invalid="ignore"):
         near = _NEAR * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
@@ -35,6 +35,19 @@ def control_at_bound(problem: Problem, us: np.ndarray) -> str:
     if stages[worst] < max(1, _OFTEN * len(us)):
         return ""
     return f"{control_name(problem, worst)} is at its bound in {stages[worst]} of {len(us)} stages"
+
+
+def speed_at_bound(problem: Problem, xs: np.ndarray) -> str:
+    """The velocity that is most often at a bound along the states xs (N+1, nx), and how often; "" for none."""
+    ranges, limits = problem.ranges, problem.limits
+    if ranges is None or limits is None or not np.isfinite(xs).all():
+        return ""
+    rates = [h for h in range(len(ranges.component) - ranges.at_end) if ranges.coordinates[h].is_rate]
+    knots = ranges.at_bound(xs, limits.tolerance).sum(axis=0)
+    worst = max(rates, key=lambda h: knots[h], default=None)
+    if worst is None or knots[worst] < max(1, _OFTEN * len(xs)):
+        return ""
+    return f"the {ranges.coordinates[worst].name} is at its limit at {knots[worst]} of {len(xs)} knots"
 
 
 def state_outside(problem: Problem, xs: np.ndarray, t: np.ndarray) -> str:

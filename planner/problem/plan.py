@@ -186,7 +186,7 @@ class Plan(Built, Shown):
         if self.problem is None or self.status not in _ON_LIMITS:
             return self.status.value
         outside = state_outside(self.problem, self.xs, self.t)
-        held = control_at_bound(self.problem, self.us)
+        held = control_at_bound(self.problem, self.xs, self.us)
         broken = constraints_broken(self.problem, self.xs, self.us, self.t)
         if self.status is Status.OUTSIDE_LIMITS:
             found = ", and ".join(filter(None, (outside, broken, held)))

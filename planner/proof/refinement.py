@@ -43,8 +43,8 @@ class Refinement(NamedTuple):
         status: How the solve ended.
         verdict: "PASS" or "FAIL".
         mode: In which it passed, or None.
-        end_error: The largest error of MuJoCo's end as a share of what passes of a path, in that mode, else in the one
-            that the proof shows.
+        end_error: The largest error of MuJoCo's end as a share of what passes of a path, in that mode, else open
+            loop.
         seconds: Solve and proof took; nan for the plan that refine() was given.
     """
 
@@ -215,7 +215,8 @@ def _other_cause(proof: Proof) -> str:
 def _line(plan: Plan, proof: Proof, seconds: float) -> Refinement:
     assert plan.problem is not None
     dynamics = plan.problem.dynamics
-    error = float(shares_of_bounds(proof.replay.plan, proof.replay.error[-1:])[0])  # NaN where MuJoCo ran away
+    run = proof.replays[proof.mode or "open-loop"]
+    error = float(shares_of_bounds(run.plan, run.error[-1:])[0])  # NaN where MuJoCo ran away
     return Refinement(
         getattr(dynamics, "integrator", ""), dynamics.dt, plan.N, plan.nit, plan.cost, plan.status, proof.verdict,
         proof.mode, error if error < math.inf else math.inf, seconds,

@@ -20,7 +20,7 @@ import numpy as np
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
-from planner.base.measured import Section
+from planner.base.measured import Section, beyond_bounds
 from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
 from planner.problem.goals import goals_of, unjudged_ends
@@ -125,7 +125,8 @@ def prove(
     lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
     modes = MODES[1:] if lost else MODES
     mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
-    seen = mode or next((m for m in MODES if not all(step.passed for step in judged[m])), "open-loop")
+    broken = [m for m in MODES if not all(step.passed for step in judged[m])]
+    seen = mode or min(broken, key=lambda m: beyond_bounds(judged[m]), default="open-loop")
     repeated = mode is not None
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)

@@ -34,8 +34,8 @@ class Proof(Filmed):
         mode: "open-loop" or "feedback", the mode that passed; None when neither did.
         reason: The verdict in a sentence.
         sections: The steps by name, in order (docs/proof.md). Each is an attribute too: `proof.parity`,
-            `proof.refined_open_loop`. `goal` is of the mode that passed, else open loop.
-        replay: The replay in the mode that passed, else open loop.
+            `proof.refined_open_loop`. `goal` is of the mode that passed, else of that which is nearest to it.
+        replay: The replay in the mode that passed, else in that which is nearest to it.
         replays: Mode -> replay.
         errors: The growth of errors behind `growth`.
         convergence: The replays at halved steps behind `order`.

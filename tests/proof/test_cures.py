@@ -8,7 +8,7 @@ import pytest
 import planner
 from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import RESOLVED
-from planner.proof.cures import Cure, cures
+from planner.proof.cures import Cure, cures, longer
 from planner.proof.cures.cure import rounded_up
 from planner.proof.cures.stage import rounded_step
 
@@ -291,3 +291,43 @@ def test_steps_are_those_that_people_write():
 
 def test_numbers_are_rounded_up():
     assert [rounded_up(value) for value in (0.0123, 20.0, 961.0, 0.0)] == [0.02, 20.0, 1000.0, 0.0]
+
+
+def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
+    model = POLE.format(slider='limited="true" range="-1 1"').replace(
+        'joint="slider"', 'joint="slider" ctrlrange="-4 4"'
+    )
+    keys = {"start": "[0.0, 3.14159]", "goal": "[0.0, 0.0]", "duration": "0.8"}
+    weights = {"effort": 0.06, "final_position": 1e4, "final_velocity": 1e3}
+    problem = file(tmp_path, model, keys, weights, {"control": '"model"', "position": '"model"'})
+    found = cures(*tried(problem))
+    assert [one.key for one in found][:2] == ["duration", "weights.final_position"]
+    assert "actuator 'push' is at its bound in" in found[0].sentence
+    value = found[0].value
+    assert longer(problem, found[0]).value > 1.4 * value
+
+
+def test_a_motor_that_cannot_lift_straight_may_swing(tmp_path):
+    model = """
+    <mujoco><worldbody><body>
+      <joint name="hinge" axis="0 1 0" damping="0.1"/>
+      <geom type="sphere" size="0.05" pos="0 0 0.5" mass="1" contype="0" conaffinity="0"/>
+    </body></worldbody><actuator><motor name="weak" joint="hinge" ctrlrange="-1 1"/></actuator></mujoco>
+    """
+    keys = {"start": "[3.14159]", "goal": "[0.0]", "duration": "1.0"}
+    problem = file(tmp_path, model, keys, {"effort": 1.0}, {"control": '"model"'})
+    first = cures(*tried(problem))[0]
+    assert first.key == "duration"  # and no sentence that no duration helps
+    assert "actuator 'weak' is at its bound" in first.sentence
+
+
+def test_a_way_that_is_not_free_goes_around(tmp_path):
+    post = '<geom name="post" type="box" size="0.05 0.5 0.05" pos="0.45 0 0.45"/>'
+    model = {"gravity": 0, "world": post, "collides": ""}
+    keys = {"contacts": '"avoid"', "goal": "[-1.4, 0.0]"}
+    problem = arm(
+        tmp_path, weights={"velocity": 1.0, "final_position": 1e5, "final_velocity": 1e4}, model=model, **keys
+    )
+    value, said = passes_with(problem, "avoid")
+    assert value == {}
+    assert said.startswith("`avoid = {}`: ")

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 from planner.problem.plan import Plan, Status
 from planner.proof.cures.balance import falling, standing_goal
 from planner.proof.cures.cure import Cure
-from planner.proof.cures.effort import more_time
+from planner.proof.cures.effort import longer, more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
 from planner.proof.cures.limits import left_no_room, not_driven, wider_margin, within_limits
 from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
@@ -20,7 +20,7 @@ from planner.proof.cures.straight import shorter_way
 from planner.proof.cures.touching import out_of_touch
 from planner.proof.verdict import Proof
 
-__all__ = ["Cure", "cures"]
+__all__ = ["Cure", "cures", "in_order", "longer"]
 
 _CAUSES = (
     standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits,
@@ -50,5 +50,10 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
             found.setdefault(cure.key, cure)
         if any(cure.value is None for cure in found.values()):  # what follows is its effect
             break
-    _found[plan] = reason, tuple(found.values())
-    return _found[plan][1]
+    return in_order(plan, proof, tuple(found.values()))
+
+
+def in_order(plan: Plan, proof: Proof | None, found: tuple[Cure, ...]) -> tuple[Cure, ...]:
+    """The cures of a plan as whoever tried them knows them: what cures() says from now on."""
+    _found[plan] = "" if proof is None else proof.reason, found
+    return found

@@ -93,7 +93,7 @@ def _written(problem: Problem, key: str, value: Any) -> str:
 def _toml(value: Any) -> str:
     if isinstance(value, dict):
         parts = (f"{name if _is_bare(name) else json.dumps(name)} = {_toml(part)}" for name, part in value.items())
-        return "{ " + ", ".join(parts) + " }"
+        return "{ " + ", ".join(parts) + " }" if value else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_toml, value)) + "]"
     return json.dumps(value, ensure_ascii=False)

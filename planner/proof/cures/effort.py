@@ -6,6 +6,10 @@ The forces of the smooth motion from start to goal (cures.smooth) in a duration 
 
 fall with T until gravity alone is left. The shortest T with all forces, controls and velocities within their ranges is
 found by bisection.
+
+Where no smooth motion is known, or none fits and the goal itself can be held, a plan that misses its goal with controls
+or speeds at their bounds gets half as long again: a machine that must swing up needs time, and no weight gives it that.
+Whoever can try (planner run) makes it longer yet while that is not enough: longer().
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import numpy as np
 
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.problem.at_bounds import control_at_bound, control_name, state_outside
+from planner.problem.at_bounds import control_at_bound, control_name, speed_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, no_cure
@@ -26,6 +30,7 @@ from planner.proof.verdict import Proof
 LONGEST = 10.0  # times the duration
 KEPT = 0.9  # of a range: a plan that has not all of it to use needs some to correct
 LONGER = 1.5  # times the duration, where no smooth motion is known
+STILL = 1e3  # times the duration: so slow that it stands
 _STEPS = 30  # of the bisection
 
 
@@ -43,12 +48,14 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
         return []
     machine = machine_of(problem)
     if machine is None:
-        return _of_bounds(plan, problem)
+        return _of_bounds(plan, problem, proof)
     duration = problem.duration
     now, longest = (_need(problem, machine, T) for T in (duration, LONGEST * duration))
     if now.load <= KEPT:  # there is time enough for a smooth motion
         return []
     if longest.load > 1.0:
+        if _at_goal(problem, machine).load <= 1.0 and (swinging := _of_bounds(plan, problem, proof)):
+            return swinging
         why = f"No duration lets the actuators hold the way to the goal: even in {LONGEST * duration:.3g} s"
         return [no_cure("goal", f"{why} {longest.sentence}.")]
     low, high = 1.0, LONGEST
@@ -64,16 +71,33 @@ def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
         return True
     if proof is None:
         return False
-    missed = any(one.name.startswith("planned") for one in proof.goal.failures)
-    return missed or any(one.name == "clamped_actuators" for one in proof.your_file.failures)
+    return _missed(proof) or any(one.name == "clamped_actuators" for one in proof.your_file.failures)
 
 
-def _of_bounds(plan: Plan, problem: Problem) -> list[Cure]:
-    """Half as long again, for a plan whose controls are often at their bounds, or that was outside of a range."""
-    held = "" if plan.status is Status.CONVERGED else control_at_bound(problem, plan.us)
+def longer(problem: Problem, tried: Cure) -> Cure:
+    """A duration that is half as long again as one that was tried and was not enough."""
+    value = _whole(problem, LONGER * tried.value / problem.duration)
+    return cure(problem, "duration", value, tried.sentence.partition(": ")[2])
+
+
+def _missed(proof: Proof | None) -> bool:
+    """Whether the plan itself misses its goal."""
+    return proof is not None and any(one.name.startswith("planned") for one in proof.goal.failures)
+
+
+def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Half as long again, for a plan whose controls or speeds are often at their bounds, or that left a range."""
+    at_bounds = (control_at_bound(problem, plan.xs, plan.us), speed_at_bound(problem, plan.xs))
+    hangs = plan.status is not Status.CONVERGED or _missed(proof)  # a plan that arrives may use what there is
     outside = state_outside(problem, plan.xs, plan.t)
-    said = ", and ".join(filter(None, (outside, held)))
+    said = ", and ".join(filter(None, (outside, *(at_bounds if hangs else ()))))
     return [cure(problem, "duration", _whole(problem, LONGER), f"in {problem.duration:.3g} s {said}")] if said else []
+
+
+def _at_goal(problem: Problem, machine: Mechanism) -> _Need:
+    """The largest load of what stays at the end of the smooth motion."""
+    motion = smooth_motion(problem, machine, STILL * problem.duration)
+    return max(_of_forces(problem, machine, Smooth(*(part[-1:] for part in motion))), key=lambda one: one.load)
 
 
 def _need(problem: Problem, machine: Mechanism, duration: float) -> _Need:

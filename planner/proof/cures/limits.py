@@ -158,6 +158,7 @@ def _stops_matter(proof: Proof) -> bool:
     """Whether a step fails because a joint is beyond its range, and not because a machine on its feet falls."""
     if loses_balance(proof):
         return False
-    judged = (proof.refined_open_loop, proof.refined_feedback) if proof.mode is None else ()
+    nearest = proof.refined_feedback if proof.replay.feedback else proof.refined_open_loop
+    judged = (nearest,) if proof.mode is None else ()
     failures = [one.name for section in (proof.your_file, *judged) for one in section.failures]
     return "unknown_stops" in failures or "position_range_violation" in failures

@@ -62,6 +62,8 @@ def out_of_touch(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure
         why = f"{on_the_way}, start and goal are free and so is the straight way between them"
         if found := straightened(problem, why):
             return found
+    if problem.case == FILE and "avoid" not in problem.parameters:
+        return [cure(problem, "avoid", {}, f"{on_the_way}, the straight one too; with it the way goes around")]
     return [no_cure("goal", f"{on_the_way}, the straight one too: plan to a `goal` in between, and on from there.")]
 
 
