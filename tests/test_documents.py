@@ -32,9 +32,7 @@ def test_every_public_name_says_what_it_is(space):
     kinds = {name: thing for name, thing in public.items() if callable(thing)}  # numbers and tables: on their page
     silent = [name for name, thing in kinds.items() if not inspect.getdoc(thing)]
     for name, kind in kinds.items():
-        told = re.findall(
-            r"^ +(\w+):", kind.__doc__ or "", re.M
-        )  # attributes and arguments, in the docstring of the class
+        told = re.findall(r"^ +(\w+):", kind.__doc__ or "", re.M)  # attributes and arguments
         for member, thing in vars(kind).items() if isinstance(kind, type) else ():
             shown = callable(thing) or isinstance(thing, (property, classmethod, staticmethod))
             if shown and member[0] != "_" and member not in told and not inspect.getdoc(getattr(kind, member)):
