@@ -13,7 +13,10 @@ import planner
 
 def test_the_version_is_the_same_everywhere():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert cited["version"] == planner.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest, day = re.search(r"^## \[(\d\S*)\] - (\d{4}-\d\d-\d\d)$", changes, re.M).groups()
+    assert cited["version"] == newest == planner.__version__
+    assert cited["date-released"] == day
 
 
 @pytest.fixture
