@@ -52,6 +52,7 @@ gallery: setup ## make the committed pictures and videos again
 	    cp renders/human-step/$$name.png $(GALLERY)/human-step.$$name.png || exit 1; \
 	done
 	@$(PYTHON) examples/montage.py $(GALLERY)
+	$(PYTHON) docs/figures/draw.py
 	$(PLANNER) paper
 	$(PLANNER) paper --proofs --out renders/proofs
 

@@ -26,6 +26,7 @@ import planner
 from planner.kernels.lq.workspace import ACCEPTED
 from planner.kernels.numba.lanes import WIDTH
 from planner.solvers.engine import borrow
+from planner.view.plots.style import HUES, dress, grid_of, legend_below, save, title_above
 
 KINDS: dict[str, Callable[[int], Chain]] = {"serial chain": mechanisms.serial, "random tree": mechanisms.random_tree}
 PHASES = {"linearise": 2.0, "riccati": 3.0, "rollout": 2.0}  # the power of n each may grow with
@@ -141,15 +142,12 @@ def memory() -> dict[str, Any]:
 
 def draw(points: list[dict[str, Any]], path: Path) -> None:
     """The phases over joints and over stages, in logarithms, beside their bounds."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     panels = [(kind, "n") for kind in KINDS] + [("serial chain", "N")]
-    figure, axes = pyplot.subplots(1, len(panels), figsize=(13.0, 4.4), layout="constrained", sharey=True)
-    colours = dict(zip(PHASES, ("#1f6f8b", "#c8553d", "#6a994e"), strict=True))
+    figure, (axes,) = grid_of(1, len(panels), 13.0, 4.4)
+    colours = dict(zip(PHASES, (middle for _, middle, _ in HUES), strict=False))
     for ax, (kind, over) in zip(axes, panels, strict=True):
+        title = f"{kind}, 100 stages" if over == "n" else f"serial chain of {ARM} joints"
+        dress(ax, title, "time of an iteration, us", "joints" if over == "n" else "stages")
         for phase, bound in PHASES.items():
             for integrator, style in zip(INTEGRATORS, ("o-", "s--"), strict=True):
                 chosen = [
@@ -167,14 +165,10 @@ def draw(points: list[dict[str, Any]], path: Path) -> None:
         ticks = JOINTS if over == "n" else STAGES
         ax.set_xticks(ticks, [str(t) for t in ticks])
         ax.minorticks_off()
-        ax.set_xlabel("joints" if over == "n" else "stages")
-        ax.set_title(f"{kind}, 100 stages" if over == "n" else f"serial chain of {ARM}")
-        ax.grid(alpha=0.25)
-    axes[0].set_ylabel("us per iteration")
-    axes[0].legend(fontsize=7, frameon=False)
-    figure.suptitle("Time of an iteration's phases; dotted: n, n² and n³", fontsize=11)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+        ax.sharey(axes[0])
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
+    title_above(figure, "Phases of an iteration; dotted: n, n² and n³")
+    save(figure, path)
 
 
 def main() -> None:

@@ -9,11 +9,20 @@ import yaml
 from places import ROOT
 
 import planner
+from planner.__main__ import main
 
 
 def test_the_version_is_the_same_everywhere():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert cited["version"] == planner.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest, day = re.search(r"^## \[(\d\S*)\] - (\d{4}-\d\d-\d\d)$", changes, re.M).groups()
+    assert cited["version"] == newest == planner.__version__
+    assert cited["date-released"] == day
+
+
+def test_the_command_says_the_version_of_the_code(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith(f"planner {planner.__version__} ")
 
 
 @pytest.fixture

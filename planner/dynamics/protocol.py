@@ -63,6 +63,7 @@ class CompiledDynamics(Protocol):
         has_slopes: Whether rollouts give the slopes that the Wolfe rule needs.
         kernels: Names in kernels.precompile of the kernels that it calls.
         second_order_kernels: Those that second_order_nominal calls.
+        dt: Length of a stage, s.
     """
 
     @property

@@ -89,7 +89,7 @@ class Charts:
     caption: str  # Under them, on a page
     t: np.ndarray  # (K,) of all curves without times of their own
     charts: Sequence[Chart]  # The panels
-    xlabel: str = "time (s)"  # Of t
+    xlabel: str = "time, s"  # Of t
     title: str = ""  # Above them all
     span_label: str = ""  # Name of the shaded times
 

@@ -128,7 +128,7 @@ def test_paths_are_to_one_scale_and_begin_with_a_dot():
     np.testing.assert_allclose(lines(side)[1], [[0.0, 900.0]], atol=1e-9)
     np.testing.assert_allclose(lines(front)[0][:, 0], [0.0, 20.0], atol=1e-9)
     np.testing.assert_allclose(lines(top)[0], [[0.0, 0.0], [100.0, 20.0]], atol=1e-9)
-    assert (side.get_xlabel(), side.get_ylabel(), top.get_ylabel()) == ("x (mm)", "z (mm)", "y (mm)")
+    assert (side.get_xlabel(), side.get_ylabel(), top.get_ylabel()) == ("x, mm", "z, mm", "y, mm")
     spans = [np.ptp(axes.get_xlim()) for axes in figure.axes] + [np.ptp(axes.get_ylim()) for axes in figure.axes]
     np.testing.assert_allclose(spans, spans[0])
 

@@ -91,7 +91,7 @@ def test_controls_are_steps_on_an_axis_of_their_own(plan, replay):
 
 def test_stance_is_shaded_in_every_panel_over_time(plan, replay):
     figure = draw_plan(plan, replay)
-    timed = [axes for axes in figure.axes if axes.get_xlabel() == "time (s)" or axes.get_title(loc="left") == "Height"]
+    timed = [axes for axes in figure.axes if axes.get_xlabel() == "time, s" or axes.get_title(loc="left") == "Height"]
     assert len(timed) == 4
     touching = replay.t[replay.contact_force > 0]
     for axes in timed:

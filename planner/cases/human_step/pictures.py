@@ -83,7 +83,7 @@ def measured(step: Step, tolerances: Mapping[str, float], plan: Plan, replay: Re
     charts += _wrench(step, plan)
     return Charts(
         "Joint angles beside the normal gait, heights of hip and foot, forces of the belt, motion of the pelvis, and "
-        "forces of the robot on it", 100.0 * grid, charts, "cycle from heel strike (%)", "The step in numbers",
+        "forces of the robot on it", 100.0 * grid, charts, "cycle from heel strike, %", "The step in numbers",
         "swing" if whole else "",
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ from planner.problem.problem import Problem
 from planner.solvers.engine import borrow, give_back
 from planner.solvers.lq import gradient
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, panels_of, save
+from planner.view.plots.style import INK, dress, panels_of, save
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
 REFERENCE = Integration(1e-11, "DOP853")
@@ -191,7 +191,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     title = "Gradient of Eq. 7: the same error, a smaller gradient"
     draw_errors(errors, title, results["points"], results["tolerances"])
     worst = max(s["near"]["relative_error"] for s in results["slq"])
-    errors.axhline(worst, color="k", lw=1.0, ls="--", label="SLQ near convergence, worst step length")
+    errors.axhline(worst, color=INK, lw=1.0, ls="--", label="SLQ near convergence, worst step length")
     errors.axhline(1.0, color="0.6", lw=0.8, ls=":")
     errors.legend(frameon=False, fontsize=7.5)
     found = results["descents"][-1]

@@ -19,7 +19,7 @@ from planner.paper.studies.study import Row, Study
 from planner.problem.plan import Plan
 from planner.proof import prove
 from planner.solvers.slq import solve
-from planner.view.plots.style import HUES, dress, grid_of, save
+from planner.view.plots.style import HUES, INK, dress, grid_of, save
 
 HEIGHTS = (1.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}  # section 4
@@ -224,22 +224,22 @@ def _draw(results: dict[str, Any], path: Path) -> None:
             axes.set_xlim(0.0, t[-1])
             axes.legend(fontsize=8, frameon=False, loc="upper left")
         title = f"height {phase['height']:g} in, {phase['duration']:g} s (stance shaded)"
-        dress(top, title, "" if column else "length, in")
+        dress(top, title, "" if column else "height and piston, in")
         dress(bottom, "", "" if column else "flow, in/s", "time, s")
     counts, smoothing = grid[:, 3]
     heights = results["heights"]
     for name, cells in results["iterations"].items():
         counts.semilogy(heights, [np.nan if c is None else c for c in cells], marker="o", ms=4, label=f"ours, {name}")
     known = [(h, c) for h, c in zip(heights, results["paper_iterations"], strict=True) if c is not None]
-    counts.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color="k", label="paper")
-    dress(counts, "q_fin = 1000", "iterations", "goal height, in")
+    counts.semilogy(*zip(*known, strict=True), ls="", marker="*", ms=11, color=INK, label="paper")
+    dress(counts, "by height, q_fin = 1000", "iterations", "goal height, in")
     counts.legend(fontsize=8, frameon=False)
     for i, height in enumerate(heights):
         points = [(float(a), cells[i]) for a, cells in results["iterations_by_smoothing"].items() if cells[i]]
         if height in (1.0, 20.0, 50.0):
-            smoothing.loglog(*zip(*points, strict=True), marker="o", ms=4, label=f"height {height:g}")
+            smoothing.loglog(*zip(*points, strict=True), marker="o", ms=4, label=f"height {height:g} in")
     smoothing.axvline(1e-5, color="0.6", lw=0.8, ls=":")
-    dress(smoothing, "failed where there is no point", "iterations", "smoothing alpha, in")
+    dress(smoothing, "by smoothing; no point: failed", "iterations", "smoothing alpha, in")
     smoothing.legend(fontsize=8, frameon=False)
     save(figure, path)
 

@@ -22,7 +22,7 @@ from planner.paper.studies.records import descent_record, plan_record, table
 from planner.paper.studies.study import Row, Study, timed
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, panels_of, save
+from planner.view.plots.style import INK, dress, panels_of, save
 
 HEIGHTS = (1.0, 10.0, 20.0, 50.0)  # in
 COEFFICIENTS = (8, 17, 32)  # of the quintic splines; 17 are those of section 2.1
@@ -180,14 +180,14 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     """Cost by iteration for both gradients and SLQ, and the error of Eq. 7 against tolerance."""
     figure, (costs, errors) = panels_of(2)
     height, coefficients = results["drawn"]
-    dress(costs, f"Hop to {height:g} in, {coefficients} coefficients", "J", "iteration, counted from 1")
+    dress(costs, f"Hop to {height:g} in, {coefficients} coefficients", "cost J", "iteration, counted from 1")
     plan = next(p for p in results["slq"] if p["height"] == height)
-    costs.loglog(1 + np.arange(len(plan["costs"])), plan["costs"], color="k", label="SLQ")
+    costs.loglog(1 + np.arange(len(plan["costs"])), plan["costs"], color=INK, label="SLQ")
     costs.loglog(1 + np.arange(len(results["curve"])), results["curve"], label="splines, exact gradient of the sum")
-    for r in results["adjoint"]:
-        if r["height"] == height:
-            label = f"splines, Eq. 7 at {r['tolerance']:g} (not converged)" if not r["success"] else "splines, Eq. 7"
-            costs.loglog(1 + np.arange(len(r["costs"])), r["costs"], marker=".", ms=4, label=label)
+    adjoint = [r for r in results["adjoint"] if r["height"] == height]
+    for width, r in zip((4.0, 1.2), adjoint, strict=False):  # they lie on each other
+        label = f"splines, Eq. 7 at {r['tolerance']:g} (not converged)" if not r["success"] else "splines, Eq. 7"
+        costs.loglog(1 + np.arange(len(r["costs"])), r["costs"], marker=".", ms=4, lw=width, label=label)
     costs.legend(frameon=False, fontsize=8)
     title = "Gradient of Eq. 7 with touchdowns on the way"
     draw_errors(errors, title, results["gradient_errors"], results["tolerances"])

@@ -26,7 +26,7 @@ from planner.paper.studies.study import Row, Study, timed
 from planner.problem.guess import follow, quintic
 from planner.problem.problem import Problem
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, panels_of, save
+from planner.view.plots.style import HUES, INK, dress, panels_of, save
 
 FIRST, LAST = 73.6, 9.9  # section 2.1
 DURATION, GRAVITY = 2.0, 9.81  # s, from the paper; m/s^2, ours
@@ -231,11 +231,11 @@ def _draw(results: dict[str, Any], path: Path) -> None:
         for index, kind in enumerate(KINDS):
             for f in results["families"]:
                 if (f["family"], f["kind"]) == (family, kind):
-                    axes.plot(f["parameters"], f["last"], marker="o", ms=4, color=f"C{index}", label=kind)
+                    axes.plot(f["parameters"], f["last"], marker="o", ms=4, color=HUES[index][1], label=kind)
             for c in results["candidates"]:
                 if (c["family"], c["kind"]) == (family, kind):
                     x = c["length1"] if family == "length" else c["mass2"] / c["mass1"]
-                    axes.plot(x, c["last"], marker="*", ms=13, color="k", ls="")
+                    axes.plot(x, c["last"], marker="*", ms=13, color=INK, ls="")
         axes.axhline(LAST, color="0.5", lw=0.8, ls=":", label=f"the paper's {LAST}")
         axes.set_ylim(0.0, None)
         axes.legend(frameon=False, fontsize=8)

@@ -159,7 +159,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     shown = results["shown"]
     t, shares = np.array(shown["t_s"]), np.array(shown["torque_shares"])
     title = f"{shown['payload']:.1f} kg in {shown['duration']:g} s: torques over their limits"
-    dress(torques, title, "torque / limit", "time (s)")
+    dress(torques, title, "torque / limit", "time, s")
     for i, name in enumerate(results["joints"]):
         torques.step(t, np.append(shares[:, i], shares[-1, i]), where="post", color=HUES[i][1], lw=1.6, label=name)
     held = np.array(shown["held_shares"])
@@ -194,7 +194,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     history.set_ylim(bottom=0.0)
     history.legend(fontsize=7.5, frameon=False, loc="lower right")
 
-    dress(ratios, "largest payload over the static limit", "ratio", "duration (s)")
+    dress(ratios, "largest payload over the static limit", "ratio", "duration, s")
     for found, color, label in (
         (free, HUES[0][1], "planned swing"),
         (slow, HUES[3][1], f"joints below {SLOW:g} rad/s"),

@@ -19,7 +19,7 @@ from planner.paper.studies.study import Row, Study, timed
 from planner.problem.plan import Plan
 from planner.solvers.lq import costates
 from planner.solvers.slq import solve
-from planner.view.plots.style import dress, panels_of, save
+from planner.view.plots.style import HUES, RED, dress, panels_of, save
 
 DURATION = 2.0  # s, section 2.1
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)  # s
@@ -146,11 +146,11 @@ def _rows(results: dict[str, Any]) -> list[Row]:
 def _draw(results: dict[str, Any], path: Path) -> None:
     """Sensitivity of the final costate to the initial one, along one optimum and by horizon."""
     figure, (along, horizons) = panels_of(2)
-    dress(along, "Along the optimum of 2 s: d lambda(t) / d lambda(0)", "", "t, s")
+    dress(along, "Along the optimum of 2 s: d lambda(t) / d lambda(0)", "condition, norm", "time, s")
     along.semilogy(results["t"], results["condition"], label="condition number")
     along.semilogy(results["t"], results["norm"], label="norm")
     along.legend(frameon=False, fontsize=8)
-    dress(horizons, "Each horizon's own optimum", "", "t_f, s")
+    dress(horizons, "Each horizon's own optimum", "condition, norm", "horizon, s")
     durations = [h["duration"] for h in results["horizons"]]
     for name, label in (
         ("jacobian_condition", "condition of d miss / d lambda(0)"),
@@ -159,7 +159,7 @@ def _draw(results: dict[str, Any], path: Path) -> None:
     ):  # fmt: skip
         horizons.semilogy(durations, [h[name] for h in results["horizons"]], marker="o", ms=4, label=label)
     for a in results["from_zero"]:
-        marker, colour = ("o", "green") if a["success"] else ("x", "red")
+        marker, colour = ("o", HUES[2][1]) if a["success"] else ("x", RED)
         horizons.plot(a["duration"], 1.0, ls="", ms=8, marker=marker, color=colour)
     horizons.text(
         durations[-1], 1.0, "shooting from zero: circle found, cross not", ha="right", va="center", fontsize=7.5

@@ -29,7 +29,7 @@ _UP, _DOWN = 6, 7  # matplotlib's triangles whose tips are at the point
 
 def draw_bounded(axes: Axes, panel: Bounded, replays: Sequence[Replay]) -> None:
     """Draw a panel; `replays` are those whose motions follow the plan's in it."""
-    dress(axes, panel.title, panel.ylabel, "time (s)")
+    dress(axes, panel.title, panel.ylabel, "time, s")
     single = _single(panel)
     note = "tolerance" if panel.decades and not np.isfinite(panel.least).any() else "bound"
     if single[0].any() or single[1].any():

@@ -33,7 +33,7 @@ def draw_paths(picture: Paths, views: Sequence[View] = (SIDE, FRONT, TOP)) -> Fi
     for i, (view, row, points) in enumerate(zip(views, flat, every, strict=True)):
         axes = figure.add_subplot(1, len(views), i + 1)
         right, up = (_direction(axis) for axis in axes_of(view))
-        dress(axes, view.label, f"{up} (mm)", f"{right} (mm)")
+        dress(axes, view.label, f"{up}, mm", f"{right}, mm")
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         axes.set_xlim(middle[0] - reach, middle[0] + reach)
         axes.set_ylim(middle[1] - reach, middle[1] + reach)

@@ -122,7 +122,7 @@ def _draw_panel(figure: Figure, cell: SubplotSpec, panel: Panel, plan: Plan, rep
     if len(curves) > 1:
         name_curves(right or axes, [curve.label for curve in curves], 1.0 if right is None else _PAST_AXIS)
     if beneath is None or first is None:
-        axes.set_xlabel("time (s)")
+        axes.set_xlabel("time, s")
         return [axes]
     axes.tick_params(labelbottom=False)
     _draw_difference(beneath, first, replays, panel.ylabel)
@@ -163,7 +163,7 @@ def _draw_difference(axes: Axes, curve: Curve, replays: list[Replay], ylabel: st
         f"{curve.label}, replay {MINUS} plan" + (f" ({shown})" if shown else ""), fontsize=8, loc="left",
         color=RED, pad=3,
     )  # fmt: skip
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel("time, s")
 
 
 def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: Plan) -> Axes:
@@ -175,7 +175,7 @@ def _draw_force(figure: Figure, cell: SubplotSpec, replays: list[Replay], plan: 
         color, width = ("#f2a3a8", 3.0) if light else (RED, 1.3)
         axes.plot(replay.t, drawable(replay.contact_force), color=color, lw=width, zorder=3)
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel("time, s")
     return axes
 
 
@@ -203,7 +203,7 @@ def _draw_chains(figure: Figure, cell: SubplotSpec, unit: str, curves: dict[str,
         axes.plot(plan.t, drawable(to_the_end(values)), color=hue[0], lw=1.2, ls=DASHED, zorder=3)
     name_curves(axes, [name.removeprefix("equality ").strip("'") for name in curves], 1.0)
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel("time, s")
     return axes
 
 

@@ -70,7 +70,7 @@ def draw_proof(proof: Proof) -> Figure:
 
 
 def _draw_growth(axes: Axes, errors: Growth) -> None:
-    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time (s)")
+    dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time, s")
     drawn = []
     for mode, colour in MODE_COLOURS.items():
         for values, line, width, words in (
@@ -100,7 +100,7 @@ def _draw_order(axes: Axes, order: Order) -> None:
     observed = "none to be seen" if order.observed is None else f"{order.observed:.3g}"
     with np.errstate(all="ignore"):  # at h = 0: Richardson's extrapolation, its grid convergence index
         words = (
-            "step h (s), halved to h/2\n"
+            "step h, s, halved to h/2\n"
             f"observed order {observed}; end at h = 0 known to {order.end_uncertainty:.1e} bounds\n"
             f"J at h = 0: {order.extrapolated_cost:.6g} ± {order.cost_uncertainty:.1e}, plan {order.plan_cost:.6g}"
         )
@@ -132,7 +132,7 @@ def _draw_fan(axes: Axes, rollouts: Perturbed, mode: str, plan: Plan) -> None:
     name, unit = coordinates_of(getattr(plan.problem, "dynamics", None))[worst]
     title = f"Monte Carlo, {MODE_WORDS[mode]}: the coordinate that strays farthest"
     label = textwrap.fill(f"deviation of {name}{f', {unit}' if unit else ''}", _LABEL)
-    dress(axes, title, label, "time (s)")
+    dress(axes, title, label, "time, s")
     if fan.size == 0 or not np.isfinite(fan).any():
         say(axes, "no rollout is left")
         return

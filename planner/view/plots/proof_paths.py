@@ -44,13 +44,13 @@ def draw_path_errors(axes: Axes, run: Replay) -> None:
     how = "" if sampling is None else f" at {sampling.rate:.4g} Hz, held, {_late(sampling.delay)}"
     words = MODE_WORDS["feedback" if run.feedback else "open-loop"]
     label = f"{SHARE}\n(dashed: not judged)" if jumps else SHARE
-    dress(axes, f"Errors of the replay, {words}{how}", label, "time (s)")
+    dress(axes, f"Errors of the replay, {words}{how}", label, "time, s")
     _draw_shares(axes, run.plan, run.t, run.error, jumps)
 
 
 def draw_hold(axes: Axes, held: Held) -> None:
     """The deviations from the goal while a regulator holds it."""
-    dress(axes, "Deviations from the goal, held by a regulator", SHARE, "time (s)")
+    dress(axes, "Deviations from the goal, held by a regulator", SHARE, "time, s")
     _draw_shares(axes, held.plan, held.t, held.deviation, jumps=False)
 
 

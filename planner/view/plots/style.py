@@ -62,13 +62,24 @@ def blank(width: float, height: float) -> Figure:
 def grid_of(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
     """A figure of a size in inches, and its axes (rows, columns)."""
     figure = blank(width, height)
-    return figure, figure.subplots(rows, columns, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat:
+        _colour(axes)
+    return figure, grid
 
 
 def panels_of(panels: int) -> tuple[Figure, list[Axes]]:
     """A figure of two columns, and its axes; an odd last panel takes the whole width."""
     figure, cells = figure_of(panels)
-    return figure, [figure.add_subplot(cell) for cell in cells]
+    panels = [figure.add_subplot(cell) for cell in cells]
+    for axes in panels:
+        _colour(axes)
+    return figure, panels
+
+
+def _colour(axes: Axes) -> None:
+    """Curves without a colour of their own take the hues in turn."""
+    axes.set_prop_cycle(color=[middle for _, middle, _ in HUES])
 
 
 def figure_of(panels: int) -> tuple[Figure, list[SubplotSpec]]:

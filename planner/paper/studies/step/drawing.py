@@ -46,7 +46,7 @@ def draw_step_cycle(results: dict[str, Any], path: Path) -> None:
     figure, axes = panels_of(6)
     percent = 100.0 * np.array(drawn["t_s"]) / CYCLE_TIME
     for on, side in zip(axes[:2], SIDES, strict=True):
-        dress(on, f"{side.capitalize()} leg, normal dashed, its swing shaded", "angle (deg)")
+        dress(on, f"{side.capitalize()} leg, normal dashed, its swing shaded", "angle, deg")
         begin, end = (100.0 * (s + (0.0 if side == "right" else 0.5)) % 100.0 for s in (SWING[0], SWING[1] - 1e-9))
         on.axvspan(begin, end, color="#ece7dc", lw=0, zorder=0)
         for i, joint in enumerate(("hip_flexion", "knee", "ankle")):
@@ -55,27 +55,27 @@ def draw_step_cycle(results: dict[str, Any], path: Path) -> None:
             on.plot(percent, drawn["normal_deg"][name], color=HUES[i][1], lw=1.2, ls=DASHED)
     pelvis = {key: np.array(values) for key, values in drawn["pelvis"].items()}
     path_of, forces, push, turn = axes[2:]
-    dress(path_of, "Pelvis and hips, from the normal gait", "mm")
+    dress(path_of, "Pelvis and hips, from the normal gait", "distance, mm")
     for i, name in enumerate("xyz"):
         away = 1e3 * (pelvis["planned"][:, i] - pelvis["normal"][:, i])
         path_of.plot(percent, away, color=HUES[i][1], lw=1.8, label=name)
     for i, side in enumerate(SIDES):
         lift = 1e3 * np.array(drawn["hip_lift_m"][side])
         path_of.plot(percent, lift, color=HUES[3 + i][1], lw=1.4, ls=":", label=f"{side} hip, lifted by")
-    dress(forces, "Belt on the feet, upwards", "N")
+    dress(forces, "Belt on the feet, upwards", "force, N")
     for i, side in enumerate(SIDES):
         forces.plot(percent, drawn["forces_N"][side], color=HUES[i][1], lw=1.6, label=side)
     wrench = np.array(drawn["wrench"])
-    for on, title, unit, first, names in (
-        (push, "Robot's force on the pelvis", "N", 0, ("ahead", "to the left", "upwards")),
-        (turn, "Robot's moment", "N m", 3, ("tilt", "list", "rotation")),
+    for on, title, label, first, names in (
+        (push, "Robot's force on the pelvis", "force, N", 0, ("ahead", "to the left", "upwards")),
+        (turn, "Robot's moment on the pelvis", "moment, N m", 3, ("tilt", "list", "rotation")),
     ):
-        dress(on, title, unit)
+        dress(on, title, label)
         for i, name in enumerate(names):
             on.plot(percent[:-1], wrench[:, first + i], color=HUES[i][1], lw=1.4, label=name)
     for on in axes:
         on.set_xlim(0.0, percent[-1])
-        on.set_xlabel("of the cycle (%), from right heel strike")
+        on.set_xlabel("cycle from right heel strike, %")
         low, high = on.get_ylim()
         on.set_ylim(low, high + 0.22 * (high - low))  # room for the names above what is drawn
         on.legend(frameon=False, fontsize=7.5, ncols=3, loc="upper left")
@@ -86,7 +86,7 @@ def draw_step_methods(results: dict[str, Any], path: Path) -> None:
     """J over the least found, by iteration."""
     figure, panels = panels_of(2)
     for phase, axes in zip(("swing", "cycle"), panels, strict=True):
-        dress(axes, phase.capitalize(), "J", "iteration, counted from 1")
+        dress(axes, phase.capitalize(), "cost J", "iteration, counted from 1")
         for i, (name, one) in enumerate(results["updates"][phase].items()):
             axes.loglog(1 + np.arange(len(one["costs"])), one["costs"], color=HUES[i][1], lw=1.8, label=f"SLQ, {name}")
         for i, one in enumerate(results["splines"] if phase == "swing" else ()):
