@@ -4,6 +4,10 @@
              with its gains, then a fixed number of SLQ iterations (solvers.slq), or as many as a budget of time allows
     between  u = us[n] + K[n] (x - xs(t)), within bounds, so that it may be asked more often than it plans
 
+A large push throws the machine off the last plan, whose gains may then lead far away, and one iteration does not mend
+that. So where following it costs much more than was planned, the first plan of the task is followed too, with its gains
+from here, and what costs less is improved.
+
 A solve that fails changes nothing: the last plan goes on, and the controller says so. After the last stage of that
 plan, or after `patience` failures in a row, it holds: gravity compensation and damping within the bounds
 (planner.control.holding). It goes on trying, and says when a plan is found.
@@ -32,11 +36,13 @@ from planner.model.space import space_of
 from planner.problem.costs.tracking import states
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.solvers.engine.moved import Trajectory
 from planner.solvers.regularisation import FACTOR, LEAST, MOST
 from planner.solvers.slq import DECREASE, solve
 from planner.solvers.steadied import RUNAWAY
 
 PATIENCE = 10  # failures in a row after which it holds
+THROWN = 2.0  # times the cost that was planned: the first plan may lead back better than the last one
 _MOST_EVENTS = 1000
 
 
@@ -111,16 +117,12 @@ class Controller:
         """Begin the task again with the next call; from another start (nx,) with a plan of its own."""
         if x0 is not None:
             self.plan = self._solved(states("x0", x0, self._space, ()))
-        N, H = self.plan.N, self.horizon
-        n = np.minimum(np.arange(H), N - 1)
-        self._xs, self._us, self._K = self._plan_now = (
-            self.plan.xs[np.minimum(np.arange(H + 1), N)], self.plan.us[n], self.plan.K[n],
-        )  # fmt: skip
+        self._xs, self._us, self._K = self._plan_now = self._first_plan(0)
         self._window.hinge(self.plan, self.problem.kept)  # multipliers that calls have changed begin again
         self._window.slide(0)
         self._engine.start(self.problem.x0, self._us)
         self._begin, self._made, self._asked = math.nan, math.nan, -math.inf
-        self._mu, self._in_a_row = 0.0, 0
+        self._mu, self._in_a_row, self._cost = 0.0, 0, math.inf
         self.status, self.events = Doing.PLANNING, list[Event]()
         self.failures = self.plans = self.stalls = 0
         self.planned, self.seconds = False, 0.0
@@ -195,6 +197,8 @@ class Controller:
         """Moves the plan on to (t, x) and improves it; "" or why it could not."""
         engine, began = self._engine, time.perf_counter()
         cost = engine.follow(x, self._plan_now, (t - self._made) / self._dt)
+        if not cost <= THROWN * self._cost and self._has_way_back(x):
+            cost = self._back(t, x, cost)
         if not math.isfinite(cost) and not np.isfinite(x).all():
             return "the measured state is not finite"
         if not math.isfinite(cost) and self.status is Doing.HOLDING:  # what was planned long ago leads nowhere
@@ -224,8 +228,31 @@ class Controller:
         if plan is None:
             return "the plan is not finite"
         self._xs, self._us, self._K = self._plan_now = plan
-        self._window.update_multipliers(self._xs, cost)
+        self._window.update_multipliers(self._xs, self._us, cost)
+        self._cost = cost
         return ""
+
+    def _has_way_back(self, x: np.ndarray) -> bool:
+        """Whether the first plan may be followed from x: it leads to the goal that is, and has not ended."""
+        return self._goal is None and self._window.stage < self.problem.N and bool(np.isfinite(x).all())
+
+    def _back(self, t: float, x: np.ndarray, cost: float) -> float:
+        """Follow the first plan from here where that costs less than to follow the last one; the cost of the better."""
+        engine, last = self._engine, [part.copy() for part in self._plan_now]  # whose memory is needed
+        first = self._first_plan(self._window.stage)
+        back = engine.follow(x, first)
+        if not math.isfinite(back) or back >= cost:
+            self._xs, self._us, self._K = self._plan_now = last[0], last[1], last[2]
+            return engine.follow(x, self._plan_now, (t - self._made) / self._dt)
+        self._xs, self._us, self._K = self._plan_now = first
+        self._made = t
+        return back
+
+    def _first_plan(self, stage: int) -> Trajectory:
+        """The window of the first plan that begins at a stage of the task; past its end it stays there."""
+        plan, n = self.plan, stage + np.arange(self.horizon + 1)
+        before = np.minimum(n[:-1], plan.N - 1)
+        return plan.xs[np.minimum(n, plan.N)], plan.us[before], plan.K[before]
 
     def _within(self, began: float, done: int) -> bool:
         assert self.budget is not None

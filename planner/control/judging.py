@@ -20,14 +20,12 @@ import numpy as np
 
 from planner.base.measured import Measured, Section, dicts_of, rows_of
 from planner.control.goal_states import goal_states
-from planner.control.simulating import Loop
+from planner.control.simulating import LATE, STAYS, Loop
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import LEAST, Goal, goals_of
 from planner.proof.robustness.success_rule import GOAL_TOLERANCES, OF_RANGE, Rule, rule_of
 from planner.proof.tracking import misses, word_of, worst_of
-
-LAST = 1.0  # s, over which it must stay
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +127,7 @@ def _arrives(loop: Loop, goals: Sequence[Goal]) -> Section:
         note = (
             f"when every goal of the end is within its tolerance first; the task ends at {T:.4g} s, and one second more"
         )
-        found.append(Measured("arrived_at", first, "s", T + LAST, note))
+        found.append(Measured("arrived_at", first, "s", T + LATE, note))
     return Section("arrives", tuple(found))
 
 
@@ -148,11 +146,11 @@ def _stays(loop: Loop, goals: Sequence[Goal]) -> Section:
         return Section("stays", not_applicable="the case's own rule is of the task, not of what comes after it")
     if not getattr(loop.controller, "keeps_goal", True):
         return Section("stays", not_applicable="no control keeps the goal, which is met at the end of the task alone")
-    last, found = loop.t >= loop.t[-1] - LAST, []
+    last, found = loop.t >= loop.t[-1] - STAYS, []
     for unit in dict.fromkeys(one.unit for one in end):
         of_unit = [one for one in end if one.unit == unit]
         value, worst = worst_of(of_unit, [float(np.max(one.missed(loop.xs[last]))) for one in of_unit])
-        note = f"largest over the last {LAST:g} s, {worst.name}"
+        note = f"largest over the last {STAYS:g} s, {worst.name}"
         found.append(Measured(f"stayed_{word_of(unit)}_miss", value, unit, worst.tolerance, note))
     return Section("stays", tuple(found))
 

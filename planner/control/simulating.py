@@ -35,6 +35,7 @@ from planner.proof.robustness.pushes import Push, pushed_step
 from planner.proof.robustness.stated_errors import Mass, with_stated_errors
 
 Goal = Callable[[float], Any]
+LATE, STAYS = 1.0, 1.0  # s after the task: in which it may still arrive, and over which it must then stay
 
 
 class Asked(Protocol):
@@ -102,7 +103,7 @@ def simulate(
 
     Args:
         controller: A Controller, which is reset; or a Plan, whose gains act alone and hold its goal after its end.
-        duration: s; by default that of the problem and one second more. Rounded up to whole stages.
+        duration: s; by default that of the problem, a second to be late and one to stay. Rounded up to whole stages.
         latency: s, from asking for a plan until its control acts. None measures each call here: what comes out then
             depends on the computer. With a number it is the same to the last bit.
         pushes: Forces at bodies.
@@ -130,7 +131,7 @@ def simulate(
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
     compiled = compiled or CompiledTwin(problem.twin)
     dt = problem.dynamics.dt
-    duration = problem.duration + 1.0 if duration is None else number("duration", duration, above=0.0)
+    duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, above=0.0)
     latency = None if latency is None else number("latency", latency, least=0.0)
     seed = count("seed", seed, least=0)
     noise = number("noise", noise, least=0.0)

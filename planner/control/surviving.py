@@ -15,7 +15,7 @@ import numpy as np
 from planner.base.measured import Measured, Section
 from planner.control.controller import Controller
 from planner.control.judging import survives
-from planner.control.simulating import simulate
+from planner.control.simulating import LATE, STAYS, simulate
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.campaign import LEVELS
@@ -25,7 +25,6 @@ from planner.proof.robustness.pushes import DURATION, Push
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
 LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s
 TIMES = 20
-AFTER = 2.0  # s after the task, in which a push at its end may be got over
 ALONE = "plan with its gains alone"
 
 
@@ -51,7 +50,7 @@ def margins(
     """
     T = controller.problem.duration
     compiled = CompiledTwin(controller.problem.twin)  # type: ignore[arg-type]
-    at, duration = np.linspace(0.0, T, times), T + AFTER if duration is None else duration
+    at, duration = np.linspace(0.0, T, times), T + LATE + STAYS if duration is None else duration
     along = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     parties: dict[str, Controller | Plan] = {"loop": controller, "gains": controller.plan}
     maps = {who: np.zeros(times) for who in parties}

@@ -1,8 +1,9 @@
 """Window: a problem over the next H stages, whose weights and references slide along with time.
 
 At stage s of its task the window has the stages s ... s+H-1 of the problem, and at its end the problem's final weight.
-Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, as
-the regulator of planner.proof.hold has it. There the effort is counted from the controls that keep the goal.
+Past the end of the task the goal stays: a stage weighs what the last one did and, per second, what the end does, but
+speeds no more than lets the machine settle (window_parts.settling). There the effort is counted from the controls that
+keep the goal.
 
 Everything is laid out once over the whole task and the window after it; to slide is to have an engine read its tables
 from another row on, or to copy a slice of them into its memory.
@@ -16,7 +17,15 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import choice
-from planner.control.window_parts import at_stages, first_stages, frame_rows, lengthened, parts_of
+from planner.control.window_parts import (
+    at_stages,
+    first_stages,
+    frame_rows,
+    lengthened,
+    parts_of,
+    settling,
+    updated_rows,
+)
 from planner.dynamics import ResidualDynamics
 from planner.kernels.lq.workspace import W
 from planner.model.space import space_of
@@ -27,6 +36,7 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.state_ranges import Hinges
+from planner.solvers.augmented import shifted
 from planner.solvers.engine import CompiledEngine, NumpyEngine, borrow
 
 
@@ -56,7 +66,7 @@ class Window:
         dt, before = problem.dynamics.dt, np.minimum(self._at, N - 1)
         past = (np.arange(N + H + 1) > N)[:, None, None]  # the end itself weighs what it does in a plan
         self.x_ref, self.u_ref = tracking.x_ref[self._at].copy(), tracking.u_ref[before].copy()
-        resting = keeps * ((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
+        resting = keeps * settling((tracking.Q[N - 1] if N > 1 else 0.0) + dt * tracking.Q[N])
         self._Q, self._R = np.where(past, resting, tracking.Q[self._at]), tracking.R[before]
         self._final, self._last = tracking.Q[N], keeps * tracking.Q[N - 1]
         self.keeps = keeps
@@ -78,6 +88,7 @@ class Window:
         )  # fmt: skip
         self.engine, self._residual_costs = borrow(self.problem), residuals
         self._hinges: Hinges | None = None
+        self._rows, self._columns = updated_rows(self.problem)
         self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
         self._lay_out(problem)
         self.stage, self._stale = -1, True
@@ -142,21 +153,22 @@ class Window:
         for side in (*self._hinges[:2], *self._kept):
             side[:, : moved.shape[1]] -= moved[: len(side)]
 
-    def update_multipliers(self, xs: np.ndarray, cost: float) -> None:
-        """After a plan: the multipliers of ranges at its stages, as an augmented Lagrangian has them after a solve.
+    def update_multipliers(self, xs: np.ndarray, us: np.ndarray, cost: float) -> None:
+        """After a plan: the multipliers at its stages, as an augmented Lagrangian has them after a solve.
 
-        They belong to stages of the task, so that they slide with the window as its controls do. Ranges that no plan
-        has met yet get their weight when one first breaks them. Those of constraints stay as the first plan left them.
+        They belong to stages of the task, so that they slide with the window as its controls do. What no plan has met
+        yet gets its weight when one first breaks it. Shapes that are kept apart have weights from the beginning, and
+        their distances take too long to be measured again at each call: they stay as the first plan left them.
 
         Args:
             xs: (H+1, nx) the states of the plan.
+            us: (H, nu) its controls.
             cost: Of the plan.
         """
-        ranges = self.problem.ranges
-        if self._hinges is None or ranges is None:
+        if self._hinges is None or not len(self._columns):
             return
-        here, columns = slice(self.stage, self.stage + self.H), slice(0, len(ranges.component))
-        e = self._space.difference(xs[:-1], self.x_ref[here])[:, ranges.component]
+        here, columns = slice(self.stage, self.stage + self.H), self._columns
+        e = self._deviations(xs, us)
         lower, upper, weight = (part[here, columns] for part in self._hinges)
         kept = [side[here, columns] for side in self._kept]
         low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
@@ -165,9 +177,20 @@ class Window:
         new = np.any((low > 0.0) | (high > 0.0), axis=0) & ~np.any(weight > 0.0, axis=0)
         if new.any():
             outside = float(np.sum((low**2 + high**2)[:, new]))
-            self._hinges.weight[:, columns][:, new] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
+            self._hinges.weight[:, columns[new]] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
             low[:, new] = high[:, new] = 0.0
-        lower[:], upper[:], self._stale = kept[0] + low, kept[1] - high, True
+        self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted(kept[0], kept[1], low, high)
+        self._stale = True
+
+    def _deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+        """(H, columns) of the ranges and constraints whose multipliers are updated, at the starts of stages."""
+        ranges, found = self.problem.ranges, list[np.ndarray]()
+        if ranges is not None:
+            e = self._space.difference(xs[:-1], self.x_ref[self.stage : self.stage + self.H])
+            found.append(e[:, ranges.component])
+        if self._rows is not None:
+            found.append(self._rows.values(xs, us)[:-1])
+        return np.concatenate(found, axis=1)
 
     def aim(self, goal: np.ndarray, control: np.ndarray | None, stage: int) -> None:
         """Move the goal to another state (nx,), and count the effort past the end from a control (nu,) that keeps it.

@@ -8,6 +8,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.problem.constraints.apart import ApartMeasure
+from planner.problem.constraints.rows import Rows
 from planner.problem.costs.residuals.arrays import ResidualArrays
 from planner.problem.costs.residuals.cost import ResidualCost
 from planner.problem.costs.tracking import TrackingCost
@@ -15,6 +17,7 @@ from planner.problem.goals import terms_of
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 
+SETTLES = 0.1  # s
 AIMED = "position of "
 """How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
 
@@ -71,3 +74,29 @@ def first_stages(limits: Limits | None, H: int, N: int) -> Limits | None:
     at = np.minimum(np.arange(H), N - 1)
     sides = [np.asarray(side, dtype=float)[at] if np.ndim(side) == 2 else side for side in limits.control]
     return replace(limits, control=tuple(sides))
+
+
+def settling(Q: np.ndarray) -> np.ndarray:
+    """Weights (ndx, ndx) of a stage that keeps a goal, from those that ask for it at the end of a task.
+
+    At an end speeds weigh for themselves. Over time they slow the way back: under a position weighed by q and its speed
+    by v a machine with strong motors creeps, as exp(-t sqrt(q / v)). So a speed weighs no more than q SETTLES^2.
+    """
+    ndx = len(Q)
+    q, v = np.split(np.diag(Q)[: ndx // 2 * 2], 2)
+    factor, both = np.ones(ndx), (q > 0.0) & (v > 0.0)
+    factor[len(q) : 2 * len(q)][both] = np.minimum(1.0, SETTLES * np.sqrt(q[both] / v[both]))
+    return Q * factor[:, None] * factor
+
+
+def updated_rows(problem: Problem) -> tuple[Rows | None, np.ndarray]:
+    """The constraints whose multipliers a window updates, and their columns among all that is kept, ranges first."""
+    kept = problem.kept
+    if kept is None:
+        return None, np.zeros(0, dtype=int)
+    ranges = 0 if problem.ranges is None else len(problem.ranges.component)
+    columns = [np.arange(ranges)]
+    if kept.rows is None:
+        return None, columns[0]
+    rows, which = kept.rows.only([part for part in kept.rows.parts if not isinstance(part.measure, ApartMeasure)])
+    return (rows if rows.parts else None), np.concatenate([*columns, ranges + which])

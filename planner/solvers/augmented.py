@@ -169,9 +169,12 @@ def _updated(kept: Kept, hinges: Hinges, plan: Plan, error: np.ndarray, before: 
     low, high = np.maximum(hinges.lower - e, 0.0), np.maximum(e - hinges.upper, 0.0)  # multipliers over the weight
     raised = np.where(error.max(axis=0) > NEARER * before, RAISED, 1.0)
     raised = np.where(weight.max(axis=0) * raised > STEEPEST, 1.0, raised)
-    low, high = low / raised, high / raised
-    exact = kept.lower == kept.upper
+    return Hinges(*shifted(kept.lower, kept.upper, low / raised, high / raised), weight * raised)
+
+
+def shifted(lower: np.ndarray, upper: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds moved inwards by multipliers over the weight, of the lower and of the upper ones."""
+    exact = lower == upper
     shift = np.where(exact, high - low, 0.0)  # one multiplier of either sign
-    lower = kept.lower + np.where(exact, -shift, low)
-    upper = kept.upper - np.where(exact, shift, high)
-    return Hinges(lower, np.where(exact, lower, upper), weight * raised)
+    moved, other = lower + np.where(exact, -shift, low), upper - np.where(exact, shift, high)
+    return moved, np.where(exact, moved, other)

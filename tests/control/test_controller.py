@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 import planner
 from planner.control.doing import Doing
 from planner.control.holding import Holding, keeping
+from planner.control.judging import judge
+from planner.control.window_parts import SETTLES, settling
 
 N = 40  # of conftest.py
 
@@ -203,6 +206,23 @@ def test_limits_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, itera
     assert (np.abs(xs[:, 2:]).max(axis=0) < 1.02 * fastest).all()  # by a multiplier a call: nearly
 
 
+def elbow_speed(xs):
+    return xs[:, 3]
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_constraints_that_no_plan_met_yet_are_kept_when_the_goal_moves(problem, iterations):
+    """As the test above, by a function of one's own in place of a range."""
+    fastest = 1.02 * float(np.abs(planner.solve(problem).xs[:, 3]).max())
+    kept = planner.Constraint(elbow_speed, least=-fastest, most=fastest, tolerance=1e-3)
+    c = planner.Controller(replace(problem, constraints=[kept]), iterations=iterations)
+    assert c.plan.hinges is None
+    c.goal = [1.0, -7.0]
+    xs = driven(c, 2 * N)
+    assert np.abs(xs[-1] - [1.0, -7.0, 0, 0]).max() < 0.05
+    assert np.abs(xs[:, 3]).max() < 1.05 * fastest  # by a multiplier a call: nearly; without one 2 to 3 times as fast
+
+
 def test_multipliers_begin_again_with_the_task(problem):
     limited = replace(problem, limits=planner.Limits(velocity={"elbow": (-6.0, 6.0)}))
     c = planner.Controller(limited)
@@ -225,3 +245,27 @@ def test_the_first_guess_of_compiled_calls_is_that_of_numpy(problem, controller)
         np.testing.assert_allclose(found[1][n], u, rtol=1e-9, atol=1e-9)
         expected.append(dynamics.step(expected[-1][None], u[None])[0])
     np.testing.assert_allclose(found[0], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_plan_that_a_push_throws_off_its_way_is_led_back_by_the_first_one():
+    """Followed with the last plan's gains it costs 1e6 after this push: one iteration a call never mends that."""
+    c = planner.Controller(planner.cases.two_link())
+    push = planner.Push("forearm", force=200.0, time=0.74)
+    loop = planner.simulate(c, pushes=[push], latency=0.004)
+    assert judge(loop).passed
+    assert c.failures == 0
+
+
+def test_speeds_are_weighed_so_that_the_machine_settles():
+    Q = np.diag([200.0, 0.0, 200.0, 30.0])
+    Q[0, 2] = Q[2, 0] = 100.0
+    found = settling(Q)
+    assert found[2, 2] == pytest.approx(200.0 * SETTLES**2)
+    assert (found[0, 0], found[3, 3]) == (200.0, 30.0)  # a speed alone keeps its weight
+    assert np.linalg.eigvalsh(found).min() >= 0.0
+    A, B = np.array([[1.0, 0.01], [0.0, 1.0]]), np.array([[0.0], [0.01]])
+    for weights, slowest in ((np.diag([2.0, 2.0]), 1.0), (settling(np.diag([2.0, 2.0])), 1.0 / SETTLES)):
+        P = solve_discrete_are(A, B, weights, np.array([[1e-9]]))
+        K = np.linalg.solve(1e-9 + B.T @ P @ B, B.T @ P @ A)
+        rate = -np.log(np.abs(np.linalg.eigvals(A - B @ K)).max()) / 0.01
+        assert rate == pytest.approx(slowest, rel=0.1)  # sqrt(q / v), in the limit of strong motors
