@@ -41,7 +41,7 @@ _DRIVE: Flags = {
     "--rate": takes("HZ", "Plans per second. Default: one per stage.", kind=number),
     "--iterations": takes("N", "Iterations of each plan.", 1, whole),
     "--stages": takes("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
-    "--seconds": takes("S", "Length of the run. Default: the task's task and two seconds more.", kind=number),
+    "--seconds": takes("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
     "--heavier": takes("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
     "--rubbing": takes("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
     "--noise": takes("X", "Standard deviation of the noise on each measured number.", 0.0, number),
