@@ -58,7 +58,7 @@ def acrobot(
     Args:
         start: "paper" (q1 = -1.0 rad) or "hanging" (q1 = -pi/2), both at rest.
         duration: t_f, s; by default 3, from hanging 4.
-        horizon: N, stages; by default 100 a second.
+        horizon: Number of stages N; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls: "paper" (the elbow held, by inverse dynamics), "zero" or "sine" (0.5 sin(2 pi t) N m);
             by default "paper", from hanging "sine".

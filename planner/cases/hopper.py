@@ -65,8 +65,8 @@ def hopper(
 
     Args:
         height: Goal height y of the mass above standing, in.
-        duration: t_f, s.
-        horizon: N, stages; by default 200, and 200 a second where that is more.
+        duration: Duration t_f, s.
+        horizon: Number of stages N; by default 200, and 200 a second where that is more.
         integrator: "euler" (the paper's), "semi-implicit-euler" or "rk4".
         smoothing: alpha, the compression over which the spring sets in, in.
         stiffness: k/m, 1/s^2.

@@ -80,8 +80,8 @@ def puma(
 
     Args:
         payload: Mass in the hand, kg.
-        duration: t_f, s.
-        horizon: N, stages; by default 100 a second.
+        duration: Duration t_f, s.
+        horizon: Number of stages N; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls, by inverse dynamics: "straight" (every joint smoothly along the straight line), "tucked"
             (elbow bent on the way), "swung" (back first), or "swung-tucked".

@@ -47,8 +47,8 @@ def two_link(
     """The paper's arm of two links and two motors: from horizontal to upright with least effort.
 
     Args:
-        duration: t_f, s.
-        horizon: N, stages; by default 100 a second.
+        duration: Duration t_f, s.
+        horizon: Number of stages N; by default 100 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         guess: First controls: "paper" (forearm straight, upper arm smoothly up, by inverse dynamics) or "zero".
         mass1: Mass of the upper arm, kg.

@@ -52,9 +52,10 @@ def switch(text: str) -> dict[str, Any]:
 
 
 WORKERS: Flags = {
-    "--workers": takes("N", "Processes on this machine. Default: one a processor for sweep and paper, else threads of "
-                             "one process.", kind=whole),
-    "--scheduler": takes("ADDRESS", "Of a running Dask scheduler, tcp://HOST:8786, or local for a Dask cluster here."),
+    "--workers": takes("N", "Number of processes. Default: for sweep and paper one per processor, else threads of one "
+                             "process.", kind=whole),
+    "--scheduler": takes("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster on this "
+                                    "machine: local."),
 }  # fmt: skip
 PROOF: Flags = {
     "--rollouts": takes("N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole),
@@ -65,9 +66,9 @@ ROLLOUT: Flags = {
     "--mode": one_of(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
     "--seed": takes("N", "Seed of the perturbations.", 0, whole),
     "--perturb": {"action": "append", "metavar": "NAME=X",
-                  "help": "Size of a perturbation, e.g. mass=0.1 or delay=0; repeat it for others (docs/proof.md)."},
+                  "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
-NO_VIDEO = {"--no-video": switch("Make no video and no strip of poses, which need OpenGL.")}
+NO_VIDEO = {"--no-video": switch("Make no video and no strip of poses (drawing needs OpenGL).")}
 OUTPUT: Flags = {"--json": switch("Print one JSON document on stdout."), "--quiet": switch("Print no progress.")}
 
 

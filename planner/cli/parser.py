@@ -36,31 +36,32 @@ SHELLS = ("bash", "zsh", "tcsh")
 _PLAN: Flags = {"plan": {"metavar": "PLAN", "help": "A plan.npz."}}
 _DRIVE: Flags = {
     "--push": {"action": "append", "metavar": "BODY=FORCE@TIME", "default": [],
-               "help": "A push, e.g. torso=50N@1.0s, along x, or torso=0,50,0N@1.0s/0.2s; repeat it for others."},
-    "--latency": takes("TIME", "From asking for a plan until it acts, e.g. 4ms. Default: as measured here."),
+               "help": "A push: torso=50N@1.0s is along x, torso=0,50,0N@1.0s/0.2s lasts 0.2 s. May be repeated."},
+    "--latency": takes("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: as measured here."),
     "--rate": takes("HZ", "Plans per second. Default: one per stage.", kind=number),
     "--iterations": takes("N", "Iterations of each plan.", 1, whole),
     "--stages": takes("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
-    "--seconds": takes("S", "How long it is driven. Default: the task and two seconds more.", kind=number),
+    "--seconds": takes("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
     "--heavier": takes("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
     "--rubbing": takes("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
-    "--noise": takes("X", "Standard deviation of what is measured.", 0.0, number),
-    "--encoders": switch("Positions come from encoders of 17 bits, speeds are their differences."),
-    "--map": {"metavar": "BODY", "help": "Also find the largest push at this body that is survived at 20 times, the "
-                                         "latency and the mass, beside the plan with its gains alone."},
+    "--noise": takes("X", "Standard deviation of the noise on each measured number.", 0.0, number),
+    "--encoders": switch("Measure positions by encoders of 17 bits, and speeds by their differences."),
+    "--map": {"metavar": "BODY", "help": "Also find the largest push at this body, the largest latency and the largest "
+                                         "mass with which it still arrives, beside the plan with its gains alone."},
 }  # fmt: skip
 _SWEEP: Flags = {
     "--set": {"action": "append", "metavar": "NAME=VALUES", "required": True,
-              "help": "Values of a parameter: START:STOP:COUNT, e.g. height=1:60:60, or a list, duration=0.8,1. Of a "
-                      "problem file a key, e.g. weights.effort=0.1,1. Repeat it for others: all combinations."},
-    "--out": takes("DIR", "Folder of table, plans and page. Default: renders/sweep-CASE."),
-    "--continue": takes("NAME", "Start each problem from its neighbour's controls along this parameter.")
+              "help": "Values of a parameter: a range START:STOP:COUNT, e.g. height=1:60:60, or a list, e.g. "
+                      "duration=0.8,1. A problem file's parameters are its keys, e.g. weights.effort=0.1,1. Given "
+                      "several times: all combinations."},
+    "--out": takes("DIR", "Folder of the table, the plans and the page. Default: renders/sweep-CASE."),
+    "--continue": takes("NAME", "Start each problem from the controls of its neighbour along this parameter.")
                   | {"dest": "along"},
     "--timeout": takes("S", "Longest time of one solve, s.", kind=number),
     "--prove": switch("Prove each plan."),
-    "--rollouts": takes("N", "Perturbed simulations of each proof.", 0, whole),
-    "--resume": switch("Go on with the sweep that is in the folder: do what has no row, what lost its worker, and "
-                        "with a longer --timeout what took too long; keep the rest."),
+    "--rollouts": takes("N", "Number of perturbed simulations of each proof.", 0, whole),
+    "--resume": switch("Go on with the sweep in the folder: tasks without a row, tasks that lost their worker, and, if "
+                        "--timeout is longer now, tasks that took too long."),
 }  # fmt: skip
 
 
@@ -85,7 +86,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _list(parser: argparse.ArgumentParser) -> None:
-    help = f"A machine, for its flags; {PROBLEM_FILE} for a file's keys."
+    help = f"A machine, to see its flags, or {PROBLEM_FILE}, to see the keys of a problem file."
     add(parser, {"machine": {"metavar": "NAME", "nargs": "?", "help": help}}, OUTPUT)
 
 
@@ -95,7 +96,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
         {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
          "--write": takes("FILE", "Also write a problem file to start from, which runs as it is."),
          "--out": takes("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
-         "--no-picture": switch("Draw no picture, which needs OpenGL.")},
+         "--no-picture": switch("Draw no picture (drawing needs OpenGL).")},
         OUTPUT,
     )  # fmt: skip
 
@@ -114,16 +115,16 @@ def _prove(parser: argparse.ArgumentParser) -> None:
 
     add(
         parser,
-        {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; none where --controls are given."},
-         "--controls": takes("FILE", "In place of a plan: a CSV of time and controls, or of joint positions."),
+        {"plan": {"metavar": "PLAN", "nargs": "?", "help": "A plan.npz; leave it out with --controls."},
+         "--controls": takes("FILE", "Instead of a plan: a CSV of times and controls, or of joint positions."),
          "--model": takes("FILE", "The MJCF or URDF that the controls are for."),
-         "--start": takes("STATE", "Of the controls: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
-         "--goal": takes("STATE", "Of the controls: where they are to end, in the same form."),
-         "--save": takes("FILE", "Write the plan that the controls make, for planner render."),
+         "--start": takes("STATE", "With --controls, the start: a keyframe, numbers 0,1.57 or joints elbow=0.3."),
+         "--goal": takes("STATE", "With --controls, the goal, in the same form."),
+         "--save": takes("FILE", "With --controls, save them as a plan, e.g. for planner render."),
          "--feasible": switch("Judge feasibility alone: a solve that did not converge may pass.")},
         {"--mjcf": takes("FILE", "Replay in this model instead of the plan's own."),
          "--engine": {"action": "append", "metavar": "NAME", "choices": ENGINES, "default": [],
-                      "help": f"Also repeat the plan in {' or '.join(ENGINES)}, where installed; repeat it for both."},
+                      "help": f"Also repeat the plan in {' or '.join(ENGINES)}. May be given twice."},
          "--out": takes("FILE", "Write the proof to this JSON file.")}, PROOF, ROLLOUT, WORKERS, OUTPUT,
     )  # fmt: skip
 
@@ -131,8 +132,8 @@ def _prove(parser: argparse.ArgumentParser) -> None:
 def _render(parser: argparse.ArgumentParser) -> None:
     add(
         parser, _PLAN,
-        {"--out": takes("FILE", "A name.mp4 for a video, a name.png for a strip of poses.", "video.mp4"),
-         "--size": takes("WxH", "Pixels. Default: 1280x720, of a strip 1920x540.", kind=size),
+        {"--out": takes("FILE", "A name ending in .mp4 makes a video, in .png a strip of poses.", "video.mp4"),
+         "--size": takes("WxH", "Size in pixels. Default: 1280x720, for a strip 1920x540.", kind=size),
          "--fps": takes("N", "Frames per second.", 30, whole),
          "--speed": takes("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         ROLLOUT, OUTPUT,
@@ -160,9 +161,9 @@ def _export(parser: argparse.ArgumentParser) -> None:
         parser, _PLAN,
         {"--to": {"choices": FORMATS, "required": True,
                   "help": "csv: a table; json, yaml: ROS 2's JointTrajectory; keyframes: an MJCF to include."},
-         "--rate": takes("HZ", "Samples a second. Default: the plan's own knots.", kind=number),
-         "--only": {"choices": PARTS, "help": "Of a csv: these columns alone. Default: both."},
-         "--out": takes("FILE", "The file. Default: PLAN with the ending of the form.")}, OUTPUT,
+         "--rate": takes("HZ", "Samples per second. Default: the plan's own knots.", kind=number),
+         "--only": {"choices": PARTS, "help": "Write only these columns of a csv. Default: both."},
+         "--out": takes("FILE", "The file to write. Default: PLAN with the ending of the format.")}, OUTPUT,
     )  # fmt: skip
 
 
@@ -171,7 +172,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
         parser,
         {"paths": {"metavar": "DIR", "nargs": "+", "help": "Folders of plans, or plan files."},
          "--update": switch("Store the new numbers where they differ."),
-         "--tolerance": takes("X", "Relative change of a number that is reported.", 0.05, number)},
+         "--tolerance": takes("X", "Report numbers whose relative change is larger.", 0.05, number)},
         WORKERS, OUTPUT,
     )  # fmt: skip
 
@@ -210,15 +211,15 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "solve": ("Plan a case or a problem file and save the plan.", _with_cases(
         {"--out": takes("FILE", "The plan's file.", "plan.npz")}, WORKERS)),
     "sweep": ("Plan a case or a problem file at many parameters, into one table.", _with_cases(_SWEEP, WORKERS)),
-    "prove": ("Replay a stored plan in MuJoCo and judge it, or anybody's controls.", _prove),
+    "prove": ("Replay a stored plan, or controls of your own, in MuJoCo and judge them.", _prove),
     "render": ("Film the replay of a stored plan.", _render),
     "view": ("Look at a stored plan in MuJoCo's viewer.", _view),
     "report": ("Prove a stored plan again and write report.html with all its pictures.", _report),
     "export": ("Write a stored plan for other programs.", _export),
     "check": ("Prove stored plans again and compare with the numbers stored beside them.", _check),
     "paper": ("Compute every figure and number of the paper and show it beside the paper's.", _paper),
-    "completion": ("Print a script by which a shell completes commands and flags.", _completion),
-    "warmup": ("Compile the numerical core, once.", _warmup),
+    "completion": ("Print a script that lets a shell complete commands and flags.", _completion),
+    "warmup": ("Compile the numerical core now, so that the first run need not.", _warmup),
 }  # fmt: skip
 
 

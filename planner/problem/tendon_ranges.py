@@ -3,7 +3,8 @@
     low <= c'q <= high    at every knot, with low and high off the ends by a margin, as joint ranges are
 
 c'q is divided by the largest |c|, so that margins and tolerances in rad or m mean of a tendon what they mean of its
-joints. A tendon whose range the ranges of its joints keep already has none.
+joints. A tendon whose range the ranges of its joints keep already has none; nor has one whose length equalities hold
+within its range, often at its very end: MuJoCo's equalities give way a little, and no motion can help that.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.of_terms import machine_of
 from planner.problem.joint_limits import Range, margin_of
 
+_ROUNDING = 1e-9  # rad or m
+
 
 def tendon_ranges(
     mechanism: Mechanism, margin: Any, given: Mapping[str, Range], of_joints: Mapping[int, Range]
@@ -39,12 +42,27 @@ def tendon_ranges(
     found = []
     for tendon in mechanism.tendons:
         length = TendonLength(tendon, mechanism)
+        if _is_held(length):
+            continue
         kept = given.get(tendon.name) or _of_model(length, margin)
         ends = [[(one.low, one.high) if (one := of_joints.get(i)) else (-np.inf, np.inf)] for i in tendon.dofs]
         reached = np.sort(length.coefficients[:, None] * np.concatenate(ends), axis=1).sum(axis=0)
         if reached[0] < kept.low or reached[1] > kept.high:
             found.append((length, kept))
     return found
+
+
+def _is_held(length: TendonLength) -> bool:
+    """Whether equalities alone hold a tendon, at a length within its own range."""
+    reduction = length.mechanism.reduction
+    if reduction is None:
+        return False
+    c = np.zeros(length.mechanism.nv)
+    np.add.at(c, list(length.tendon.dofs), length.coefficients)
+    if np.any(np.abs(c @ reduction.G) > _ROUNDING):
+        return False
+    low, high = np.array(length.tendon.range) / length.scale
+    return bool(low - _ROUNDING <= c[reduction.dependent] @ reduction.offset <= high + _ROUNDING)
 
 
 def kept_tendon(length: TendonLength, kept: Range, start: np.ndarray, goal: np.ndarray | None, tolerance: float) -> Any:

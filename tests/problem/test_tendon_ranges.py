@@ -109,6 +109,17 @@ def test_joints_that_keep_a_tendon_within_its_range_leave_it_no_row():
     assert bent().kept.rows.names == ("range of tendon 'tie'",)
 
 
+def test_a_length_that_an_equality_holds_is_no_matter_of_the_plan():
+    # the equality keeps the length at the end of its range, and MuJoCo's is soft
+    held = FINGER.replace("<actuator>", '<equality><tendon tendon1="tie"/></equality><actuator>')
+    held = held.replace('range="-0.02 0.02"', 'range="0 0.1"')
+    problem = bent(text=held)
+    assert problem.kept is None or problem.kept.rows is None
+    assert planner.prove(planner.solve(problem), rollouts=0).passed
+    with pytest.raises(PlannerError, match="tendon 'tie' at 0"):  # a range that the equality leaves
+        bent(text=held.replace('range="0 0.1"', 'range="0.1 0.2"'))
+
+
 def test_the_derivative_of_a_tendon_is_that_of_differences():
     problem = bent()
     part, rng = problem.kept.rows.parts[0], np.random.default_rng(3)

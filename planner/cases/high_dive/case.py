@@ -77,7 +77,7 @@ def high_dive(
         forward_speed: Speed of the centre of mass away from the tower at take-off, m/s.
         somersault_rate: Rate of the straight body at take-off, rad/s; it sets the angular momentum.
         duration: t_f, s; by default the time of the fall until the hands touch the water.
-        horizon: N, stages; by default 120 a second.
+        horizon: Number of stages N; by default 120 a second.
         integrator: "euler", "semi-implicit-euler" or "rk4".
         gravity: g, m/s^2.
         final_weight: Weight on the squared final angles of pelvis and joints / 2.

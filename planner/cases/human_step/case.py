@@ -95,7 +95,7 @@ def human_step(
         apart: Least distance of shanks and feet, m; by default that of the cost.
         reference: A CSV file of another gait to copy.
         integrator: "euler", "semi-implicit-euler" or "rk4".
-        horizon: N, stages; by default one every 4 ms of a swing, every 5 ms of cycles.
+        horizon: Number of stages N; by default one every 4 ms of a swing, every 5 ms of cycles.
         ends: Start state and goal state of a gait, (2, nx), as solve_periodic finds them; by default those of the
             normal gait.
         angles: The gait in the file `reference`, from Gait.to_dict(), so that a plan does not need the file.

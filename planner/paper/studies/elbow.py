@@ -159,12 +159,14 @@ def _said(results: dict[str, Any]) -> str:
     most = max(s[at]["relative_error"] for s in results["slq"] for at in ("first", "near"))
     gave_up = [f"{d['tolerance']:g}" for d in results["descents"] if not d["success"]]
     return (
-        f"At one and the same tolerance the relative error is {min(ratios):.0f} to {max(ratios):.0f} times that at the "
-        "first guess: the error stays and the gradient shrinks. "
+        f"With the same tolerance the relative error is {min(ratios):.0f} to {max(ratios):.0f} times as large as at "
+        "the "
+        "first guess: the error stays, and the gradient shrinks. "
         + (f"At {max(spoiled):g} to {min(spoiled):g} it is above 10 %. " if spoiled else "")
         + (f"BFGS did not reach its tolerance at {', '.join(gave_up)}, in its iterations. " if gave_up else "")
-        + "It is truncation, not round-off: a tighter tolerance takes it away, at a price in time. SLQ's gradient is "
-        f"off by {most:.0e} at most at every step and as near to convergence, differences included."
+        + "The cause is truncation, not round-off: with a tighter tolerance the error goes away, and the "
+        "integration takes "
+        f"longer. The relative error of SLQ's gradient is at most {most:.0e}, early and near the end."
     )
 
 

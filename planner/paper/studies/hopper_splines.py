@@ -148,15 +148,20 @@ def _said(results: dict[str, Any]) -> str:
     lost = [r for r in stuck if "precision loss" in r["message"]]
     worst = results["gradient_errors"][-1]["relative_errors"]
     return (
-        f"With the exact gradient {len(converged)} of {len(exact)} converge, {len(near)} of them to within "
-        f"{100 * REACHED:g} % of SLQ's cost or below it, in {min(counts)} to {max(counts)} iterations where SLQ needs "
-        f"{min(p['iterations'] for p in results['slq'])} to {max(p['iterations'] for p in results['slq'])}: the "
-        f"Hessian by the amplitudes has a condition of {min(conditions):.0e} to {max(conditions):.0e}. By Eq. 7 "
-        f"{len(stuck)} of {len(adjoint)} do not converge: {len(lost)} in a line search that no step of its own J "
-        f"satisfies, the others at our limit of {ADJOINT_ITERATIONS} iterations. Tight and loose tolerances come to "
-        "the same plateau, where the ill-conditioned J hardly falls any more: the exact gradient leaves such a one "
-        f"after tens of iterations, one that is off by {worst[1]:.0e} (at {results['tolerances'][1]:g}) does not. "
-        "Whether a tight tolerance would arrive with hundreds of iterations was not tried: it takes minutes."
+        f"With the exact gradient {len(converged)} of {len(exact)} converge, in {min(counts)} to {max(counts)} "
+        f"iterations; SLQ needs {min(p['iterations'] for p in results['slq'])} to "
+        f"{max(p['iterations'] for p in results['slq'])}. {len(near)} of them end within {100 * REACHED:g} % of "
+        "SLQ's cost "
+        f"or below it. They are slow because the Hessian by the amplitudes has a condition of {min(conditions):.0e} to "
+        f"{max(conditions):.0e}. By Eq. 7 {len(stuck)} of {len(adjoint)} do not converge: {len(lost)} end in a line "
+        "search "
+        f"that finds no step, the others at our limit of {ADJOINT_ITERATIONS} iterations. With tight and loose "
+        "tolerances "
+        "they come to the same plateau, where J hardly falls any more. The exact gradient leaves such a plateau "
+        "after tens "
+        f"of iterations; a gradient that is off by {worst[1]:.0e} (at {results['tolerances'][1]:g}) does not. We "
+        "did not "
+        "try whether a tight tolerance leaves it after hundreds of iterations: that takes minutes."
     )
 
 

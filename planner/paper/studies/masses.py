@@ -197,9 +197,11 @@ def _said(results: dict[str, Any]) -> str:
     without = sorted(set(KINDS) - set(kinds))
     lower = all(c["slq_starts"]["effort"] < c["last"] for c in results["candidates"])
     return (
-        f"Both numbers come out for {', '.join(kinds)} only; from a quintic none of {', '.join(without)} has them. "
-        "Two numbers do not single out an arm: each family has its own. Another smooth first guess can lead to another "
-        "minimum of the same arm, so the 9.9 is a property of guess and optimizer as much as of the arm."
+        f"Only arms with {', '.join(kinds)} have both numbers. No arm with {' or '.join(without)} has them, from a "
+        "quintic "
+        "first guess. But two numbers do not determine an arm: several have both. And another smooth first guess "
+        "can lead "
+        "to another minimum of the same arm. So the 9.9 depends on the guess and the optimizer as much as on the arm."
         + (" Several starts of SLQ end lower on each." if lower else "")
     )
 

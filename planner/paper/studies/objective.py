@@ -186,8 +186,10 @@ def _page(results: dict[str, Any]) -> list[str]:
     return [
         "## The criteria the paper names: effort, energy, jerk, time", "",
         f"The two-link arm from horizontal to upright, torques within {results['bound_Nm']:g} N m, its goal met to",
-        "1e-4. Effort is half the integral of the squared torques, energy the work of both motors whatever its sign,",
-        "jerk half the integral of the squared jerk of both joints. The least of each column is bold.", "",
+        "1e-4. Effort is half the integral of the squared torques. Energy is the work of both motors, positive or "
+        "negative,",
+        "as a positive number. Jerk is half the integral of the squared jerk of both joints. The least of each "
+        "column is bold.", "",
         *table({"objective": "{objective}", **values, "on a bound": "{share:.0f} %"}, motions),
         "", "![motions and torques by each criterion](objectives.png)", "",
         "The new height costs the motors at least 9.81 J, whatever the motion: what the motion of least energy",

@@ -132,7 +132,9 @@ def _page(results: dict[str, Any]) -> list[str]:
         f"{results['rated']:g} kg:",
         f"its limit is {static['payload']:.2f} kg, at the {static['joint']}, with the arm level.", "",
         "A payload counts as lifted by a swing when a plan converged, ended at the goal and kept every torque within",
-        "its limit. Bisection; an attempt follows the motion of the last payload lifted, else starts from four swings.",
+        "its limit. The largest payload is found by bisection. Each attempt starts from the motion of the last "
+        "payload that",
+        "was lifted; if there is none yet, from four swings.",
         "", "![torques over limits, way of the payload, bisection](puma.png)", "",
         *table({
             "duration, s": "{duration:g}", "speed limit, rad/s": "{speed}", "largest payload, kg": "{payload:.1f}",
@@ -142,14 +144,16 @@ def _page(results: dict[str, Any]) -> list[str]:
             "seconds": "{seconds:.1f}",
         }, searches),
         "",
-        'The column "held still" is what the motors could hold in every pose of the swing\'s own way: the swing goes',
-        "where no slow motion with that load could go. What comes out is a lower bound, since SLQ finds local minima;",
-        "an attempt that did not converge counts as not lifted, also where its plan arrives.", "",
+        'The column "held still" is the payload that the motors could hold in every pose of the swing: the swing goes',
+        "where no slow motion with that load could go. Our largest payload is a lower bound, since SLQ finds local "
+        "minima.",
+        "An attempt that did not converge counts as not lifted, even if its plan arrives.", "",
         f"The lift of {shown['payload']:.1f} kg in {shown['duration']:g} s at the case's own step: {shown['status']} "
         f"after {shown['iterations']} iterations.",
         f"MuJoCo: {shown['verdict']} ({shown['mode']}); end errors: {ends}.", "",
-        "[20] has limits of joint speeds. Without them the swings here are far faster than a real Puma's joints, and",
-        "the ratio is one of torques alone; the last row has a limit. Friction is left out.",
+        "[20] limits the speeds of the joints. Only our last row does. Without a limit the swings here are far "
+        "faster than",
+        "the joints of a real Puma, and the ratio is one of torques alone. Friction is left out.",
     ]  # fmt: skip
 
 

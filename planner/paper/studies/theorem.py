@@ -238,15 +238,16 @@ def _rows(results: dict[str, Any]) -> list[Row]:
         Row("3.4, Theorem 2, Eq. 43", "From an arbitrary start U + alpha dU converges to a local minimum",
             f"converged within {LIMIT} iterations by Armijo's rule (least / median / most): {ended('open-loop')}; "
             + "; ".join(f"{case['case']}: {_others(case, 'open-loop')}" for case in cases_),
-            "the theorem has no limit of iterations. Every step descends; on the arms the rollout without feedback "
-            f"leaves only short ones (median {_steps(results, 'open-loop')}), and many starts take longer"),
+            "the theorem has no limit of iterations. Every step descends. On the arms only short steps do, since the "
+            f"rollout has no feedback (median {_steps(results, 'open-loop')}), and many starts need more iterations"),
         Row("3.4, Theorem 2", "The same, with any of the usual line searches",
             f"with the feedback update, within the same limit, by Armijo's rule: {ended('feedback')}; "
             + "; ".join(f"{case['case']}: {_others(case, 'feedback')}" for case in cases_) + ". Local minima: "
             + "; ".join(f"{case['case']} {_minima(case['feedback'], 2)}" for case in cases_)
             + f". {_no_minima(results)}",
-            f"what is missing was still descending at its limit, by short steps: median {_steps(results, 'feedback')}. "
-            "Which local minimum is reached depends on the start, of which the theorem says nothing"),
+            "the other starts were still descending, by short steps, at the limit: median "
+            f"{_steps(results, 'feedback')}. "
+            "Which local minimum is reached depends on the start; the theorem does not say which"),
     ]  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from planner.base.gl import load_mujoco
 from planner.model.loops import RATE, Cam
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.loops import joined, joins
+from planner.model.space import cross
 
 _WEAK = 1e-9  # of the largest eigenvalue of J W J': redundant equations
 _APART = 1e-3  # of the largest singular value of J: of equations that a step back heeds
@@ -86,9 +87,11 @@ def _held(model: Any, data: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.nda
         mujoco.mj_jacDot(model, data, rate[:3], rate[3:], places[-1], body)
         J += sign * own
         drift += sign * rate @ data.qvel
-    turn = 0.5 * sum(np.cross(axes[1][:, c], axes[0][:, c]) for c in range(3))
-    rows = 6 if rigid else 3
-    return J[:rows], drift[:rows], np.concatenate([places[0] - places[1], turn])[:rows]
+    apart = places[0] - places[1]
+    if not rigid:
+        return J[:3], drift[:3], apart
+    turn = 0.5 * cross(axes[1].T, axes[0].T).sum(axis=0)
+    return J, drift, np.concatenate([apart, turn])
 
 
 def _cam(model: Any, data: Any, cam: Cam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

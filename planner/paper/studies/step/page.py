@@ -27,8 +27,8 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             + f"; SLQ on the same problem: J {swing['feedback']['cost']:.4g}, "
             f"{swing['feedback']['iterations']} iterations, {swing['feedback']['seconds']:.2g} s",
             "the gradient is the exact one of the discretised J (Eq. 16-19 times the basis) in place of Eq. 7, "
-            "so BFGS does converge; six accelerations of the pelvis are the splines, the paper does not say "
-            "which motions of the hip its were"),
+            "so BFGS does converge. Our splines are six accelerations of the pelvis; the paper does not say which "
+            "motions of the hip were its splines"),
         Row("2.3, Fig. 5",
             "The pelvis alone moves a paralysed leg through a step near the recorded gait: hip lifted, pelvis "
             "twisted",
@@ -38,30 +38,30 @@ def _rows(results: dict[str, Any]) -> list[Row]:
             f"{abs(shown['end_deg'][0]):.1f} and {abs(shown['end_deg'][1]):.1f} deg off, the heel is "
             f"{-1e3 * shown['end_heel_m'][0]:.0f} mm behind; MuJoCo is "
             f"{shown['replay_deg']['open-loop']:.2g} deg RMS from it",
-            "no numbers are given, nor the person's; ours are a table's. The knee, which nothing but its own "
-            "tissue moves, bends less than a walker's, and the pelvis is listed more than it is twisted. It is "
-            "tilted at the end, which shortens the step: the cost asks for angles, not for where the foot lands"),
+            "the paper gives no numbers, nor the size of the person; we take them from a table. The knee is passive "
+            "and bends less than a walker's. The pelvis is listed more than it is twisted. At the end it is tilted, "
+            "which shortens the step: the cost asks for angles, not for the place where the foot lands"),
         Row("2.3", "Approximately 4 hours to converge (PIII-800)",
             f"swing {swing['feedback']['seconds']:.2g} s, stance and swing of both legs "
             f"{slq['seconds']:.2g} s",
-            f"a machine some tens of times as fast makes minutes of hours; the rest are exact derivatives "
-            f"and {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
+            "today's processor is some tens of times as fast: hours become minutes. The rest comes from exact "
+            f"derivatives, and from {swing['feedback']['iterations']} iterations in place of hundreds: BFGS with "
             f"{few['parameters']} parameters takes {few['seconds']:.0f} s here"),
         Row("2.3", "Stance and swing together were unstable and did not converge",
             f"{slq['status'].lower()} in {slq['iterations']} iterations from J {slq['costs'][0]:.0f} to "
             f"{slq['cost']:.2f} (within 5 % after {first_within(slq['costs'], 0.05)}); the paper's update "
             f"(Eq. 36) {eq36['cost']:.2f} after {eq36['iterations']}; without Eq. 30, U + alpha k, it is still "
             f"at {alone['cost']:.0f} after {alone['iterations']}",
-            "smooth contact, a wish to have the standing foot on the belt, accelerations of the pelvis as "
-            "controls, and rollouts with the gains. Eq. 36 does it, too, more slowly and to a slightly "
-            "higher minimum; what fails is to leave out the states of the LQ problem"),
+            "four things help: smooth contact, a cost for a standing foot that is off the belt, accelerations of the "
+            "pelvis as controls, and rollouts with the gains. Eq. 36 converges too, more slowly and to a slightly "
+            "higher minimum. Without the states of the LQ problem it fails"),
         Row("2.3",
             '"In just a few minutes" with the new algorithm, stance and swing together',
             f"{slq['seconds']:.2g} s for a cycle, {results['cycles']['seconds']:.2g} s for "
             f"{results['cycles']['cycles']} at once (the default cost: {drawn['cycle']['seconds']:.2g} s for a "
             f"cycle); MuJoCo is {both['replay_deg']['open-loop']:.2g} deg RMS from the plan without feedback, "
             f"{both['replay_deg']['feedback']:.2g} deg with the gains",
-            "it does not differ: the hope was right"),
+            "it does not differ: it takes even less"),
     ]  # fmt: skip
 
 
