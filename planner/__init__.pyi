@@ -12,6 +12,7 @@ from planner.cases.plan_file import load_plan as load_plan
 from planner.cases.problem_file import load_problem as load_problem
 from planner.cases.problem_file.in_python import task as task
 from planner.control.controller import Controller as Controller
+from planner.control.judging import judge as judge
 from planner.control.simulating import simulate as simulate
 from planner.dynamics import FunctionDynamics as FunctionDynamics
 from planner.dynamics import RigidBodyDynamics as RigidBodyDynamics

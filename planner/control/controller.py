@@ -42,6 +42,7 @@ from planner.solvers.slq import DECREASE, solve
 from planner.solvers.steadied import RUNAWAY
 
 PATIENCE = 10  # failures in a row after which it holds
+SOLVED = 0.1  # of the cost: a plan that might fall by more tells nothing of multipliers yet
 THROWN = 2.0  # times the cost that was planned: the first plan may lead back better than the last one
 _MOST_EVENTS = 1000
 
@@ -228,7 +229,7 @@ class Controller:
         if plan is None:
             return "the plan is not finite"
         self._xs, self._us, self._K = self._plan_now = plan
-        self._window.update_multipliers(self._xs, self._us, cost)
+        self._window.update_hinges(self._xs, self._us, cost, solved=-slope <= SOLVED * abs(cost))
         self._cost = cost
         return ""
 

@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import shown
+from planner.base.errors import PlannerError
 from planner.base.measured import Measured, Section, dicts_of, rows_of
 from planner.control.goal_states import goal_states
 from planner.control.simulating import LATE, STAYS, Loop
@@ -65,6 +67,11 @@ class LoopVerdict:
             words.append(f"{len(self.loop.events)} events")
         return f"{self.verdict} (loop); {', '.join(words) or 'nothing was asked of it'}"
 
+    @property
+    def reason(self) -> str:
+        """What is not within its bound, in words; "" for a PASS."""
+        return "; ".join(str(one) for section in self.sections.values() for one in section.failures)
+
     def with_margins(self, section: Section, maps: dict[str, np.ndarray], times: np.ndarray) -> LoopVerdict:
         """The same with what margins() found, which does not change the verdict."""
         return replace(self, sections=self.sections | {"survives": section}, maps=maps, times=times)
@@ -90,13 +97,21 @@ class LoopVerdict:
 
 
 def judge(loop: Loop) -> LoopVerdict:
-    """Whether a loop arrived and stayed."""
+    """Whether a loop arrived and stayed, or followed the goal that moved, by the rules at the head of this file.
+
+    How far ranges and constraints were left is measured and has no bound: a push may leave no other way.
+
+    Raises:
+        PlannerError: It is no loop of simulate().
+    """
+    if not isinstance(loop, Loop):
+        raise PlannerError(f"loop is {shown(loop)}, expected what planner.simulate returns.")
     goals = () if loop.goal is not None else _goals(loop)
     warned = Measured("simulator_warnings", float(len(loop.warnings)), "", 0.0, " ".join(loop.warnings))
     sections = {"arrives": _arrives(loop, goals), "stays": _stays(loop, goals)}
     if loop.goal is not None:
         sections = {"follows": _follows(loop)}
-    sections |= {"simulator": Section("simulator", (warned,)), "calls": _calls(loop)}
+    sections |= {"kept": _kept(loop), "simulator": Section("simulator", (warned,)), "calls": _calls(loop)}
     return LoopVerdict(sections, loop)
 
 
@@ -195,6 +210,26 @@ def _follows(loop: Loop) -> Section:
 def _near_moving(way: float, unit: str) -> float:
     """How near a machine must be to a goal that moves over such a range."""
     return max(OF_RANGE * way, GOAL_TOLERANCES * LEAST.get(unit, 0.0))
+
+
+def _kept(loop: Loop) -> Section:
+    """How far ranges and constraints are left during the task."""
+    problem = loop.controller.problem
+    M = problem.N * loop.substeps
+    if problem.kept is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
+        return Section("kept", not_applicable="no ranges and no constraints, or no whole task")
+    found, xs, us = list[Measured](), loop.xs[: M + 1], loop.ctrl[:M]
+    if problem.ranges is not None:
+        beyond = problem.ranges.beyond(xs).max(axis=0)
+        on_way = problem.ranges.coordinates[: len(beyond) - problem.ranges.at_end]
+        for unit in dict.fromkeys(one.unit for one in on_way):
+            value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)
+            found.append(Measured(f"{word_of(unit)}_beyond_its_range", value, unit, None, f"largest, of {name}"))
+    if problem.kept.rows is not None and us.shape[1] == problem.dynamics.nu:
+        for one in problem.kept.rows.violations(xs, us):
+            note = f"{one.constraint.name}: largest at any step of the task"
+            found.append(Measured("constraint_violation", one.value, one.constraint.unit, None, note))
+    return Section("kept", tuple(found))
 
 
 def _calls(loop: Loop) -> Section:

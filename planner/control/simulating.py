@@ -95,7 +95,7 @@ class Loop(Replay):
 
 def simulate(
     controller: Controller | Plan, *, duration: float | None = None, latency: float | None = None,
-    pushes: Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
+    pushes: Push | Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
     contact_friction: float = 0.0, noise: float = 0.0, encoders: bool = False, goal: Goal | None = None,
     start: Any = None, seed: int = 0, compiled: CompiledTwin | None = None,
 ) -> Loop:  # fmt: skip
@@ -135,7 +135,7 @@ def simulate(
     latency = None if latency is None else number("latency", latency, least=0.0)
     seed = count("seed", seed, least=0)
     noise = number("noise", noise, least=0.0)
-    pushes = tuple(pushes)
+    pushes = (pushes,) if isinstance(pushes, Push) else tuple(pushes)
     if not all(isinstance(push, Push) for push in pushes):
         raise PlannerError(f"pushes is {shown(pushes)}, expected a list of planner.Push.")
     stages, tick = max(math.ceil(duration / dt - 1e-9), 1), sampling_in(dt)

@@ -6,6 +6,7 @@ import numpy as np
 
 from planner.base.arguments import count, number, shown
 from planner.base.errors import PlannerError
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
 LITTLE = 1e-6  # of a stage: instants that are nearer are the same
@@ -14,7 +15,8 @@ LITTLE = 1e-6  # of a stage: instants that are nearer are the same
 def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
     """The stages and the rate of a controller with these arguments; a PlannerError for what does not fit."""
     if not isinstance(problem, Problem):
-        raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
+        more = "; write Controller(plan.problem, plan=plan)" if isinstance(problem, Plan) else ""
+        raise PlannerError(f"problem is {shown(problem)}, expected a Problem{more}.")
     dt = problem.dynamics.dt
     H = problem.N if horizon is None else count("horizon", horizon)
     rate = 1.0 / dt if rate is None else number("rate", rate, above=0.0)

@@ -91,7 +91,7 @@ class Window:
         self._rows, self._columns = updated_rows(self.problem)
         self._kept = np.zeros((0, 0)), np.zeros((0, 0))  # bounds that no multiplier has moved, as those of the hinges
         self._lay_out(problem)
-        self.stage, self._stale = -1, True
+        self.stage, self._passed, self._stale = -1, -1, True
 
     def _lay_out(self, problem: Problem) -> None:
         """The tables of which slices go into the engine."""
@@ -153,33 +153,46 @@ class Window:
         for side in (*self._hinges[:2], *self._kept):
             side[:, : moved.shape[1]] -= moved[: len(side)]
 
-    def update_multipliers(self, xs: np.ndarray, us: np.ndarray, cost: float) -> None:
-        """After a plan: the multipliers at its stages, as an augmented Lagrangian has them after a solve.
+    def update_hinges(self, xs: np.ndarray, us: np.ndarray, cost: float, solved: bool) -> None:
+        """After a plan: weights of what it breaks first and, if it is `solved`, the multipliers of its stages.
 
-        They belong to stages of the task, so that they slide with the window as its controls do. What no plan has met
-        yet gets its weight when one first breaks it. Shapes that are kept apart have weights from the beginning, and
-        their distances take too long to be measured again at each call: they stay as the first plan left them.
+        Multipliers are updated as by an augmented Lagrangian after a solve; those of a plan that is far from a minimum,
+        as after a push, would drive the machine. They belong to stages of the task, so that they slide with the window
+        as its controls do. Shapes that are kept apart have weights from the beginning, and their distances take too
+        long to be measured again at each call: their multipliers stay as the first plan left them.
 
         Args:
             xs: (H+1, nx) the states of the plan.
             us: (H, nu) its controls.
             cost: Of the plan.
+            solved: Whether it is near its minimum.
         """
         if self._hinges is None or not len(self._columns):
             return
-        here, columns = slice(self.stage, self.stage + self.H), self._columns
-        e = self._deviations(xs, us)
+        here, columns = slice(self.stage + 1, self.stage + self.H), self._columns  # the start is given
+        e = self._deviations(xs, us)[1:]
         lower, upper, weight = (part[here, columns] for part in self._hinges)
-        kept = [side[here, columns] for side in self._kept]
         low, high = np.maximum(lower - e, 0.0), np.maximum(e - upper, 0.0)  # multipliers over the weight
-        if not (low.any() or high.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
-            return
-        new = np.any((low > 0.0) | (high > 0.0), axis=0) & ~np.any(weight > 0.0, axis=0)
+        broken = np.any((low > 0.0) | (high > 0.0), axis=0)
+        new = broken & ~np.any(weight > 0.0, axis=0)
         if new.any():
             outside = float(np.sum((low**2 + high**2)[:, new]))
             self._hinges.weight[:, columns[new]] = 2.0 * max(abs(cost), np.finfo(float).tiny) / outside
             low[:, new] = high[:, new] = 0.0
-        self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted(kept[0], kept[1], low, high)
+            self._stale = True
+        kept = [side[here, columns] for side in self._kept]
+        if solved and (broken.any() or np.any(lower != kept[0]) or np.any(upper != kept[1])):
+            self._hinges.lower[here, columns], self._hinges.upper[here, columns] = shifted(kept[0], kept[1], low, high)
+            self._stale = True
+
+    def _advance(self, stages: int) -> None:
+        """Multipliers past the end of the task, so many stages later; behind the window there are none."""
+        assert self._hinges is not None
+        past, m = slice(self.N + 1, None), min(stages, self.H)
+        for side, kept in zip(self._hinges[:2], self._kept, strict=True):
+            own, free = side[past], kept[past]
+            shift = np.where(np.isfinite(free), own - free, 0.0)
+            own[:-m], own[-m:] = free[:-m] + shift[m:], free[-m:]
         self._stale = True
 
     def _deviations(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
@@ -227,7 +240,9 @@ class Window:
 
     def slide(self, stage: int) -> None:
         """Put the window at a stage of the task; past its end it stays as it is."""
-        stage = min(max(stage, 0), self.N)
+        if self._hinges is not None and stage > max(self._passed, self.N):  # where the tables end, multipliers go on
+            self._advance(stage - max(self._passed, self.N))
+        self._passed, stage = stage, min(max(stage, 0), self.N)
         if stage == self.stage and not self._stale:
             return
         self.stage, self._stale = stage, False

@@ -17,7 +17,7 @@ from planner.problem.goals import terms_of
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 
-SETTLES = 0.1  # s
+SETTLES = 0.5  # s
 AIMED = "position of "
 """How the goals of frames begin that controller.goal can move (planner.problem.costs.frame)."""
 

@@ -62,7 +62,7 @@ def pair_of(name: str, value: Any) -> Pair:
 
 
 def plain(value: Any) -> Any:
-    """A limit as JSON values."""
+    """A limit as JSON values: infinity is None. NaN stays what it is, to be refused."""
     if isinstance(value, Mapping):
         return {str(key): plain(part) for key, part in value.items()}
     if isinstance(value, np.ndarray):
@@ -70,7 +70,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(part) for part in value]
     value = value.item() if isinstance(value, np.number) else value
-    if isinstance(value, float) and not np.isfinite(value):  # an int may be larger than any float
+    if isinstance(value, float) and np.isinf(value):  # an int may be larger than any float
         return None
     return value
 

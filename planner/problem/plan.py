@@ -53,8 +53,8 @@ class Status(StrEnum):
         "smooth the dynamics or start from another guess."
     )
     NOT_FINITE = (
-        "The first guess rolls out to infinite or undefined states, or the gradient there is; start from smaller "
-        "controls, or take a shorter stage or more substeps."
+        "The first guess rolls out to infinite or undefined states, or its cost or gradient is not a number; start "
+        "from smaller controls, take a shorter stage or more substeps, or check a cost of your own."
     )
     OUTSIDE_LIMITS = (
         "The limits and constraints were not met to their tolerance within the rounds of the augmented Lagrangian; "

@@ -8,9 +8,12 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.control.judging import judge
+from planner.control.simulating import Loop
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.replays.replaying import Replay
+from planner.view.plots.loop import draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
 
@@ -22,9 +25,11 @@ _GREEN, _RED, _GREY = "#1a7f37", "#b3261e", "#57606a"
 
 
 def figure_of(result: Plan | Replay | Proof) -> Figure:
-    """States, controls and convergence of a plan; a replay beside its plan; what a proof measured."""
+    """States, controls and convergence of a plan; a replay beside its plan; a loop; what a proof measured."""
     if isinstance(result, Proof):
         return draw_proof(result)
+    if isinstance(result, Loop):
+        return draw_loop(judge(result))
     return draw_plan(result.plan, result) if isinstance(result, Replay) else draw_plan(result, None)
 
 
@@ -33,6 +38,10 @@ def html_of(result: Plan | Replay | Proof) -> str:
     if isinstance(result, Proof):
         word, colour, rest = result.verdict, _GREEN if result.passed else _RED, result.headline[len(result.verdict) :]
         text, figure = result.reason, draw_plan(result.replay.plan, result)
+    elif isinstance(result, Loop):
+        said = judge(result)
+        word, colour, rest = said.verdict, _GREEN if said.passed else _RED, said.headline[len(said.verdict) :]
+        text, figure = " ".join([said.reason, *result.events[:3]]).strip(), draw_loop(said)
     elif isinstance(result, Replay):
         word, colour, rest, text = "Replay", _GREY, repr(result).removeprefix("Replay"), " ".join(result.warnings)
         figure = draw_plan(result.plan, result)

@@ -268,3 +268,45 @@ def test_a_controller_that_knows_its_latency_does_not_tremble_at_rest():
     assert speeds[0.005, 0.005] < 1e-3  # rad/s
     assert speeds[0.01, 0.01] < 1e-3
     assert speeds[0.0, 0.01] > 0.1
+
+
+CRANE = """
+<mujoco><worldbody><body name="trolley">
+  <joint name="rail" type="slide" axis="1 0 0" range="-0.5 2.5" damping="1"/>
+  <geom type="box" size="0.15 0.08 0.06" mass="5" contype="0" conaffinity="0"/>
+  <body name="load"><joint name="swing" axis="0 -1 0" damping="0.01"/>
+    <geom type="sphere" pos="0 0 -1" size="0.1" mass="2" contype="0" conaffinity="0"/></body>
+</body></worldbody><actuator><motor name="drive" joint="rail" ctrlrange="-40 40"/></actuator></mujoco>"""
+SWING = """
+model = "crane.xml"
+start = { rail = 0.0 }
+goal = { rail = 2.0 }
+duration = 3.0
+limits = { position = { swing = [-0.15, 0.15] } }
+"""
+
+
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("crane")
+    (folder / "crane.xml").write_text(CRANE, encoding="utf-8")
+    (folder / "crane.toml").write_text(SWING, encoding="utf-8")
+    return planner.Controller(planner.load_problem(folder / "crane.toml"), latency=0.004)
+
+
+@pytest.mark.parametrize("force", [10.0, 20.0, 30.0])
+def test_a_push_beyond_a_range_is_got_over(crane, force):
+    """Multipliers of plans that are far from a minimum would drive the trolley to and fro for ever."""
+    loop = planner.simulate(crane, latency=0.004, pushes=[planner.Push("load", force=force, time=1.0)])
+    verdict = planner.judge(loop)
+    assert verdict.passed, verdict.reason
+    last = loop.ctrl[loop.t[:-1] > loop.t[-1] - 0.5]
+    assert np.abs(last).max() < 2.0  # N, of 40 that it has
+    beyond = {one.name: one.value for one in verdict.sections["kept"].measured}["angle_beyond_its_range"]
+    assert (beyond > 0.01) == (force > 10.0)  # rad: no control keeps the range under the larger pushes
+    assert "PASS" in loop._repr_html_()
+
+
+def test_only_a_loop_is_judged(problem):
+    with pytest.raises(planner.PlannerError, match=r"expected what planner\.simulate returns"):
+        planner.judge(problem)

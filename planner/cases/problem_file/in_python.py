@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import again
 from planner.cases.problem_file.table import with_model_limits
 from planner.model.mechanism import Mechanism
+from planner.problem.constraints.constraint import Constraint
+from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.tasks.follow import Follow, follow_of
 from planner.problem.tasks.goal import Goal, goal_of
@@ -33,7 +36,8 @@ def task(
         goals: In the order of their times; one without a time is at the end.
         duration: s.
         follow: Paths to keep to.
-        keys: Others of a problem.toml: dt, limits, weights, tolerance, objective, guess, ...
+        keys: Others of a problem.toml: dt, limits, weights, tolerance, objective, guess, ... Limits may be a Limits,
+            and constraint a Constraint or a list of some, in place of tables.
 
     Raises:
         PlannerError: A goal out of reach (how far, and the nearest point), an unknown frame, times out of order, goals
@@ -50,7 +54,14 @@ def task(
     table |= {"goal": [one.to_dict() for one in asked]} if asked else {}
     table |= {"follow": [one.to_dict() for one in paths]} if paths else {}
     table.setdefault("contacts", mechanism.contacts_mode or "off")
-    return again(mechanism, **with_model_limits(table))
+    if isinstance(table.get("limits"), Limits):
+        table["limits"] = table["limits"].to_dict()
+    kept = table.get("constraint", [])
+    given = [one for one in ([kept] if isinstance(kept, Constraint) else kept) if isinstance(one, Constraint)]
+    if given:
+        table["constraint"] = [] if isinstance(kept, Constraint) else [one for one in kept if one not in given]
+    problem = again(mechanism, **with_model_limits(table))
+    return replace(problem, constraints=(*problem.constraints, *given)) if given else problem
 
 
 def _several(name: str, value: Any, kind: type) -> list[Any]:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import shown
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.problem.constraints.constraint import Constraint
@@ -101,6 +102,10 @@ class Rows:
             if part.measure.of_controls:
                 continue
             value = part.measure.values(x0[None], u0[None], np.zeros(1, dtype=int))[0]
+            if not np.isfinite(value).all():
+                raise PlannerError(
+                    f"{part.constraint} is {shown(value.tolist())} at the start, expected finite numbers."
+                )
             scale = self.scale[part.columns]
             low, high = self.least[0, part.columns] / scale, self.most[0, part.columns] / scale
             beyond = np.maximum(low - value, value - high)

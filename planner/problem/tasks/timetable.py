@@ -146,7 +146,8 @@ def joints_of(mechanism: Mechanism, goal: Goal, label: str) -> dict[int, float]:
         return found
     given = np.asarray(given, dtype=float).ravel()
     if len(given) != mechanism.nq or len(screws) != mechanism.nv:
-        expected = "expected a table of hinges and slides, or all positions"
+        names = ", ".join(name for name in mechanism.joint_names if name)
+        expected = f"expected a table of hinges and slides, or all {mechanism.nq} positions ({names})"
         raise PlannerError(f"{label} has {len(given)} numbers, {expected}.")
     return {i: float(given[mechanism.q_address[i]]) for i in screws}
 
