@@ -60,8 +60,8 @@ def not_driven(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
         return []
     why = (
         f"Nothing drives {mechanism.joint_of(dof)}, which leaves its range by {beyond[h]:.3g}: in MuJoCo its stop "
-        "holds it, and a plan has no force there; couple it to a driven joint in the file, or start where it does "
-        "not lean on its stop"
+        "holds it, and a plan has no force there; couple it to a driven joint in the file, or write a `start` and a "
+        "`goal` in which it is off its stop, by 0.1 rad or more"
     )
     return [no_cure("start", why)]
 
