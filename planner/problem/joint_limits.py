@@ -92,6 +92,28 @@ def off_stops(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collectio
     return moved, f"the {what} has {names[0]}{others} at a stop and is put off it, by up to {most:.2g} rad or m."
 
 
+def leaning(mechanism: Mechanism, what: str, x: np.ndarray, limited: Collection[str]) -> str:
+    """A sentence about joints that nothing drives and that are at a stop in a state (nx,); "" where there are none.
+
+    What moves beside them pushes them into it. In MuJoCo it holds them, and a plan has no such force.
+    """
+    tied = {dof for coupling in mechanism.couplings for dof in coupling.dofs}
+    driven, names = np.any(mechanism.actuators.moment, axis=0), []
+    for i, kept in model_ranges(mechanism, None).items():
+        value, name = float(x[mechanism.q_address[i]]), mechanism.joint_names[_place(mechanism, i)]
+        free = not driven[i] and i not in tied and name not in limited and not (mechanism.loops or mechanism.cams)
+        if free and min(value - kept.least, kept.most - value) <= _margin(mechanism, name, i, None):
+            names.append(mechanism.joint_of(i))
+    if not names:
+        return ""
+    others, them = (f" and {len(names) - 1} more", "them") if len(names) > 1 else ("", "it")
+    return (
+        f"nothing drives {names[0]}{others}, which the {what} has at a stop: what moves beside {them} pushes {them} "
+        "into it, where MuJoCo has a force and a plan has none. A solve that takes long or misses its limits needs "
+        f"a `start` and a `goal` with {them} off the stop, by 0.1 rad or more."
+    )
+
+
 def _place(mechanism: Mechanism, dof: int) -> int:
     return next(k for k, links in enumerate(mechanism.joint_links) if links.start <= dof < links.stop)
 

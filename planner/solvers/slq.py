@@ -54,6 +54,9 @@ DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem se
 
 KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
+_SLOWER = (
+    4  # the same with KINKED: between two signs of a joint's friction some steps gain little, and full ones follow
+)
 
 
 def solve(
@@ -97,7 +100,7 @@ def solve(
         gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J). At kinks of
             contact the LQ model keeps promising a decrease that no step achieves; this ends the solve there. Beside
             any decrease_tolerance; iterations with regularisation do not count. By default the problem's; if it has
-            none, 1e-5 for machines with friction loss, which has such kinks too, else 0 (never).
+            none, 1e-5 in four iterations for machines with friction loss, which has such kinks too, else 0 (never).
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
@@ -121,8 +124,10 @@ def solve(
         raise PlannerError(f"problem is {shown(problem)}, expected a Problem.")
     if decrease_tolerance is None:
         decrease_tolerance = DECREASE if problem.decrease_tolerance is None else problem.decrease_tolerance
+    slow = _SLOW
     if gain_tolerance is None:
         gain_tolerance = problem.gain_tolerance or (KINKED if _rubs(problem) else 0.0)
+        slow = _SLOW if problem.gain_tolerance else _SLOWER
     descent = _Descent(
         choice("update", update, UPDATES) == "feedback",
         LINE_SEARCHES.index(choice("line_search", line_search, LINE_SEARCHES)),
@@ -130,6 +135,7 @@ def solve(
         number("gradient_tolerance", gradient_tolerance, least=0.0),
         number("decrease_tolerance", decrease_tolerance, least=0.0),
         number("gain_tolerance", gain_tolerance, least=0.0),
+        slow,
     )
     count("max_iterations", max_iterations)
     count("starts", starts, most=MOST_STARTS)
@@ -209,6 +215,7 @@ class _Descent(NamedTuple):
     gradient_tolerance: float = 0.0
     decrease_tolerance: float = 0.0
     gain_tolerance: float = 0.0
+    slow: int = _SLOW  # iterations in a row that gain less end a solve
 
 
 def _descend(
@@ -263,7 +270,7 @@ def _minimise(
                 callback(line)
 
             at_minimum = done.kind == CONVERGED
-            if at_minimum or _stalled(history, descent.gain_tolerance):
+            if at_minimum or _stalled(history, descent):
                 status = Status.CONVERGED
                 break
             little = max(loose, descent.decrease_tolerance * max(1.0, abs(cost)))
@@ -297,14 +304,15 @@ def _minimise(
     return plan
 
 
-def _stalled(history: list[Iteration], gain_tolerance: float) -> bool:
+def _stalled(history: list[Iteration], descent: _Descent) -> bool:
     """Whether the last iterations of the plain model have each gained less than the tolerance."""
+    least = descent.gain_tolerance
     return (
-        gain_tolerance > 0.0
-        and len(history) >= _SLOW
+        least > 0.0
+        and len(history) >= descent.slow
         and all(
-            line.step > 0.0 and line.regularisation == 0.0 and line.actual < gain_tolerance * max(1.0, abs(line.cost))
-            for line in history[-_SLOW:]
+            line.step > 0.0 and line.regularisation == 0.0 and line.actual < least * max(1.0, abs(line.cost))
+            for line in history[-descent.slow :]
         )
     )
 

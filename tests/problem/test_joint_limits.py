@@ -176,3 +176,24 @@ def test_a_start_at_a_stop_is_put_off_it(tmp_path):
     np.testing.assert_allclose(problem.cost.x_ref[-1, :2], [0.5, turn])  # a goal at an end stays there
     assert "joint 'slide' and 1 more at a stop" in problem.recipe.parameters["resolved"]["reasons"]["stops"]
     refuse(problem_file(tmp_path, goal="{ turn = 1.02 }", text=stopped), "the goal has turn at 1.02 rad")
+
+
+PASSIVE = """
+<mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>
+<worldbody><body>
+  <joint name="near" axis="0 1 0" damping="0.1"/><geom size="0.02" fromto="0 0 0 0 0 -0.1" type="capsule" mass="0.1"/>
+  <body pos="0 0 -0.1">
+    <joint name="far" axis="0 1 0" damping="0.1" range="0 1.5"/>
+    <geom size="0.02" fromto="0 0 0 0 0 -0.1" type="capsule" mass="0.1"/>
+  </body></body></worldbody>
+<actuator><motor joint="near"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize(("far", "said"), [("0.0", True), ("0.3", False)])
+def test_a_joint_that_nothing_drives_and_that_begins_at_its_stop_is_told_at_once(tmp_path, far, said):
+    (tmp_path / "finger.xml").write_text(PASSIVE)
+    text = f'model = "finger.xml"\nstart = {{ far = {far} }}\ngoal = {{ near = 0.3 }}\nduration = 1.0\n'
+    (tmp_path / "finger.toml").write_text(text)
+    reasons = planner.load_problem(tmp_path / "finger.toml").parameters["resolved"]["reasons"]
+    assert ("nothing drives joint 'far', which the start has at a stop" in reasons.get("stops", "")) is said

@@ -211,3 +211,27 @@ def test_an_indefinite_control_weight_is_regularised(guess, update):
         assert lines[0].step == 0.0
         assert max(h.regularisation for h in lines) > 0.0
     assert all(h.actual > 0.0 for h in lines if h.step > 0.0)
+
+
+RUBBING = """
+<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body>
+  <joint name="shoulder" axis="0 1 0" damping="0.2" frictionloss="3" range="-143 143"/>
+  <geom type="capsule" size="0.03" fromto="0 0 0 0.4 0 0" mass="2"/>
+  <body pos="0.4 0 0">
+    <joint name="elbow" axis="0 1 0" damping="0.1" frictionloss="1" range="-138 138"/>
+    <geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1"/> <geom size="0.03" pos="0.3 0 0" mass="1"/>
+  </body></body></worldbody>
+<actuator><motor joint="shoulder" ctrlrange="-40 40"/><motor joint="elbow" ctrlrange="-15 15"/></actuator></mujoco>
+"""
+
+
+def test_friction_between_two_signs_is_no_end(tmp_path):
+    """Some steps gain little while joints turn from one sign of friction to the other, and full ones follow."""
+    (tmp_path / "arm.xml").write_text(RUBBING)
+    file = 'model = "arm.xml"\nstart = { shoulder = 1.5 }\ngoal = { shoulder = -1.0, elbow = 1.5 }\nduration = 1.0\n'
+    (tmp_path / "arm.toml").write_text(file)
+    problem = planner.load_problem(tmp_path / "arm.toml")
+    plan = planner.solve(problem)
+    assert plan.success
+    assert plan.cost < 1.001 * planner.solve(problem, gain_tolerance=0.0).cost
+    assert plan.nit < 100

@@ -90,7 +90,7 @@ from planner.problem.criteria import with_objective
 from planner.problem.default_appearance import default_appearance
 from planner.problem.default_weights import default_weights, weighed
 from planner.problem.free_poses import FreePoses
-from planner.problem.joint_limits import off_stops
+from planner.problem.joint_limits import leaning, off_stops
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.recipe import Recipe
@@ -280,7 +280,8 @@ def _off_stops(
     (x0, first), (goal, second) = (
         off_stops(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
     )
-    return x0, goal, tuple(filter(None, (first, second)))
+    leans = "" if table.get("prescribed") else leaning(mechanism, "start", x0, limited)
+    return x0, goal, tuple(filter(None, (first, second, leans)))
 
 
 def _resolved(

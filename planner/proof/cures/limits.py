@@ -50,18 +50,19 @@ def not_driven(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
         return []
     if not np.isfinite(plan.xs).all():
         return []
-    beyond = ranges.beyond(plan.xs).max(axis=0)
-    h = int(np.argmax(beyond))
-    dof = int(ranges.component[h])
-    prescribed = bool(getattr(problem.dynamics, "prescribed", ()))
-    if beyond[h] <= limits.tolerance or dof >= mechanism.nv or prescribed or mechanism.couplings or mechanism.loops:
+    if getattr(problem.dynamics, "prescribed", ()) or mechanism.couplings or mechanism.loops:
         return []
-    if np.any(mechanism.actuators.moment[:, dof] != 0.0):
+    beyond, driven = ranges.beyond(plan.xs).max(axis=0), np.any(mechanism.actuators.moment, axis=0)
+    dofs = ranges.component[: len(ranges.component) - ranges.at_end]
+    left = [h for h, dof in enumerate(dofs) if dof < mechanism.nv and not driven[dof] and beyond[h] > limits.tolerance]
+    if not left:
         return []
+    h = max(left, key=lambda h: beyond[h])
+    dof = int(dofs[h])
     why = (
         f"Nothing drives {mechanism.joint_of(dof)}, which leaves its range by {beyond[h]:.3g}: in MuJoCo its stop "
-        "holds it, and a plan has no force there; couple it to a driven joint in the file, or start where it does "
-        "not lean on its stop"
+        "holds it, and a plan has no force there; couple it to a driven joint in the file, or write a `start` and a "
+        "`goal` in which it is off its stop, by 0.1 rad or more"
     )
     return [no_cure("start", why)]
 
