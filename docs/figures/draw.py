@@ -31,7 +31,7 @@ def slq(folder: Path) -> None:
     cost.semilogy(range(len(costs)), costs, color=PLAN, marker=".", ms=4)
     cost.set_yticks([20, 30, 50, 80], ["20", "30", "50", "80"])
     cost.minorticks_off()
-    dress(cost, "Every iteration costs less", "cost J", "iteration")
+    dress(cost, "The cost falls with every iteration", "cost J", "iteration")
     save(figure, folder / "slq.png")
 
 

@@ -103,17 +103,17 @@ def simulate(
 
     Args:
         controller: A Controller, which is reset; or a Plan, whose gains act alone and hold its goal after its end.
-        duration: s; by default that of the problem, a second to be late and one to stay. Rounded up to whole stages.
-        latency: s, from asking for a plan until its control acts. None measures each call here: what comes out then
-            depends on the computer. With a number it is the same to the last bit.
+        duration: Length of the run, s, rounded up to whole stages; by default that of the problem, and 2 s.
+        latency: Time from asking for a plan until its control acts, s. None measures each call on this computer, so
+            results differ from computer to computer. With a number they are the same to the last bit.
         pushes: Forces at bodies.
-        mass: By how much bodies are heavier than planned, with their inertias: 0.2 for 20 %, of all bodies or by name.
+        mass: How much heavier bodies are than planned, 0.2 for 20 %; one number for all, or a table by name.
         friction: Dry friction in each joint, as a share of the largest force that the plan asks of it.
         contact_friction: By how much coefficients of friction are larger: -0.5 for half of them.
         noise: Standard deviation of what is measured, in each coordinate's unit.
-        encoders: Whether hinges and slides are read from encoders of 17 bits, their speeds being differences of that.
-        goal: A function of time, s, whose value is given to the controller's goal before it is asked.
-        start: (nx,) another start, from which the controller plans before the time begins.
+        encoders: Whether hinges and slides are read from encoders of 17 bits, and speeds as differences of these.
+        goal: A function of time, s: before each call its value becomes the controller's goal.
+        start: (nx,) another start. The controller plans from it before the time begins.
         seed: Of the noise.
         compiled: The twin compiled already, where many loops are run.
 

@@ -111,10 +111,10 @@ def refine(
 
     Args:
         plan: A plan with its problem.
-        proof: Of the plan.
-        limit: Most refinements.
-        seconds: After which no other solve begins, and one that runs is ended and forgotten; a proof is never cut.
-        prove: Judges the plans on the way; by default without perturbed rollouts.
+        proof: The proof of that plan.
+        limit: The most refinements.
+        seconds: After this time no solve begins, and a solve that runs is ended and forgotten. A proof is never cut.
+        prove: The function that judges the plans on the way; by default prove() without perturbed rollouts.
         callback: Called with each Refinement, that of the given plan included; print makes a table. It may raise
             StopIteration to end.
         options: Of solve(): update, line_search, hessian, max_iterations, gradient_tolerance, decrease_tolerance,

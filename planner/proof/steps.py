@@ -63,16 +63,16 @@ def prove(
 
     Args:
         plan: A plan of a problem with a twin.
-        mjcf: Another MJCF, a path or the XML text, in place of the plan's own; it must have the same states. What the
-            plan's mechanism took out of its file is taken out of this one too.
-        twin: Another model and other maps in place of the plan's own.
-        seed: Of the random states of parity and of the perturbations.
-        rollouts: Of step 5; 0 leaves it out.
-        perturbation: The errors of step 5; by default Perturbation.usual(plan.problem).
-        hold_seconds: How long to hold the goal after arriving, by an infinite-horizon LQR; 0 does not.
-        optimal: Whether PASS needs a solve that converged; False judges feasibility alone.
-        budget: s that step 5 may take, with fewer rollouts where needed; None for all of them.
-        partial: A file that keeps finished rollouts, so that an interrupted proof goes on where it was.
+        mjcf: Replay in this MJCF, a path or the XML text, instead of the plan's own. It must have the same states. What
+            the plan's mechanism took out of its file is taken out of this one too.
+        twin: Replay in this model, with its own maps, instead of the plan's own.
+        seed: Seed of the random states of parity and of the perturbations.
+        rollouts: How many perturbed simulations step 5 makes at most; 0 leaves it out.
+        perturbation: The errors that step 5 draws; by default Perturbation.usual(plan.problem).
+        hold_seconds: How long an infinite-horizon LQR is to hold the goal after the end, s; 0 leaves it out.
+        optimal: Whether PASS needs a solve that converged. False judges feasibility alone.
+        budget: The most time for step 5, s: it then ends with fewer rollouts. None has no limit.
+        partial: A file for finished rollouts: a proof that was interrupted goes on from there.
         progress: Called with the rollouts done and their number.
         executor: Where the rollouts run, any concurrent.futures.Executor; by default MuJoCo's threads. The numbers are
             the same to the last bit.

@@ -90,32 +90,34 @@ def solve(
         states: A first guess of the states (N+1, nx) beside that of the controls, which need not fit it: the solve then
             begins by multiple shooting (see solvers.shooting). "line" for the straight line to the cost's reference
             at the end. None (default) for the states that the controls lead to.
-        warm_start: A Plan of the same machine, or plan.shifted(seconds) or plan.stretched(duration): the first controls
-            are then those that follow it, or its states are a first guess where none do; limits and constraints begin
-            with its multipliers. Step and duration may be others. None (default) for the problem's own guess.
-        max_iterations: Limit.
+        warm_start: A Plan of the same machine to start from, or plan.shifted(seconds) or plan.stretched(duration). The
+            first controls are those that follow it; where no controls do, its states are a first guess. Limits and
+            constraints begin with its multipliers. Its step and duration may differ from the problem's. None
+            (default) starts from the problem's own guess.
+        max_iterations: The most iterations.
         gradient_tolerance: Stop when the norm of Eq. 19 falls below this (Eq. 20).
-        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J); by default the problem's,
+        decrease_tolerance: Stop when the LQ model promises less than this times max(1, J). By default the problem's,
             or 1e-10 if it has none.
-        gain_tolerance: Stop when two iterations in a row have each gained less than this times max(1, J). At kinks of
-            contact the LQ model keeps promising a decrease that no step achieves; this ends the solve there. Beside
-            any decrease_tolerance; iterations with regularisation do not count. By default the problem's; if it has
-            none, 1e-5 in four iterations for machines with friction loss, which has such kinks too, else 0 (never).
+        gain_tolerance: Stop also when two iterations in a row have each gained less than this times max(1, J);
+            iterations with regularisation do not count. It ends solves at kinks of contact, where the LQ model keeps
+            promising a decrease that no step achieves. By default the problem's. If it has none: 1e-5 in four
+            iterations for machines with friction loss, which has such kinks too, else 0 (never).
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.
         starts: Number of first guesses: the problem's own, and smooth random changes of it. They run on all
-            processors; which plan comes out does not depend on how many there are.
-        seed: Of the random changes.
-        spread: Their size relative to that of the controls: those of the first guess, or those that five iterations
-            make of it where these are larger.
-        rank: A function of a Plan; the start with the least value wins. By default its cost; proof.proven_cost is its
+            processors. The number of processors does not change the plan.
+        seed: Seed of the random changes.
+        spread: Size of the random changes, relative to the controls of the first guess, or to those that five
+            iterations make of it if these are larger.
+        rank: A function of a Plan: the start with the least value wins. By default its cost; proof.proven_cost is its
             cost in MuJoCo. A number that is not finite comes last.
         executor: Where the starts are solved, any concurrent.futures.Executor; by default threads. The plan is the
             same to the last bit.
 
     Returns:
-        A Plan; of several starts the one of least rank among the converged, else of all, which lists the others in
-        `starts`. Not converging is its status, never an exception; Ctrl-C returns the best so far, INTERRUPTED.
+        A Plan. Of several starts it is the one of least rank among those that converged, or among all if none did;
+        its `starts` list the others. A solve that does not converge says so in its status and raises nothing. Ctrl-C
+        returns the best plan so far, with status INTERRUPTED.
 
     Raises:
         PlannerError: An argument that is none of the choices or out of range.

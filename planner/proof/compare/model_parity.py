@@ -44,9 +44,9 @@ def parity(
 
     Args:
         machine: A mechanism, or a problem.
-        mjcf: Another MJCF, a path or the XML text, in place of the machine's own.
-        twin: Another MuJoCo model in place of the problem's own.
-        seed: Of the random states.
+        mjcf: Compare with this MJCF, a path or the XML text, instead of the machine's own.
+        twin: Compare with this model instead of the problem's own.
+        seed: Seed of the random states.
 
     Raises:
         PlannerError: There is no MuJoCo model to compare with.

@@ -97,9 +97,9 @@ def render_strip(replay: Replay, path: PathLike, *, poses: int = 8, width: int =
     """Write a PNG with poses at equal times side by side, as in the paper's figures.
 
     Args:
-        replay: To show.
+        replay: The replay to show.
         path: The file, ending in .png.
-        poses: How many, the first and the last included.
+        poses: How many poses, with the first and the last one.
         width: Of the whole picture, pixels.
         height: Pixels.
 
@@ -157,13 +157,13 @@ def _write_png(picture: np.ndarray, path: PathLike) -> None:
 
 
 def render_frame(replay: Replay, t: float, *, width: int = 1280, height: int = 720) -> np.ndarray:
-    """One picture of a replay.
+    """Draw one picture of a replay.
 
     Args:
-        replay: To show.
-        t: When, s.
-        width: Pixels.
-        height: Pixels.
+        replay: The replay to show.
+        t: The instant to show, s.
+        width: Of the picture, pixels.
+        height: Of the picture, pixels.
 
     Returns:
         (height, width, 3), uint8.
