@@ -28,6 +28,22 @@ class Shown:
         return import_module(DRAWN_BY).html_of(self)
 
 
+class Paged:
+    """Results in a folder, with a page of their own."""
+
+    def page(self) -> Path:
+        """Write index.html, the page with the maps, into the folder.
+
+        Raises:
+            FileError: It cannot be written.
+        """
+        return import_module(DRAWN_BY).page_of(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: how the tasks ended, and the first rows."""
+        return import_module(DRAWN_BY).html_of_sweep(self)
+
+
 class Filmed(Shown):
     """A result with a film too."""
 

@@ -15,7 +15,7 @@ from planner.problem.limits import EXACT, Limits
 from planner.sweeps.executors import executor_of
 from planner.sweeps.store import read_head
 from planner.sweeps.sweeping import sweep
-from planner.view.report.sweep_page import write_sweep_page
+from planner.view.report.sweep_page import NAME
 
 INTERRUPTED = 130
 
@@ -47,7 +47,7 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
             durations=None if arguments.durations is None else durations_of(arguments.durations),
             limits=_limits(arguments), progress=console.progress(f"planning {name}"), **_options(arguments),
         )  # fmt: skip
-    page = write_sweep_page(done)
+    page = done.folder / NAME
     console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
     console.say(str(page))
     if done.interrupted:

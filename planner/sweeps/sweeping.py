@@ -22,6 +22,7 @@ from planner.base.errors import FileError
 from planner.base.executors import checked_executor
 from planner.base.files import file_error, held
 from planner.base.processors import processors
+from planner.base.shown import Paged
 from planner.base.versions import installed_versions
 from planner.cases.problem_file import case_in
 from planner.cases.problem_file.keys import KEYS
@@ -50,7 +51,7 @@ SOLVE: dict[str, Callable[[str, Any], Any]] = {
 """Arguments of solve() that a sweep passes on, and how each is checked before any task fails by it."""
 
 
-class Sweep:
+class Sweep(Paged):
     """What a sweep has written.
 
     Attributes:
@@ -171,7 +172,9 @@ def sweep(
             except KeyboardInterrupt:
                 interrupted = True
         write_tables(store, grid.values)
-    return Sweep(store, grid, interrupted)
+    done = Sweep(store, grid, interrupted)
+    done.page()
+    return done
 
 
 def read_sweep(folder: str | Path) -> Sweep:

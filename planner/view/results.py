@@ -1,10 +1,11 @@
-"""How a plan, a replay and a proof look: a figure, the HTML of a notebook, a film. planner.base.shown calls this."""
+"""How results look: a figure, the HTML of a notebook, a film, a page. planner.base.shown calls this."""
 
 from __future__ import annotations
 
 import base64
 import io
 from html import escape
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,12 @@ from planner.control.simulating import Loop
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.replays.replaying import Replay
+from planner.sweeps.sweeping import Sweep
 from planner.view.plots.loop import draw_loop
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
+from planner.view.report.sweep_page import write_sweep_page
+from planner.view.report.sweep_picture import word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,6 +56,25 @@ def html_of(result: Plan | Replay | Proof) -> str:
         f'<div><strong style="color:{colour}">{escape(word)}</strong> {escape(rest.strip(" ;"))}'
         f"<p>{escape(text)}</p>{_picture(figure)}</div>"
     )
+
+
+_ROWS = 10  # of a sweep in a notebook
+_COLUMNS = ("status", "cost", "iterations", "verdict")
+
+
+def page_of(sweep: Sweep) -> Path:
+    """Write the page of a sweep; its path."""
+    return write_sweep_page(sweep)
+
+
+def html_of_sweep(sweep: Sweep) -> str:
+    """How the tasks of a sweep ended, and a table of the first rows: HTML without links and without scripts."""
+    columns = ("task", *sweep.grid.values, *_COLUMNS)
+    rows = [[word(row.get(name, "")) for name in columns] for row in islice(sweep.rows(), _ROWS)]
+    lines = [f"<tr>{''.join(f'<{kind}>{escape(cell)}</{kind}>' for cell in cells)}</tr>"
+             for kind, cells in (("th", columns), *(("td", cells) for cells in rows))]  # fmt: skip
+    more = f"<p>{sweep.finished - len(rows)} more rows.</p>" if sweep.finished > len(rows) else ""
+    return f"<div><strong>{escape(str(sweep))}</strong><table>{''.join(lines)}</table>{more}</div>"
 
 
 def film_of(result: Replay | Proof, path: str | Path, **options: Any) -> Path:

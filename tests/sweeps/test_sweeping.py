@@ -49,6 +49,15 @@ def test_the_table_has_a_row_a_task_in_order(done):
     assert done.statuses == {"CONVERGED": 10}
 
 
+def test_it_has_its_page_and_a_table_in_a_notebook(done):
+    assert done.page() == done.folder / "index.html"
+    assert "light green: converged and not proven" in done.page().read_text(encoding="utf-8")
+    shown = done._repr_html_()
+    assert "10 of 10 tasks: CONVERGED 10" in shown
+    assert shown.count("<tr>") == 11
+    assert "<th>height</th>" in shown
+
+
 def test_a_plan_is_read_out_of_the_archive(done):
     plan = planner.solve(planner.cases.hopper(height=2, horizon=60))
     for found in (done.plan(3), planner.load_plan(done.folder / "plans/000.zip/000003.npz")):

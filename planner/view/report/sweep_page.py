@@ -18,6 +18,7 @@ from planner.view.report.sweep_picture import CSS, WIDE, bar, colour, picture, w
 from planner.view.report.tables import number, table
 
 NAME = "index.html"
+LEGEND = "green: proven, light green: converged and not proven, red: FAIL or not converged"
 _GOOD, _UNPROVEN, _BAD = "#2a9d5c", "#8fbf5f", "#d1495b"
 _SHOWN = 14  # columns of the row that a click shows, beside the parameters
 _SCRIPT = """
@@ -81,7 +82,7 @@ def write_sweep_page(sweep: Sweep) -> Path:
 def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
     held = ", ".join(f"{name} = {word(value)}" for name, value in one.held.items())
     pictures = [
-        picture("Success", _success_legend(sweep), one, sweep.grid, {t: _success(row) for t, row in rows.items()}),
+        picture("Success", LEGEND, one, sweep.grid, {t: _success(row) for t, row in rows.items()}),
         _scale("Cost", "cost", one, sweep, rows),
         _scale("Iterations", "iterations", one, sweep, rows),
     ]
@@ -95,13 +96,7 @@ def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
 def _success(row: dict[str, Any]) -> str:
     if row.get("verdict"):
         return _GOOD if row["verdict"] == "PASS" else _BAD
-    return _BAD if row["status"] != "CONVERGED" else _UNPROVEN if "verdict" in row else _GOOD
-
-
-def _success_legend(sweep: Sweep) -> str:
-    if any("verdict" in row for row in sweep.rows()):
-        return "green: proven, light green: converged and not proven, red: FAIL or not converged"
-    return "green: converged, red: not"
+    return _BAD if row["status"] != "CONVERGED" else _UNPROVEN
 
 
 def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
