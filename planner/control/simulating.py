@@ -107,7 +107,7 @@ def simulate(
         latency: Time from asking for a plan until its control acts, s. None measures each call on this computer, so
             results differ from computer to computer. With a number they are the same to the last bit.
         pushes: Forces at bodies.
-        mass: How much heavier bodies are than planned, 0.2 for 20 %; one number for all, or a table by name.
+        mass: How much heavier bodies are than planned, inertias too: 0.2 for 20 %, of all bodies or a table by name.
         friction: Dry friction in each joint, as a share of the largest force that the plan asks of it.
         contact_friction: By how much coefficients of friction are larger: -0.5 for half of them.
         noise: Standard deviation of what is measured, in each coordinate's unit.

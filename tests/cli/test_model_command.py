@@ -43,6 +43,7 @@ def test_the_written_problem_runs_and_is_not_overwritten(folder):
     assert done.returncode == 0, done.stderr
     text = (folder / "first.toml").read_text()
     assert 'start = "down"' in text
+    assert "or a keyframe: down, up" in text  # what else the goal may be
     ran = run("solve", "first.toml", cwd=folder)
     assert ran.returncode in (0, 1), ran.stderr  # converged or not, the file is understood
     assert (folder / "plan.npz").is_file()

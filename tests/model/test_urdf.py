@@ -59,6 +59,14 @@ def test_a_free_base_keeps_its_inertia():
     np.testing.assert_allclose(free.com[root], [0.0, 0.0, 0.1], atol=1e-15)
 
 
+def test_a_robot_has_its_own_name_or_that_of_its_root():
+    arm = robot(link("base"), link("arm", inertial()), joint("turn", "base", "arm", "revolute"))
+    start = arm[arm.index("<robot") : arm.index(">", arm.index("<robot"))]
+    named, nameless = (arm.replace(start, words, 1) for words in ('<robot name="picker"', "<robot"))
+    assert 'model="picker"' in text_of(named)
+    assert 'model="base"' in text_of(nameless)
+
+
 def test_the_base_is_what_the_file_or_the_user_says():
     floating = robot(
         link("world"), link("map"), link("body", inertial()),

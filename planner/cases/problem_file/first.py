@@ -22,6 +22,7 @@ from planner.problem.troubles import toml_key
 
 _SMALL, _PART = 0.05, 0.05  # rad or m: the tolerance is written for a shorter way, as this part of it
 _WIDE = 100  # characters of a line
+_KEYFRAMES = 5  # that are named
 
 
 def write_first_problem(path: PathLike, model: PathLike, file: Opened, known: Description) -> Path:
@@ -104,6 +105,8 @@ def _start(move: FirstMove, known: Description, named: bool) -> list[str]:
 def _goal(move: FirstMove, known: Description, named: bool) -> list[str]:
     units = sorted({known.joints[j]["unit"] for j in move.goal})
     words = f"{' and '.join(units)}; joints that are not named end where they started"
+    if len(known.keyframes) > 1:
+        words += f"; or a keyframe: {', '.join(known.keyframes[:_KEYFRAMES])}"
     if named:
         return _line("goal", _table(move.goal, known), words)
     goal = move.start.copy()

@@ -37,7 +37,7 @@ def robot_of(text: str, name: str) -> Robot:
     _check_references(joints, links, name)
     first, ordered = _in_order(joints, links, name)
     meshdir = next((c.get("meshdir", "") for c in root.iterfind("mujoco/compiler")), "")
-    return Robot(first, links, ordered, meshdir)
+    return Robot(first, links, ordered, meshdir, root.get("name", "") or first)
 
 
 def _with_prefixes(text: str) -> str:

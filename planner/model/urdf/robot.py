@@ -94,3 +94,4 @@ class Robot:
     links: dict[str, Link]
     joints: tuple[Joint, ...]
     meshdir: str  # of the <mujoco> extension
+    name: str  # its own, or that of its root

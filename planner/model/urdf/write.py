@@ -41,7 +41,7 @@ def mjcf_of(
         raise ModelError(f"{name} has no joints that move, expected at least one{floats}.")
     anchored = set() if any(joint.child == robot.root for joint in joints) else _held(robot, joints)
     bodies_of, replaced = inertials(robot, joints, anchored, name, nearest=nearest)
-    root = Element("mujoco", {"model": robot.root})
+    root = Element("mujoco", {"model": robot.name})
     SubElement(root, "compiler", {"angle": "radian", "eulerseq": "XYZ", "inertiafromgeom": "false"})
     world, shapes = SubElement(root, "worldbody"), Shapes(root, packages)
     if floor:
