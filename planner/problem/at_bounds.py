@@ -37,15 +37,14 @@ def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> str:
     return f"{control_name(problem, worst)} is at its bound in {stages[worst]} of {len(us)} stages"
 
 
-def speed_at_bound(problem: Problem, xs: np.ndarray) -> str:
-    """The velocity that is most often at a bound along the states xs (N+1, nx), and how often; "" for none."""
+def state_at_bound(problem: Problem, xs: np.ndarray) -> str:
+    """The coordinate that is most often at a bound along the states xs (N+1, nx), and how often; "" for none."""
     ranges, limits = problem.ranges, problem.limits
     if ranges is None or limits is None or not np.isfinite(xs).all():
         return ""
-    rates = [h for h in range(len(ranges.component) - ranges.at_end) if ranges.coordinates[h].is_rate]
-    knots = ranges.at_bound(xs, limits.tolerance).sum(axis=0)
-    worst = max(rates, key=lambda h: knots[h], default=None)
-    if worst is None or knots[worst] < max(1, _OFTEN * len(xs)):
+    knots = ranges.at_bound(xs, limits.tolerance)[:, : len(ranges.component) - ranges.at_end].sum(axis=0)
+    worst = int(np.argmax(knots)) if len(knots) else -1
+    if worst < 0 or knots[worst] < max(1, _OFTEN * len(xs)):
         return ""
     return f"the {ranges.coordinates[worst].name} is at its limit at {knots[worst]} of {len(xs)} knots"
 

@@ -8,7 +8,7 @@ fall with T until gravity alone is left. The shortest T with all forces, control
 found by bisection.
 
 Where no smooth motion is known, or none fits and the goal itself can be held, a plan that misses its goal with controls
-or speeds at their bounds gets half as long again: a machine that must swing up needs time, and no weight gives it that.
+or states at their bounds gets half as long again: a machine that must swing up needs time, and no weight gives it that.
 Whoever can try (planner run) makes it longer yet while that is not enough: longer().
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
-from planner.problem.at_bounds import control_at_bound, control_name, speed_at_bound, state_outside
+from planner.problem.at_bounds import control_at_bound, control_name, state_at_bound, state_outside
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.cures.cure import Cure, cure, no_cure
@@ -86,8 +86,8 @@ def _missed(proof: Proof | None) -> bool:
 
 
 def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
-    """Half as long again, for a plan whose controls or speeds are often at their bounds, or that left a range."""
-    at_bounds = (control_at_bound(problem, plan.xs, plan.us), speed_at_bound(problem, plan.xs))
+    """Half as long again, for a plan whose controls or states are often at their bounds, or that left a range."""
+    at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs))
     hangs = plan.status is not Status.CONVERGED or _missed(proof)  # a plan that arrives may use what there is
     outside = state_outside(problem, plan.xs, plan.t)
     said = ", and ".join(filter(None, (outside, *(at_bounds if hangs else ()))))
