@@ -71,10 +71,10 @@ def grid_of(rows: int, columns: int, width: float, height: float) -> tuple[Figur
 def panels_of(panels: int) -> tuple[Figure, list[Axes]]:
     """A figure of two columns, and its axes; an odd last panel takes the whole width."""
     figure, cells = figure_of(panels)
-    panels = [figure.add_subplot(cell) for cell in cells]
-    for axes in panels:
+    drawn = [figure.add_subplot(cell) for cell in cells]
+    for axes in drawn:
         _colour(axes)
-    return figure, panels
+    return figure, drawn
 
 
 def _colour(axes: Axes) -> None:
