@@ -1,5 +1,7 @@
 """The documentation site: `make docs` builds it from the pages beside this file, without network."""
 
+import base64
+import io
 import re
 import sys
 from pathlib import Path
@@ -15,6 +17,7 @@ release = version = planner.__version__
 copyright = author
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+html_math_renderer = "mathtext"  # MathJax would come from the network
 html_theme = "furo"
 html_title = f"planner {release}"
 exclude_patterns = ["_build"]
@@ -60,7 +63,23 @@ def _plain_docstrings(app, what, name, thing, options, lines):
         lines[i] = head + "".join(parts)
 
 
+def _formula(visitor, node):
+    """A formula as a picture by Matplotlib, whose mathtext knows all but a few commands of LaTeX."""
+    from docutils import nodes
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.mathtext import math_to_image
+
+    text, picture = node.astext().strip(), io.BytesIO()
+    tex = re.sub(r"\\tfrac(\d)(\d)", r"\\frac{\1}{\2}", " ".join(text.split()))
+    depth = math_to_image(f"${tex}$", picture, FontProperties(size=13), dpi=72, format="svg")
+    source = f"data:image/svg+xml;base64,{base64.b64encode(picture.getvalue()).decode()}"
+    style = f"vertical-align: {-depth:.1f}px" if isinstance(node, nodes.math) else "display: block; margin: 1em auto"
+    visitor.body.append(f'<img class="no-scaled-link" style="{style}" src="{source}" alt="{visitor.attval(text)}">')
+    raise nodes.SkipNode
+
+
 def setup(app):
-    """Adds both."""
+    """Adds all three."""
+    app.add_html_math_renderer("mathtext", (_formula, None), (_formula, None))
     app.connect("source-read", _links_out_of_the_site)
     app.connect("autodoc-process-docstring", _plain_docstrings, priority=400)  # before napoleon adds markup of its own
