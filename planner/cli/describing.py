@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.cli.console import Console, shown
+from planner.model.urdf.as_mjcf import is_urdf
 from planner.model.urdf.read import opened_model
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ PICTURE = "poses.png"
 COLUMNS = 120
 _POSES = 8  # in a row of the picture
 _MOST = 12  # phrases of a list
+URDF_BASE = 'fixed to the world, which has no floor; a machine that walks wants base = "free" and floor = true'
 
 
 def describe_model(arguments: argparse.Namespace, console: Console) -> int:
@@ -102,6 +104,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     touching = f"{pairs} pair{'s' * (pairs != 1)} of shapes may touch" if pairs else "no shapes may touch"
     facts += [("contacts", ": ".join(filter(None, (touching, known.contacts["choice"]))))]
     facts += [("keyframes", ", ".join(known.keyframes))] if known.keyframes else []
+    facts += [("base", URDF_BASE)] if is_urdf(path) else []
     facts += [("planned with", _listed(known.planned))] if known.planned else []
     facts += [("left out", _listed(known.left_out))] if known.left_out else []
     if known.loaded.keys:

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from commands import refused, run
+from urdfs import inertial, joint, link
 
 from planner.base.gl import backend
 from planner.cases.problem_file import load
@@ -92,3 +93,10 @@ def test_its_keyframes_are_drawn_into_the_folder(folder):
     done = run("model", "lift.xml", "--out", "pictures", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "pictures" / "poses.png").stat().st_size > 1000
+
+
+def test_a_urdf_is_said_to_be_fixed_and_how_it_walks(tmp_path):
+    arm = f'<robot name="arm">{link("base", inertial())}{link("upper", inertial())}{joint("hip", "base", "upper")}</robot>'
+    (tmp_path / "arm.urdf").write_text(arm)
+    done = run("model", "arm.urdf", "--no-picture", cwd=tmp_path)
+    assert 'a machine that walks wants base = "free" and floor = true' in " ".join(done.stdout.split())
