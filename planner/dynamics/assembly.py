@@ -57,8 +57,8 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
         x, miss = candidate, left
     if np.abs(miss).max() > CLOSED:
         raise PlannerError(
-            f"{name} {_apart(mechanism, miss)}, and no motion of the joints that may move closes it, expected a pose that "
-            'does, or active="false" for the equality in the file.'
+            f"{name} {_apart(mechanism, miss)}, and no motion of the joints that may move closes it, expected a pose "
+            'that does, or active="false" for the equality in the file.'
         )
     J = jacobian(mechanism, x[:nq]) @ free
     qd = x[nq : nq + nv]
