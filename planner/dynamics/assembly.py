@@ -56,7 +56,10 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
             break
         x, miss = candidate, left
     if np.abs(miss).max() > CLOSED:
-        raise PlannerError(f"{name} {_apart(mechanism, miss)}, and no motion of the joints that may move closes it.")
+        raise PlannerError(
+            f"{name} {_apart(mechanism, miss)}, and no motion of the joints that may move closes it, expected a pose "
+            'that does, or active="false" for the equality in the file.'
+        )
     J = jacobian(mechanism, x[:nq]) @ free
     qd = x[nq : nq + nv]
     x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_WEAK)[0]

@@ -54,9 +54,7 @@ DECREASE = 1e-10  # decrease_tolerance where neither the call nor the problem se
 
 KINKED = 1e-5  # gain_tolerance of machines with friction loss where neither the call nor the problem sets one
 _SLOW = 2  # iterations in a row of the plain model that gain less than gain_tolerance end a solve
-_SLOWER = (
-    4  # the same with KINKED: between two signs of a joint's friction some steps gain little, and full ones follow
-)
+_SLOWER = 8  # the same with KINKED: while joints change the sign of their friction little is gained, then more
 
 
 def solve(
@@ -100,7 +98,7 @@ def solve(
             or 1e-10 if it has none.
         gain_tolerance: Stop also when two iterations in a row have each gained less than this times max(1, J);
             iterations with regularisation do not count. It ends solves at kinks of contact, where the LQ model keeps
-            promising a decrease that no step achieves. By default the problem's. If it has none: 1e-5 in four
+            promising a decrease that no step achieves. By default the problem's. If it has none: 1e-5 in eight
             iterations for machines with friction loss, which has such kinks too, else 0 (never).
         callback: Called with each Iteration, or with several starts with each Start as it ends; print makes a table.
             It may raise StopIteration to end the solve.

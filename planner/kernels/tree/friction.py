@@ -18,7 +18,7 @@ from planner.kernels.numba.lanes import any_less, floats, integers, load, maximu
 from planner.kernels.tree.model import TREE
 from planner.kernels.tree.own_forces import LOSS_SIZE
 
-BEND = 0.2  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
+BEND = 0.08  # as in planner.dynamics.friction; here too, because the cache's key covers the kernels' sources alone
 MOST_ROUNDS = 30  # of Newton's method, which takes three or four
 MET = 1e-12  # of the loss: what is left of the law when a lane has met it
 HALVINGS = 12  # of the way to the next accelerations
