@@ -78,7 +78,10 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
 def did_you_mean(value: Any, known: Collection[str]) -> str:
     """A sentence that suggests the nearest known name, with a space before it; "" where none is near."""
     short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search takes the square of its length
-    near = difflib.get_close_matches(value, list(known), n=1) if short else []
+    names = [name for name in known if isinstance(name, str)]
+    near = difflib.get_close_matches(value, names, n=1, cutoff=0.8) if short else []
+    near = near or sorted((name for name in names if short and len(value) > 2 and value in name), key=len)
+    near = near or (difflib.get_close_matches(value, names, n=1) if short else [])
     return f" Did you mean {near[0]!r}?" if near else ""
 
 

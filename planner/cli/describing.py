@@ -104,6 +104,8 @@ def _show(path: str, known: Description, console: Console) -> None:
     touching = f"{pairs} pair{'s' * (pairs != 1)} of shapes may touch" if pairs else "no shapes may touch"
     facts += [("contacts", ": ".join(filter(None, (touching, known.contacts["choice"]))))]
     facts += [("keyframes", ", ".join(known.keyframes))] if known.keyframes else []
+    placed = [f"{name} at [{', '.join(f'{x:.3g}' for x in place)}]" for name, place in known.frames.items()]
+    facts += [("frames", f"{_listed(placed)} m in {next(iter(known.poses))}")] if placed else []
     facts += [("base", URDF_BASE)] if is_urdf(path) else []
     facts += [("planned with", _listed(known.planned))] if known.planned else []
     facts += [("left out", _listed(known.left_out))] if known.left_out else []

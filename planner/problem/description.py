@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.errors import ModelError
+from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.facts import (
     Record,
@@ -55,6 +56,7 @@ class Description:
         loaded: How the machine is loaded.
         poses: qpos (nq,) by the keyframe's name; the home pose where the file has no keyframe.
         troubles: What looks wrong, and what mends it.
+        frames: Sites, and bodies that carry no other, with their positions in the world at the first of the poses, m.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Description:
     loaded: Loaded
     poses: dict[str, np.ndarray]
     troubles: list[Trouble]
+    frames: dict[str, list[float]]
 
     @property
     def keyframes(self) -> list[str]:
@@ -83,7 +86,7 @@ class Description:
             "name": self.name, "degrees_of_freedom": self.degrees_of_freedom, "mass": self.mass,
             "gravity": self.gravity, "free_bases": self.free_bases, "joints": self.joints, "bodies": self.bodies,
             "actuators": self.actuators, "contacts": self.contacts,
-            "keyframes": self.keyframes,
+            "keyframes": self.keyframes, "frames": self.frames,
             "planned": self.planned, "left_out": self.left_out, "refused": self.loaded.refusal,
             "keys": self.loaded.keys, "problems": [trouble._asdict() for trouble in self.troubles],
         }  # fmt: skip
@@ -112,13 +115,24 @@ def describe(file: Opened, keys: dict[str, Any] | None = None) -> Description:
         limit = np.inf if mechanism is None else float(np.min(mechanism.velocity_limit[mechanism.joint_links[j]]))
         joint["velocity_limit"] = limit if np.isfinite(limit) else None
     keyframes = {model.key(k).name or f"keyframe {k}": np.array(model.key_qpos[k]) for k in range(model.nkey)}
+    poses = keyframes or {HOME: np.array(model.qpos0)}
     return Description(
         name=file.root.get("model", ""), joints=joints, bodies=body_records(model), actuators=actuators,
         contacts=_contacts(file, mechanism), gravity=[float(g) for g in gravity_of(model)], mass=moving_mass(model),
         free_bases=free_bases(model), degrees_of_freedom=int(model.nv), planned=_planned(mechanism, joints),
-        left_out=_left_out(file, mechanism), loaded=loaded, poses=keyframes or {HOME: np.array(model.qpos0)},
-        troubles=troubles_of(model, mechanism, joints, keyframes),
+        left_out=_left_out(file, mechanism), loaded=loaded, poses=poses,
+        troubles=troubles_of(model, mechanism, joints, keyframes), frames=_frames(model, mechanism, poses),
     )  # fmt: skip
+
+
+def _frames(model: Any, mechanism: Mechanism | None, poses: dict[str, np.ndarray]) -> dict[str, list[float]]:
+    """Where the frames are that a goal is likely to name."""
+    if mechanism is None:
+        return {}
+    carriers, q = set(map(int, model.body_parentid)), next(iter(poses.values()))
+    leaves = [name for b, name in enumerate(mechanism.body_names) if b and b not in carriers and name]
+    names = [*mechanism.sites, *(name for name in leaves if name not in mechanism.sites)]
+    return {name: np.round(frame_pose(mechanism, q, name)[:3, 3], 4).tolist() for name in names}
 
 
 def load_somehow(file: Opened) -> Loaded:

@@ -10,6 +10,7 @@ from planner.cases.problem_file import load, of_table
 from planner.cases.problem_file.keys import RESOLVED
 from planner.proof.cures import Cure, cures, longer
 from planner.proof.cures.cure import rounded_up
+from planner.proof.cures.solving import not_a_minimum
 from planner.proof.cures.stage import rounded_step
 
 ARM = """
@@ -331,3 +332,15 @@ def test_a_way_that_is_not_free_goes_around(tmp_path):
     value, said = passes_with(problem, "avoid")
     assert value == {}
     assert said.startswith("`avoid = {}`: ")
+
+
+def test_every_fail_says_something(tmp_path, monkeypatch):
+    """Also one of which no cause is found, and one that is no minimum though its solve ended."""
+    plan, proof = tried(arm(tmp_path, goal="[-2.0, 2.5]"), max_iterations=2)
+    monkeypatch.setattr("planner.proof.cures._CAUSES", ())
+    (only,) = cures(plan, proof)
+    assert only.value is None
+    assert only.sentence.startswith("No key of the problem is known that mends ")
+    (left,) = not_a_minimum(plan, plan.problem, proof)
+    assert "warm_start=plan" in left.sentence
+    assert "--feasible" in left.sentence

@@ -259,6 +259,10 @@ def test_a_plan_that_breaks_a_constraint_fails():
         (lambda: point([Constraint(post, least=[0.1, 0.2])]), "a bound of shape"),
         (lambda: point([Constraint(post, least=0.1, when=(7.0, 8.0))]), "expected a time with a knot"),
         (lambda: point([Constraint(post, least=0.2), Constraint(post, most=0.1, when=(0.5, 1.0))]), "leave something"),
+        (
+            lambda: point([Constraint(post, least=0.9), Constraint(post, most=0.1)]),
+            "leave something",
+        ),  # no start would do
         (lambda: point([Constraint(Power("elbow"), most=1.0)]), "expected dynamics with a mechanism"),
         (lambda: point([post]), "expected a list of planner.Constraint"),
         (lambda: arm([Constraint(Power("elbo"), most=1.0)]), "Did you mean 'elbow'"),

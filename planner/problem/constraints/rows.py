@@ -93,8 +93,8 @@ class Rows:
         given = ~np.array(of_start)
         self.lower, self.upper = self.least.copy(), self.most.copy()
         self.lower[0, given], self.upper[0, given] = -np.inf, np.inf
+        self._check_each_other(dynamics.dt)  # first: no other start would mend that
         self._check_start(x0, us[0])
-        self._check_each_other(dynamics.dt)
 
     def _check_start(self, x0: np.ndarray, u0: np.ndarray) -> None:
         """Refuse a start that no plan can mend."""

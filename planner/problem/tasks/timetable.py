@@ -107,7 +107,7 @@ def task_of(
             raise PlannerError(f"{label} is after the end, expected a time of at most the duration of {N * dt:g} s.")
         if time < before - 1e-9:
             raise PlannerError(
-                f"{label} is at {time:g} s, before the one above it at {before:g} s: expected goals in the order of "
+                f"{label} comes before the one above it, which is at {before:g} s: expected goals in the order of "
                 "their times, and those without a time, which are at the end, last."
             )
         before, stage = time, max(round(time / dt), 1)

@@ -14,7 +14,7 @@ from planner.proof.cures.cure import Cure
 from planner.proof.cures.effort import longer, more_time
 from planner.proof.cures.goals import larger_weights, without_ignored
 from planner.proof.cures.limits import left_no_room, not_driven, wider_margin, within_limits
-from planner.proof.cures.solving import first_guess, more_iterations, other_guesses
+from planner.proof.cures.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
 from planner.proof.cures.stage import calmer_gains, shorter_stage
 from planner.proof.cures.straight import shorter_way
 from planner.proof.cures.touching import out_of_touch
@@ -25,6 +25,7 @@ __all__ = ["Cure", "cures", "in_order", "longer"]
 _CAUSES = (
     standing_goal, first_guess, left_no_room, not_driven, out_of_touch, more_time, shorter_way, within_limits,
     without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin, larger_weights, other_guesses, falling,
+    not_a_minimum,
 )  # fmt: skip
 _found: WeakKeyDictionary[Plan, tuple[str, tuple[Cure, ...]]] = WeakKeyDictionary()  # by the reason of the FAIL
 
@@ -50,7 +51,7 @@ def cures(plan: Plan, proof: Proof | None = None) -> tuple[Cure, ...]:
             found.setdefault(cure.key, cure)
         if any(cure.value is None for cure in found.values()):  # what follows is its effect
             break
-    return in_order(plan, proof, tuple(found.values()))
+    return in_order(plan, proof, tuple(found.values()) or (nothing_known(plan, plan.problem, proof),))
 
 
 def in_order(plan: Plan, proof: Proof | None, found: tuple[Cure, ...]) -> tuple[Cure, ...]:

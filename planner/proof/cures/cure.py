@@ -56,9 +56,15 @@ class Cure:
 
 def cure(problem: Problem, key: str, value: Any, why: str) -> Cure:
     """A cure of a problem, told in the words of where the problem comes from: its file, a command line or Python."""
+    value = {name: _short(part) for name, part in value.items()} if isinstance(value, dict) else _short(value)
     parts = {f"{key}.{name}": part for name, part in value.items()} if key in TABLES else {key: value}
     written = ", ".join(f"`{_written(problem, name, part)}`" for name, part in parts.items())
     return Cure(key, value, f"{written}: {why}")
+
+
+def _short(value: Any) -> Any:
+    """A number that is computed, without the digits of rounding."""
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def no_cure(key: str, why: str) -> Cure:

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
-from planner.proof.cures.cure import FILE, Cure, cure, rounded_up
+from planner.proof.cures.cure import FILE, Cure, cure, no_cure, rounded_up
 from planner.proof.cures.stage import rates_at_start, rounded_step
 from planner.proof.verdict import Proof
 from planner.solvers.slq import DECREASE
@@ -77,3 +77,21 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
     if more > MOST_TIMES * len(lines):
         return 10 * len(lines) if gained > _GAINED * abs(cost) else None
     return int(rounded_up(1.5 * more + len(lines)))
+
+
+def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Cure]:
+    """Where a solve ended though its cost may still fall: how it goes on, or what does not ask for a minimum."""
+    left = [] if proof is None else [one for one in proof.optimality.failures if one.name == "decrease_left"]
+    if not left:
+        return []
+    return [no_cure("optimal", (
+        f"The solve ended, but one more step promises to take {left[0].value:.3g} % off the cost: go on from this plan "
+        "by solve(problem, warm_start=plan), or ask `planner prove --feasible`, for which it need not be a minimum."
+    ))]  # fmt: skip
+
+
+def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Cure:
+    """Said where no cause was found."""
+    failed = [] if proof is None else [one for section in proof.sections.values() for one in section.failures]
+    what = failed[0].name.replace("_", " ") if failed else "the solve"
+    return no_cure("", f"No key of the problem is known that mends {what}; docs/questions.md has what others met.")
