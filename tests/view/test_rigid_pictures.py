@@ -12,6 +12,7 @@ from planner.model.mjcf.text import edited
 from planner.model.space import exp_quaternion
 from planner.problem.appearance import Appearance
 from planner.problem.default_appearance import default_appearance
+from planner.view.render.camera import Box, below_words, standing_back
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
 
@@ -112,3 +113,12 @@ def test_the_ghost_of_a_tree_stands_where_its_quaternions_say():
     machine = where(drawn(False, turned[:, : mechanism.nq]), drawn(False, away))
     assert ghost.sum() > 100
     assert (ghost & machine).sum() > 0.85 * (ghost | machine).sum()
+
+
+def test_a_motion_stands_below_the_numbers_where_there_is_room():
+    angles = 90.0, 0.0, 45.0
+    for half, wanted in (([2.0, 0.1, 0.3], 0.2), ([0.3, 0.1, 2.0], 0.0)):  # wide; as high as the picture
+        box = Box(-np.array(half), np.array(half))
+        distance = standing_back(box, *angles, 16 / 9)
+        seen = distance * np.tan(np.radians(22.5))
+        np.testing.assert_allclose(below_words(box, *angles, distance), [0.0, 0.0, wanted * seen], atol=0.06 * seen)

@@ -15,6 +15,7 @@ from planner.view.render.looks import drawn, geom_boxes, moving
 from planner.view.render.sticks import Sticks
 
 _MARGIN = 1.12  # the picture's half sizes over the motion's
+_LOWER = 0.2  # of half the picture's height: how far a motion is put below its middle, where there is room
 ROOM = 0.05  # around what moves, in parts of its largest side
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
@@ -54,8 +55,10 @@ def whole_motion(
     for places in (np.reshape(goals, (-1, 3)), *appearance.paths):
         if len(places):
             box = box.joined(Box(places.min(axis=0), places.max(axis=0)), np.inf)
-    distance = standing_back(box, appearance.azimuth, appearance.elevation, model.vis.global_.fovy, aspect, room)
-    return 0.5 * (box.low + box.high), distance
+    angles = appearance.azimuth, appearance.elevation, model.vis.global_.fovy
+    distance = standing_back(box, *angles, aspect, room)
+    above = below_words(box, *angles, distance) if room == 1.0 else 0.0
+    return 0.5 * (box.low + box.high) + above, distance
 
 
 def scenery_of(model: Any, appearance: Appearance) -> tuple[np.ndarray, np.ndarray]:
@@ -104,6 +107,14 @@ def standing_back(
     tangent = np.tan(0.5 * np.radians(fovy))
     needed = np.maximum(np.abs(corners @ up) / (tangent * room), np.abs(corners @ right) / (tangent * aspect))
     return float(np.max(_MARGIN * needed - corners @ ahead))
+
+
+def below_words(box: Box, azimuth: float, elevation: float, fovy: float, distance: float) -> np.ndarray:
+    """The way (3,) up that a camera looks above a box, as far as it stays in the picture: numbers are at the top."""
+    _, _, up = directions(azimuth, elevation)
+    seen = distance * np.tan(0.5 * np.radians(fovy))
+    free = seen - _MARGIN * 0.5 * float((box.high - box.low) @ np.abs(up))
+    return up * max(0.0, min(free, _LOWER * seen))
 
 
 def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
