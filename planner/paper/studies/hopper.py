@@ -69,7 +69,7 @@ def _phases(height: float, duration: float) -> dict[str, Any]:
 def _replayed(final_weight: float) -> dict[str, Any]:
     plan = paper_plan(20.0, final_weight=final_weight)
     proof = prove(plan, rollouts=0)  # whether the plan holds at all; how it bears perturbations is beside the point
-    planned, reached = plan.xs[-1].tolist(), proof.replay.xs[-1].tolist()
+    planned, reached = plan.xs[-1].tolist(), proof.replays["open-loop"].xs[-1].tolist()
     return {
         "final_weight": final_weight, "planned_height": planned[0], "planned_rate": planned[1],
         "reached_height": reached[0], "verdict": proof.verdict,
