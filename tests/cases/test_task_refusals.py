@@ -29,7 +29,7 @@ def at(position, **more):
         ([at("[0.3, 0, -0.2]", time="-1")], ("time of a goal is -1", "greater than 0")),
         (
             [at("[0.3, 0, -0.2]", time="0.6"), at("[0.3, 0, 0]", time="0.4")],
-            ("goal 2 (hand at 0.4 s)", "before the one above it at 0.6 s", "order"),
+            ("goal 2 (hand at 0.4 s)", "before the one above it, which is at 0.6 s", "order"),
         ),
         (
             [at("[0.3, 0, -0.2]"), at("[0.3, 0, 0]", time="0.4")],
