@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.dynamics import CompiledDynamics, ResidualDynamics
 from planner.kernels.lq import search
+from planner.kernels.lq.active_set import choose_held
 from planner.kernels.lq.bounded import bounded_direction, riccati_dense_bounded, riccati_structured_bounded
 from planner.kernels.lq.quadratic import gradients
 from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structured
@@ -23,6 +24,7 @@ from planner.problem.state_ranges import Hinges
 from planner.solvers.engine.followed import Followed
 from planner.solvers.engine.moved import Trajectory
 from planner.solvers.engine.protocol import Crossing, Engine, Outcome, promised, state_weights
+from planner.solvers.engine.settling import MOST_SETS, Settling
 
 _EXACT = W.exact
 
@@ -60,6 +62,7 @@ class CompiledEngine(Engine):
         # A plan that is followed and the next one, by turns: nothing of their gains is copied.
         self._followed: tuple[Followed, Followed] | None = None
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]
+        self._settling = Settling()
         self._memory = dynamics.memory(problem.N)
         self._with_residuals = dynamics if residuals is not None and isinstance(dynamics, ResidualDynamics) else None
         if self._with_residuals is not None:
@@ -88,12 +91,14 @@ class CompiledEngine(Engine):
         self._w.use_second_order(exact)
         self._w.use_gaps(False)
         sweep = "riccati structured" if self._dynamics.structured else "riccati dense"
-        sweep += "" if self._bounds is None else " bounded"
+        bounded = () if self._bounds is None else ("choose held",)
+        sweep += " bounded" if bounded else ""
         more = self._dynamics.second_order_kernels if exact else ()
         kernels = self._dynamics.kernels
         if self._with_residuals is not None:
             kernels = self._with_residuals.residual_kernels(self._w.residuals.solids)
-        compile_together((sweep, "gradients", *kernels, *more))
+        compile_together((sweep, "gradients", *bounded, *kernels, *more))
+        self._settling, self._w.held_at[:] = Settling(), 0.0
         self._w.xs[0] = x0
         self._w.us[:] = us if self._bounds is None else self._bounds.clip(slice(None), us, None)
         self._w.dus[:] = 0.0
@@ -193,7 +198,8 @@ class CompiledEngine(Engine):
         self._boxed()
         w.use_gaps(True)
         w.gaps[:] = gaps
-        norm, _, definite = self._riccati(w.table, 0.0, dt)
+        boxed = () if self._bounds is None else (False,)
+        norm, _, definite = self._riccati(w.table, 0.0, dt, *boxed)
         if definite:
             direction(w.table, dt)
         w.use_gaps(False)
@@ -214,7 +220,7 @@ class CompiledEngine(Engine):
         """The sweep and search of iterate, with bounds."""
         w, dynamics = self._w, self._dynamics
         self._boxed()
-        norm, value, definite = self._riccati(w.table, mu, dynamics.dt)
+        norm, value, definite = self._bounded_sweep(mu)
         if not definite:
             return Outcome(INDEFINITE, norm, 0.0, 0.0, 0.0, cost)
         if norm <= gradient_tolerance or -value <= decrease_tolerance:
@@ -224,6 +230,20 @@ class CompiledEngine(Engine):
         if step == 0.0:
             return Outcome(NO_STEP, norm, slope, 0.0, -value, cost)
         return Outcome(ACCEPTED, norm, slope, step, promised(slope, value, step), after)
+
+    def _bounded_sweep(self, mu: float) -> tuple[float, float, bool]:
+        """Solve the LQ problem within the bounds, or where no set of held controls is found each stage in its box."""
+        w, dt = self._w, self._dynamics.dt
+        if self._settling.due():
+            for _ in range(MOST_SETS):
+                norm, value, definite = self._riccati(w.table, mu, dt, True)
+                if not definite:
+                    break
+                if choose_held(w.table, dt) == 0:
+                    self._settling.found()
+                    return norm, value, True
+            self._settling.missed()
+        return self._riccati(w.table, mu, dt, False)
 
     def _search(self, rule: int, feedback: bool, cost: float, slope: float) -> tuple[float, float]:
         """The step that is taken and the cost after it."""

@@ -1,0 +1,118 @@
+"""Bounded controls of the whole LQ problem: the set of those at their bounds, found by Newton's method.
+
+A box in each stage (see box) knows no deviation of the state: where bounds hold many stages, later ones would leave
+theirs in what the sweep promises, and steps are short. Here a set of controls is held at chosen bounds, a sweep solves
+what is left, and the linear motion that follows tells the next set:
+
+    a free control that would leave its bounds is held at the one it crosses,
+    a held one whose multiplier pulls it inwards is freed.
+
+A set that tells itself is the solution (primal-dual active sets; Hintermueller, Ito and Kunisch 2002). It mostly takes
+one sweep where the last iteration's set still holds, and few where it does not. It may also cycle, then the box is left.
+"""
+
+from __future__ import annotations
+
+from planner.kernels.lq.along_bounds import moved
+from planner.kernels.lq.riccati import advance
+from planner.kernels.lq.workspace import W
+from planner.kernels.numba.jit import inline, jit
+from planner.kernels.numba.lanes import at, floats, integers, load, pointer, store
+
+ROUNDING = 1e-9  # of a control: how far one may be beyond its bound
+LITTLE = 1e-12  # of a multiplier's parts: what is rounding
+
+
+@inline
+def held_minimum(w, mu, n):
+    """As box_minimum for the chosen set: k and what is clamped, in W.box; the value of these constants.
+
+    Rows of the Hessian of held controls are kept for their multipliers.
+    """
+    nu, width = w[W.nu], w[W.width]
+    M, h, k, o = floats(w, W.H), floats(w, W.h), floats(w, W.box), n * nu
+    us, lower, upper = floats(w, W.us), floats(w, W.lower), floats(w, W.upper)
+    value = 0.0
+    for c in range(nu):
+        side, kc = load(floats(w, W.held_at), o + c), 0.0
+        if side != 0.0:
+            kc = (load(lower, o + c) if side < 0.0 else load(upper, o + c)) - load(us, o + c)
+        store(k, c, kc)
+        store(k, nu + c, abs(side))
+    for c in range(nu):
+        if load(k, nu + c) > 0.0:
+            row, kc = at(floats(w, W.held_row), (o + c) * width), load(k, c)
+            for j in range(c):
+                store(row, j, load(M, j * width + c))
+            for j in range(c, width):
+                store(row, j, load(M, c * width + j))
+            store(row, c, load(row, c) + mu)
+            store(floats(w, W.held_slope), o + c, load(h, c))
+            value += load(h, c) * kc
+            for a in range(nu):
+                value += 0.5 * kc * load(row, a) * load(k, a)
+    return value
+
+
+@inline
+def _multiplier(w, i, du, dx):
+    """The slope of the LQ problem's cost by held control i of all, but for rounding."""
+    nu, ndx, width = w[W.nu], w[W.ndx], w[W.width]
+    row, total = at(floats(w, W.held_row), i * width), load(floats(w, W.held_slope), i)
+    size = abs(total)
+    for a in range(nu):
+        part = load(row, a) * load(du, a)
+        total += part
+        size += abs(part)
+    for j in range(ndx):
+        part = load(row, w[W.first] + j) * load(dx, j)
+        total += part
+        size += abs(part)
+    return total if abs(total) > LITTLE * size else 0.0
+
+
+@inline
+def _chosen(w, i, side, du, dx, floor, ceiling):
+    """Where control i of all, with the stage's du and dx, is to be held: -1, 0 or 1."""
+    u = load(floats(w, W.us), i)
+    if side == 0.0:
+        after, slack = u + load(du, i % w[W.nu]), ROUNDING * (1.0 + abs(u))
+        if after < load(floats(w, W.lower), i) + floor - slack:
+            return -1.0
+        return 1.0 if after > load(floats(w, W.upper), i) + ceiling + slack else 0.0
+    return 0.0 if side * _multiplier(w, i, du, dx) > 0.0 else side
+
+
+@jit
+def choose_held(w, dt):
+    """The next set of held controls, in W.held_at, and by how many it differs from that of the last sweep."""
+    w = pointer(w)
+    ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
+    K, k, held = floats(w, W.K), floats(w, W.k), floats(w, W.held_at)
+    dus, dx, changes = floats(w, W.dus), floats(w, W.dx), 0
+    for i in range(ndx):
+        store(dx, i, 0.0)
+    for n in range(w[W.N]):
+        du = at(dus, n * nu)
+        for a in range(nu):
+            i = n * nu + a
+            total = load(k, i)
+            for j in range(ndx):
+                total += load(K, i * width + first + j) * load(dx, j)
+            store(du, a, total)
+        servo = 0
+        for a in range(nu):
+            i, floor, ceiling = n * nu + a, 0.0, 0.0
+            if servo < w[W.servos] and load(integers(w, W.servo_control), servo) == a:
+                floor = moved(w, n, servo, floats(w, W.lower_share), dx)
+                ceiling = moved(w, n, servo, floats(w, W.upper_share), dx)
+                servo += 1
+            side = load(held, i)
+            now = _chosen(w, i, side, du, dx, floor, ceiling)
+            if now != side:
+                changes += 1
+                store(held, i, now)
+        advance(w, n, dt, du, dx, at(dx, ndx))
+        for i in range(ndx):
+            store(dx, i, load(dx, ndx + i))
+    return changes
