@@ -4,7 +4,8 @@
 lane order is the order of preference and the first lane that satisfies the rule wins, so the result does not
 depend on which lanes are computed together. J0 and S0 are the cost and its slope at step length 0 (S0 < 0).
 
-    armijo     J(a) <= J0 + c1 a S0                                  halving from 1
+    armijo     J(a) <= J0 + c1 a S0                                  halving from 1; where that gains far less than
+                                                                     promised, the best of the lanes beside it
     goldstein  J0 + (1 - c) a S0 <= J(a) <= J0 + c a S0              bracketing
     wolfe      armijo, and |J'(a)| <= c2 |S0|                        bracketing
     exact      argmin J(a) over a > 0 (Theorem 2)                    bracketing, to a relative width of 1e-6
@@ -23,6 +24,7 @@ START = -1  # no search: one rollout at step length 0, which is taken as it is
 SUFFICIENT = 1e-4  # c1 of Armijo and Wolfe (Nocedal & Wright, section 3.1)
 CURVATURE = 0.9  # c2 of Wolfe for Newton-like directions (same)
 GOLDSTEIN_C = 0.25  # below 1/2, so that the full step of a quadratic passes (same)
+FAR_LESS = 0.25  # of the decrease that the parabola of J0, S0 and J(1) = J0 + S0 / 2 promises: a shorter step gains more
 EXACT_WIDTH = 1e-6  # J is flat to rounding within about 1e-8 of its minimum
 ARMIJO_BATCHES, BRACKET_BATCHES = 6, 32  # of candidates, before the search gives up
 
@@ -88,6 +90,17 @@ def _choose_exact(alpha, J, J0, bracket):
     return best if bracket[1] - bracket[0] <= EXACT_WIDTH * alpha[best] else -1
 
 
+@part
+def _better(alpha, J, J0, S0, i):
+    """The lane to take in place of lane i, which gains too little for its length, or i."""
+    best = i
+    if J0 - J[i] < -FAR_LESS * alpha[i] * (1.0 - 0.5 * alpha[i]) * S0:
+        for k in range(i + 1, alpha.shape[0]):
+            if J[k] < J[best]:
+                best = k
+    return best
+
+
 @jit
 def choose(rule, alpha, J, S, J0, S0, bracket):
     """The lane to take, or -1; narrows the bracket."""
@@ -101,7 +114,7 @@ def choose(rule, alpha, J, S, J0, S0, bracket):
         if _too_long(rule, alpha[i], J[i], S[i], J0, S0):
             bracket[1] = min(bracket[1], alpha[i])
         elif not _too_short(rule, alpha[i], J[i], S[i], J0, S0):
-            return i
+            return _better(alpha, J, J0, S0, i) if rule == ARMIJO else i
     for i in range(alpha.shape[0]):  # what is too short beyond a hill does not count
         if alpha[i] < bracket[1]:
             bracket[0] = max(bracket[0], alpha[i])
